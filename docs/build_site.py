@@ -90,6 +90,12 @@ autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "exclude-members": "set_score_request"}
 suppress_warnings = ["misc.highlighting_failure", "myst.header", "ref.python", "ref.ref", "ref.term"]
 """
+_MENDED: Final = (
+    ("<pre>", '<pre tabindex="0">'),
+    ('<div class="table-wrapper', '<div tabindex="0" class="table-wrapper'),
+    (' role="heading">', ' role="heading" aria-level="2">'),
+)
+"""What axe finds in the pages of the theme, and how it is written instead."""
 _LINK: Final = re.compile(r"(!?)\[([^\]\[]*(?:\[[^\]]*\][^\]\[]*)*)\]\(([^)\s]+)\)")
 
 
@@ -99,7 +105,18 @@ def main(arguments: Sequence[str]) -> int:
     with TemporaryDirectory() as folder:
         write_pages(Path(folder))
         command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", folder, output]
-        return subprocess.run(command, check=False).returncode
+        code = subprocess.run(command, check=False).returncode
+    open_to_everybody(Path(output))
+    return code
+
+
+def open_to_everybody(folder: Path) -> None:
+    """Mend the pages that sphinx has built: what scrolls is reached by keyboard, and headings have a level."""
+    for file in folder.rglob("*.html"):
+        text = file.read_text("utf-8")
+        for written, meant in _MENDED:
+            text = text.replace(written, meant)
+        file.write_text(text, "utf-8")
 
 
 def write_pages(folder: Path) -> None:

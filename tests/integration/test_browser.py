@@ -26,6 +26,8 @@ SWITCHES = (
     "--disable-component-update", "--disable-sync",
 )  # fmt: skip
 WIDTHS = (1280, 390)
+OPTIONS = {"resultTypes": ["violations"], "preload": False}
+"""Of axe: it would load style sheets a second time, by requests that files may not make."""
 SERIOUS = ("serious", "critical")
 MOST_BYTES = 3_000_000
 HOSTILE = "<img src=x onerror=alert(1)>"
@@ -60,7 +62,7 @@ class Visit:
         """Return what is wrong with the page at a width in a colour scheme."""
         too_wide = self.fit(width)
         self.page.emulate_media(color_scheme=scheme)
-        found = axe.Axe().run(self.page, options={"resultTypes": ["violations"]}).response["violations"]
+        found = axe.Axe().run(self.page, options=OPTIONS).response["violations"]
         return too_wide + [f"{each['id']}: {each['nodes'][0]['html']}" for each in found if each["impact"] in SERIOUS]
 
     def fit(self, width: int) -> list[str]:

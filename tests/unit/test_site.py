@@ -2,6 +2,7 @@
 
 import importlib.util
 import posixpath
+from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -48,6 +49,15 @@ def test_links_are_rewritten_and_those_to_files_of_the_checkout_become_text(site
     assert found == "[a](index.md#start) b [c](https://zenoh.io) ![e](images/x.svg)"
     assert site.rewrite("[a](docs/data.md)", "README.md", "index.md") == "[a](data.md)"
     assert site.rewrite("[a](../README.md)", "deploy/README.md", "project/deploy/README.md") == "[a](../../index.md)"
+
+
+def test_what_scrolls_is_reached_by_keyboard_and_headings_have_a_level(site: ModuleType, tmp_path: Path) -> None:
+    page = tmp_path / "adr" / "one.html"
+    page.parent.mkdir()
+    page.write_text('<p class="caption" role="heading">a</p><pre>b</pre>')
+    for _ in range(2):
+        site.open_to_everybody(tmp_path)
+        assert page.read_text() == '<p class="caption" role="heading" aria-level="2">a</p><pre tabindex="0">b</pre>'
 
 
 def test_references_are_made_from_the_code(pages: dict[str, str]) -> None:
