@@ -18,9 +18,9 @@ DEFAULT = {BY_NAME[name].code for name in ("+", "-", "*", "/", "sin", "cos")}
 
 def problem_of(law, noise=0.0):
     rng = np.random.default_rng(1)
-    inputs = rng.uniform(0.3, 2.5, (2, 300))
+    inputs = rng.uniform(0.3, 2.5, (2, 150))
     exact = values_of(from_infix(law, NAMES), inputs)
-    values = exact + noise * exact.std() * rng.standard_normal(300)
+    values = exact + noise * exact.std() * rng.standard_normal(150)
     return Problem(NAMES, inputs, Target("x", "dx/dt", values, noise, float(values.std()))), exact
 
 
