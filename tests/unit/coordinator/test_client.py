@@ -30,27 +30,12 @@ from atoll.wire.messages.clients import (
 )
 from atoll.wire.messages.handshake import GreetingAnswer, Refusal, Welcome
 from atoll.wire.messages.limits import CHUNK_SIZE
-from atoll.wire.messages.views import JobView
 from atoll_coordinator.client import ANSWER_LIMIT_S, Client
+from tests.views import job_view
 
 Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel
 AnswerBody = Uploaded | JobList | JobStatus | WorkerList | Result | Failure
 WELCOME = Welcome(realm="r1", incarnation=1, protocol=1, version="0.1.0", engine=1)
-
-
-def view_of(job: str, **changes: object) -> JobView:
-    view = JobView(
-        job=job,
-        name="n",
-        state="running",
-        seed=0,
-        preset="default",
-        submitted="2026-01-01T00:00:00Z",
-        elapsed=0.0,
-        workers=0,
-        point_evaluations=0,
-    )
-    return view.model_copy(update=changes)
 
 
 class AnsweringBus:
@@ -121,7 +106,7 @@ def test_a_job_is_submitted_under_the_clients_id() -> None:
     def handle(body: Body) -> AnswerBody:
         assert isinstance(body, Submit)
         seen.append(body)
-        return JobStatus(job=view_of(body.job))
+        return JobStatus(job=job_view(job=body.job))
 
     client, _ = client_with(handle)
     assert client.submit("j1", "name", JobConfig(seed=3), "0" * 64).job == "j1"
@@ -161,7 +146,7 @@ def test_silence_ends_in_an_error_that_says_what_was_waited_for() -> None:
 
 
 def test_a_lost_answer_is_asked_for_again() -> None:
-    answers: list[AnswerBody | None] = [None, None, JobStatus(job=view_of("j1"))]
+    answers: list[AnswerBody | None] = [None, None, JobStatus(job=job_view(job="j1"))]
     client, _ = client_with(lambda body: answers.pop(0))
     assert client.status("j1").job == "j1"
 
@@ -183,7 +168,7 @@ def test_an_answer_that_is_not_in_our_words_is_refused() -> None:
 
 
 def test_the_beginning_of_an_id_is_enough_when_it_is_the_only_one() -> None:
-    client, _ = client_with(lambda body: JobList(jobs=tuple(map(view_of, ("abc1", "abd2", "ab")))))
+    client, _ = client_with(lambda body: JobList(jobs=tuple(job_view(job=each) for each in ("abc1", "abd2", "ab"))))
     assert client.resolve("abc") == "abc1"
     assert client.resolve("ab") == "ab"
     with pytest.raises(RefusedError, match="3 jobs begin with 'a'"):

@@ -7,22 +7,7 @@ import pytest
 from atoll.errors import UnreachableError
 from atoll.wire.messages.views import JobView, VariableView, WorkerView
 from atoll_coordinator.cli.terminal.follow import PATIENCE_S, Follower, Timeline, ending, exit_code, phase
-
-
-def view_of(**changes: object) -> JobView:
-    view = JobView(
-        job="j1",
-        name="n",
-        state="running",
-        seed=0,
-        preset="default",
-        submitted="2026-01-01T00:00:00Z",
-        elapsed=0.0,
-        workers=1,
-        point_evaluations=0,
-        variables=(VariableView(variable="x", lhs="dx/dt", epoch=0),),
-    )
-    return view.model_copy(update=changes)
+from tests.views import job_view
 
 
 def worker_of(**changes: object) -> WorkerView:
@@ -80,19 +65,19 @@ def follow(*views: JobView | Exception) -> tuple[JobView, Recorder]:
 
 
 def test_a_job_is_shown_until_it_ends() -> None:
-    view, display = follow(view_of(state="queued"), view_of(), view_of(state="done"))
+    view, display = follow(job_view(state="queued"), job_view(), job_view(state="done"))
     assert view.state == "done"
     assert display.states == ["queued", "running", "done"]
 
 
 def test_each_warning_is_said_once() -> None:
-    warned = view_of(warnings=("8 rows were left out",))
-    _, display = follow(warned, warned, view_of(state="done"))
+    warned = job_view(warnings=("8 rows were left out",))
+    _, display = follow(warned, warned, job_view(state="done"))
     assert display.sentences == ["note: 8 rows were left out"]
 
 
 def test_a_short_silence_of_the_coordinator_is_borne() -> None:
-    view, display = follow(UnreachableError("silent"), view_of(state="done"))
+    view, display = follow(UnreachableError("silent"), job_view(state="done"))
     assert view.state == "done"
     assert "does not answer" in display.sentences[0]
 
@@ -113,7 +98,7 @@ def test_what_the_check_returns_is_printed_and_what_it_raises_ends_the_following
         return sayings.pop(0)
 
     with pytest.raises(RuntimeError, match="gone"):
-        Follower(ScriptedClient(view_of()), "j1", display, check).follow()  # type: ignore[arg-type]
+        Follower(ScriptedClient(job_view()), "j1", display, check).follow()  # type: ignore[arg-type]
     assert display.sentences == ["worker w1 ended"]
 
 
@@ -140,7 +125,7 @@ FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=3, expression="2.0*x"),)
 def test_the_end_of_a_job_decides_the_exit_code(
     changes: dict[str, object], target: float | None, code: int, words: str | None
 ) -> None:
-    view = view_of(**changes)
+    view = job_view(**changes)
     assert exit_code(view, target) == code
     sentence = ending(view, target)
     assert (sentence is None) == (words is None)
@@ -173,15 +158,15 @@ FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=1),)
     ],
 )
 def test_time_goes_into_phases(changes: dict[str, object], workers: list[dict[str, object]], name: str) -> None:
-    assert phase(view_of(**changes), [worker_of(**worker) for worker in workers]) == name
+    assert phase(job_view(**changes), [worker_of(**worker) for worker in workers]) == name
 
 
 def test_a_known_equation_misses_no_target() -> None:
     known = VariableView(variable="y", lhs="dy/dt", epoch=0, finished=True, why="known", normalized_error=0.5)
     found = VariableView(variable="x", lhs="dx/dt", epoch=1, finished=True, why="target", converged=True)
     missed = found.model_copy(update={"converged": False, "why": "max-epochs"})
-    view = view_of(state="done", variables=(known, found))
+    view = job_view(state="done", variables=(known, found))
     assert (exit_code(view, 1e-6), ending(view, 1e-6)) == (0, None)
-    view = view_of(state="done", variables=(known, missed))
+    view = job_view(state="done", variables=(known, missed))
     assert exit_code(view, 1e-6) == 4
     assert ending(view, 1e-6) == "--target-error 1e-06 was not met within the budget by dx/dt"

@@ -6,6 +6,7 @@ import pytest
 
 from atoll.wire.messages.views import JobView, VariableView, WorkerView
 from atoll_coordinator.cli.terminal.progress import LiveDisplay, PlainDisplay, headline, plain_lines, row, standing
+from tests.views import job_view
 
 X = VariableView(
     variable="x",
@@ -23,20 +24,8 @@ Y = VariableView(variable="y", lhs="dy/dt", epoch=0)
 
 
 def job(**changes: object) -> JobView:
-    view = JobView(
-        job="a1b2c3d4",
-        name="lv.csv",
-        state="running",
-        seed=0,
-        preset="default",
-        submitted="2026-01-01T00:00:00Z",
-        elapsed=4.2,
-        workers=2,
-        point_evaluations=4_260_000,
-        point_evaluations_per_second=5.5e7,
-        variables=(X, Y),
-    )
-    return view.model_copy(update=changes)
+    its = {"job": "a1b2c3d4", "elapsed": 4.2, "workers": 2, "point_evaluations": 4_260_000, "variables": (X, Y)}
+    return job_view(**its, point_evaluations_per_second=5.5e7).model_copy(update=changes)
 
 
 def worker(**changes: object) -> WorkerView:

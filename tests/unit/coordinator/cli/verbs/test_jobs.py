@@ -11,21 +11,14 @@ from atoll.wire.addresses import Destination
 from atoll.wire.messages.views import JobView, VariableView, WorkerView
 from atoll_coordinator.cli.main import main
 from atoll_coordinator.cli.verbs import jobs as verbs
+from tests.views import VARIABLE, job_view
 
 
 def job(name: str, state: str) -> JobView:
-    variable = VariableView(variable="x", lhs="dx/dt", epoch=2, normalized_error=0.1, complexity=3, expression="2.0*x")
-    return JobView(
-        job=name,
-        name=f"{name}.csv",
-        state=state,
-        seed=0,
-        preset="default",
-        submitted="2026-01-01T00:00:00Z",
-        elapsed=61.0,
-        workers=1,
-        point_evaluations=1000,
-        variables=(variable,),
+    found = {"epoch": 2, "normalized_error": 0.1, "complexity": 3, "expression": "2.0*x"}
+    variables = (VARIABLE.model_copy(update=found),)
+    return job_view(
+        job=name, name=f"{name}.csv", state=state, elapsed=61.0, point_evaluations=1000, variables=variables
     )
 
 
