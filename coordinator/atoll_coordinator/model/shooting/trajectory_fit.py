@@ -1,7 +1,7 @@
 """A system fitted to measured trajectories. Letters as in `atoll_coordinator.model.shooting.kernels.integrate`."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from atoll_coordinator.model.shooting.system import System
 
 if TYPE_CHECKING:
     from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+
+_LEAST_CURVATURE: Final = 1e-13
+"""Curvatures of an initial state are at least so large, over the largest: smaller ones are rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +53,16 @@ class TrajectoryFit:
     @property
     def reduced(self) -> FloatArray:
         """The normal matrix (P, P) of the constants, initial states eliminated."""
-        carried = self.coupling @ _inverses(self.own)
-        return np.asarray(self.normal - np.tensordot(carried, self.coupling, axes=([0, 2], [0, 2])))
+        carried = self.coupling @ _inverse_roots(self.own)
+        return np.asarray(self.normal - np.tensordot(carried, carried, axes=([0, 2], [0, 2])))
 
 
-def _inverses(own: FloatArray) -> FloatArray:
-    """Return the inverses (G, D, D) of the blocks of the initial states."""
-    diagonals = np.einsum("gdd->gd", own)
-    scale = np.sqrt(np.maximum(diagonals, 1e-200))
-    unit = own / (scale[:, :, None] * scale[:, None, :])
-    unit = unit + 1e-13 * np.eye(own.shape[1])
-    return np.asarray(np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :]))
+def _inverse_roots(own: FloatArray) -> FloatArray:
+    """Return W (G, D, D) with WW' the inverses of the blocks of the initial states.
+
+    What trajectories forget at once has hardly any curvature. By roots it is taken from that of the constants without
+    more than rounding; an inverse leaves an indefinite matrix.
+    """
+    scale = np.sqrt(np.maximum(np.einsum("gdd->gd", own), 1e-200))
+    values, vectors = np.linalg.eigh(own / (scale[:, :, None] * scale[:, None, :]))
+    return np.asarray(vectors / scale[:, :, None] / np.sqrt(np.maximum(values, _LEAST_CURVATURE))[:, None, :])
