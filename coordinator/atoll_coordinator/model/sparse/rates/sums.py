@@ -55,9 +55,8 @@ class RateSum:
         return collected(sum_program([(factor, atom.shape.expression(atom.constant)) for factor, atom in parts]))
 
 
-def _least_scale(rows: RateRows) -> float:
-    """Return the scale below which a sum leaves less than the least errors, those of a solver: that tells nothing."""
-    return float(np.median(rows.errors.min() / rows.errors))
+_LEAST_SCALE = 1e-6
+"""Guard: scales below this are rounding."""
 
 
 def fitted(rows: RateRows, atoms: Sequence[Atom], weights: FloatArray | None = None) -> RateSum | None:
@@ -68,7 +67,7 @@ def fitted(rows: RateRows, atoms: Sequence[Atom], weights: FloatArray | None = N
     coefficients = np.zeros(len(atoms))
     begun = np.ones(len(rows.values)) if weights is None else weights.copy()
     scale = robust_fit(columns, rows.values, rows.errors, SETTINGS.effort.steps, coefficients, begun)
-    misfit = SETTINGS.selection.systematic_numbers * log(max(scale, _least_scale(rows)))
+    misfit = SETTINGS.selection.systematic_numbers * log(max(scale, _LEAST_SCALE))
     price = math.fsum(atom.price(len(rows.values)) for atom in atoms)
     return RateSum(tuple(atoms), coefficients, begun, scale, misfit + price)
 
