@@ -42,11 +42,11 @@ def describe(table: Table, config: JobConfig) -> str:
 
 
 def _prior(config: JobConfig, roles: Roles) -> list[str]:
-    prior, sides = config.prior, roles.left_hand_sides
-    lines = [f"known: {sides[name]} = {text}" for name, text in prior.known.items()]
-    lines += [f"guess: {sides[name]} = {text}" for name, texts in prior.guesses.items() for text in texts]
-    lines += [f"required: {sides[name]} has {', '.join(its)}" for name, its in config.space.required_of.items()]
-    return lines + [f"bounds: {sides[name]}: {'; '.join(texts)}" for name, texts in prior.bounds.items()]
+    prior, side = config.prior, roles.left_hand_side
+    lines = [f"known: {side(name)} = {text}" for name, text in prior.known.items()]
+    lines += [f"guess: {side(name)} = {text}" for name, texts in prior.guesses.items() for text in texts]
+    lines += [f"required: {side(name)} has {', '.join(its)}" for name, its in config.space.required_of.items()]
+    return lines + [f"bounds: {side(name)}: {'; '.join(texts)}" for name, texts in prior.bounds.items()]
 
 
 def _size(table: Table, measurements: Measurements) -> str:

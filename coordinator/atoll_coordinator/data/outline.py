@@ -95,7 +95,7 @@ def outline(table: Table, config: JobConfig) -> Outline:
 def _equation(config: JobConfig, roles: Roles, name: str, symbols: Sequence[str]) -> EquationOutline:
     columns = config.space.columns_for(name, symbols)
     return EquationOutline(
-        roles.left_hand_sides.get(name) or f"d{name}/d{roles.time}",
+        roles.left_hand_side(name),
         tuple(symbols[column] for column in columns),
         config.space.operators_for(name),
         config.prior.known.get(name),

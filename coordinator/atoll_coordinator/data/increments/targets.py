@@ -42,10 +42,9 @@ def assemble_process(measurements: Measurements, equations: Collection[str], sym
     moments = bin_moments(steps)
     roles = measurements.roles
     process = process.with_findings(moments.noise, tuple(moments.products))
-    sides = {**roles.left_hand_sides, **{name: f"d{name}/d{roles.time or 't'}" for name in process.components}}
     values = [*moments.drift, *moments.products.values()]
     targets = tuple(
-        _target(name, sides[name], its, error)
+        _target(name, roles.left_hand_side(name), its, error)
         for name, its, error in zip([*process.states, *process.components], values, moments.errors, strict=True)
         if name in equations
     )

@@ -62,6 +62,10 @@ class Roles:
         time, power = self.time or "t", "2" if self.order == 2 else ""
         return {name: f"d{power}{name}/d{time}{power}" for name in self.states}
 
+    def left_hand_side(self, name: str) -> str:
+        """Return the left-hand side of one equation, which may be that of a component of a diffusion."""
+        return self.left_hand_sides.get(name) or f"d{name}/d{self.time or 't'}"
+
     @property
     def velocities(self) -> tuple[str, ...]:
         """Names of the velocities that are variables: one for each state for order 2, else none."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll.config import DataConfig, JobConfig
+from atoll.config import DataConfig, JobConfig, PriorConfig
 from atoll.errors import DataError
 from atoll_coordinator.data.description import describe
 from atoll_coordinator.data.reading.files import read_table
@@ -65,3 +65,11 @@ def test_objections_are_met_before_anything_is_uploaded():
     columns["x"][3] = np.nan
     with pytest.raises(DataError, match="add --missing drop"):
         described(columns)
+
+
+def test_what_is_known_of_a_diffusion_is_said():
+    config = JobConfig(
+        data=DataConfig(stochastic=True), prior=PriorConfig(known={"[x]": "0.25"}, bounds={"[y]": ("c > 0.1",)})
+    )
+    lines = describe(table_of(oscillator(120)), config).split("\n")
+    assert lines[-2:] == ["known: d[x]/dt = 0.25", "bounds: d[y]/dt: c > 0.1"]
