@@ -175,6 +175,7 @@ def _without(words: list[str], options: dict[str, int]) -> list[str]:
     return _without(words[length:], options) if length else [words[0], *_without(words[1:], options)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_does_what_it_says(page: str, service: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
