@@ -3,7 +3,7 @@
 ``python -m benchmarks.many run --systems yeast lorenz96-40 --seeds 1000-1004 --out FILE.jsonl`` searches each system
 with each seed and judges every equation; ``--resume FILE.jsonl`` goes on; ``show FILE.jsonl`` prints the table again.
 ``laws`` in place of ``run`` judges the laws that regression finds, and searches nothing. ``irrelevant`` measures what
-an equation costs beside states that do not matter to it.
+an equation costs beside states that do not matter to it, ``effort`` how much each of nine equations is searched for.
 ``--dysts DIR`` adds flows of the files that ``python -m benchmarks.dysts make`` has written there, by their names.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.harness.command_line import seeds, whole
-from benchmarks.many import irrelevant, laws
+from benchmarks.many import effort, irrelevant, laws
 from benchmarks.many.campaign import run, show
 from benchmarks.many.systems import SYSTEMS
 
@@ -26,6 +26,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return laws.run(options)
     if options.verb == "irrelevant":
         return irrelevant.run(options)
+    if options.verb == "effort":
+        return effort.run(options)
     return run(options, words) if options.verb == "run" else show(options.file)
 
 
@@ -47,6 +49,8 @@ def _parser() -> argparse.ArgumentParser:
     beside = verbs.add_parser("irrelevant", help="what an equation costs beside states that do not matter to it")
     beside.add_argument("--others", type=int, nargs="+", default=[0, 4, 10, 20, 40], help="how many (even)")
     beside.add_argument("--seeds", type=seeds, default=seeds("1000"), help="of the data (1000)")
+    spread = verbs.add_parser("effort", help="how search effort is spread over equations")
+    spread.add_argument("--seeds", type=seeds, default=seeds("1000-1002"), help="of data and search (1000-1002)")
     showing = verbs.add_parser("show", help="print the table of a file")
     showing.add_argument("file", type=Path, metavar="FILE")
     return parser

@@ -7,6 +7,8 @@ shape: the constants' block, and for each segment a block of its own numbers.
 
 import math
 
+import numpy as np
+
 from atoll.compilation.jit import allocating_kernel, inlined, kernel
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
@@ -110,7 +112,7 @@ def solve_step(normal: FloatArray, coupling: FloatArray, own: FloatArray, gradie
     reduced, factors = normal.copy(), own.copy()
     scales = own[:, 0, :].copy()
     scale, column = gradient.copy(), own_gradient[0].copy()
-    carried = coupling.copy()
+    carried, turned = coupling.copy(), np.empty((local, fitted))
     for p in range(fitted):
         reduced[p, p] *= 1.0 + damping
         change[p] = gradient[p]
@@ -123,11 +125,15 @@ def solve_step(normal: FloatArray, coupling: FloatArray, own: FloatArray, gradie
             substitute(factors[g], local, scales[g], column)
             for d in range(local):
                 carried[g, p, d] = column[d]
+        for q in range(fitted):
+            for d in range(local):
+                turned[d, q] = coupling[g, q, d]
         for p in range(fitted):
             for d in range(local):
-                change[p] -= carried[g, p, d] * own_gradient[g, d]
+                factor = carried[g, p, d]
+                change[p] -= factor * own_gradient[g, d]
                 for q in range(p + 1):
-                    reduced[p, q] -= carried[g, p, d] * coupling[g, q, d]
+                    reduced[p, q] -= factor * turned[d, q]
     if not factorize(reduced, fitted, scale, 0.0):
         return False
     substitute(reduced, fitted, scale, change)
