@@ -121,9 +121,9 @@ class ProcessLikelihood:
 
     def whitened(self, model: ProcessModel) -> Whitened:
         """Return the whitened residuals of all steps."""
-        moments = model.moments(self._points, self.steps.lengths)
         if any(model.noise):
-            return _banded(*self._system(model, moments))
+            return _banded(*self._system(model, model.moments(self._points, self.steps.lengths)))
+        moments = model.moments(self.steps.points, self.steps.lengths)
         covariance = moments.covariance
         if model.discretisation == "Euler-Maruyama":
             covariance = self._with_least_noise(covariance)

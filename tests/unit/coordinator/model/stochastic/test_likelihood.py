@@ -61,3 +61,10 @@ def test_a_diffusion_that_is_not_positive_is_no_model() -> None:
     model: ProcessModel = model_of("-1*x", "0.25*x")
     assert likelihood.whitened(model).misfit == np.inf
     assert likelihood.fit(model, (0, 1)).misfit == np.inf
+
+
+def test_without_errors_of_measurement_steps_begin_where_they_were_measured_whatever_was_smoothed() -> None:
+    steps = steps_of(ornstein_uhlenbeck(200, 0.1, seed=1)[None], 0.1)
+    smoothed = ProcessLikelihood(steps).smoothed(model_of("-1*x", "0.25", noise=0.04))
+    model = model_of("-1*x", "0.25")
+    assert ProcessLikelihood(steps, smoothed).whitened(model).misfit == ProcessLikelihood(steps).whitened(model).misfit
