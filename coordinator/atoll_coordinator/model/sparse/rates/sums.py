@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program, constant_places
+from atoll.expression.builder import Expression
+from atoll.expression.operators import VARIABLE
+from atoll.expression.program import Program
 from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
@@ -33,7 +35,15 @@ class Atom:
     def price(self, rows: int) -> float:
         """Return the nats of the term in a sum: its structure, and 1/2 ln N for each constant."""
         program = sum_program([(2.5, self.shape.expression(1.5))])
-        return structure_length(program) + len(constant_places(program)) * constant_nats_of(rows)
+        weights = 0 if self.shape.function is None else _numbers(self.shape.argument)
+        return structure_length(program) + (1 + self.shape.has_constant + weights) * constant_nats_of(rows)
+
+
+def _numbers(expression: Expression) -> int:
+    """Return how many numbers an expression has."""
+    if isinstance(expression, tuple):
+        return 0 if expression[0] == VARIABLE else sum(map(_numbers, expression[1:]))
+    return int(isinstance(expression, float))
 
 
 @dataclass(frozen=True, eq=False)
