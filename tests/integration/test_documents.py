@@ -227,7 +227,8 @@ class Reader:
     def _call(self, words: list[str]) -> int:
         if words[:2] == ["python", "-m"]:
             self._monkeypatch.setattr(sys, "argv", words[2:])
-            self._monkeypatch.delitem(sys.modules, words[2], raising=False)  # another test may have imported it
+            for name in (words[2], f"{words[2]}.__main__"):  # another test may have imported it
+                self._monkeypatch.delitem(sys.modules, name, raising=False)
             runpy.run_module(words[2], run_name="__main__")
             return 0
         assert words[0] == "coordinator", words
