@@ -12,7 +12,6 @@ import numpy as np
 
 from atoll.config import PRESETS
 from atoll.data.dataset import FloatArray
-from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
@@ -21,7 +20,7 @@ from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool
-from atoll_coordinator.model.sparse.laws import find_laws
+from atoll_coordinator.model.sparse.laws import find_all_laws
 from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
 from benchmarks.corpus.forms import judge_form
 from benchmarks.harness.command_line import plain_errors
@@ -56,17 +55,15 @@ def _measured(count: int, seed: int) -> tuple[str, ...]:
     columns = dict(zip(system.names, whole, strict=True))
     config = PRESETS["default"].model_copy(update={"seed": seed})
     preparation = prepare(table_of(runs), config)
-    dataset, recording = preparation.dataset, preparation.recording
-    assert recording is not None
+    dataset = preparation.dataset
 
     core = tuple(lorenz96(5).equations)
     begun = time.process_time()
     config = with_screened_variables(preparation, config)
     screening = time.process_time() - begun
     begun, right = time.process_time(), 0
-    for name in core:
-        operators = [BY_NAME[each].code for each in config.space.operators_for(name)]
-        laws = find_laws(dataset.problem(name), recording, config.space.columns_for(name, dataset.names), operators)
+    sought = replace(dataset, targets=tuple(each for each in dataset.targets if each.variable in core))
+    for name, laws in find_all_laws(replace(preparation, dataset=sought), config, {}).items():
         text = to_infix(laws[0].program, dataset.names) if laws else None
         right += judge_form(text, system.equations[name], columns, with_extra=False).is_right
     finding = (time.process_time() - begun) / len(core) + screening / len(system.states)

@@ -29,7 +29,7 @@ def _judged(name: str, noise: float, seed: int, options: argparse.Namespace) -> 
     assert preparation.recording is not None
     config, names = with_screened_variables(preparation, its.config), preparation.dataset.names
 
-    found = dict(find_all_laws(preparation.dataset, preparation.recording, config, {}))
+    found = dict(find_all_laws(preparation, config, {}))
     texts = [to_infix(found[state][0].program, names) if found[state] else None for state in its.equations]
     seconds = time.process_time() - begun
     right = 0

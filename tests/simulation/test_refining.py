@@ -3,7 +3,6 @@
 from atoll.config import BudgetConfig, JobConfig
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Constant, Pools, Refined, Refinement
 from atoll_coordinator.service.monitoring.views import ended_view
 from tests.simulation.harness.simulated_cluster import World
@@ -11,11 +10,11 @@ from tests.simulation.harness.simulated_cluster import World
 CONFIG = JobConfig(budget=BudgetConfig(max_epochs=2))
 
 
-def nothing(preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline) -> Refinement:
+def nothing(preparation: Preparation, config: JobConfig, pools: Pools, *_: object) -> Refinement:
     return Refinement()
 
 
-def made(preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline) -> Refinement:
+def made(preparation: Preparation, config: JobConfig, pools: Pools, *_: object) -> Refinement:
     assert all(pools[variable].front for variable in preparation.dataset.variables)
     program = from_infix("0.5*x", preparation.dataset.names)
     constants = (Constant(0.5, 0.49, 0.01, (0.47, 0.51), identifiable=False),)
@@ -23,7 +22,7 @@ def made(preparation: Preparation, config: JobConfig, pools: Pools, deadline: De
     return Refinement({"x": equation}, warnings=("It was hard.",))
 
 
-def broken(preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline) -> Refinement:
+def broken(preparation: Preparation, config: JobConfig, pools: Pools, *_: object) -> Refinement:
     raise ZeroDivisionError("planted")
 
 

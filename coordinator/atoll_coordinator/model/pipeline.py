@@ -22,7 +22,7 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.inference.groups import summarize_groups
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
-from atoll_coordinator.model.refinement import Pools, Refined, Refinement
+from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refined, Refinement
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask
@@ -42,7 +42,11 @@ OUT_OF_TIME: Final = (
 
 
 def refine_all(
-    preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline | None = None
+    preparation: Preparation,
+    config: JobConfig,
+    pools: Pools,
+    deadline: Deadline | None = None,
+    laws: LawsByGroup | None = None,
 ) -> Refinement:
     """Return the refined equation of each variable; those are missing of which the front has nothing better.
 
@@ -51,9 +55,10 @@ def refine_all(
         config: the resolved configuration of the job.
         pools: what the search handed on, by variable.
         deadline: when it must end with the best so far; None: never.
+        laws: those among many variables that preparing found (`sparse.laws.laws_among_many`); None: they are sought.
     """
     deadline = deadline or Deadline()
-    made = _with_units(_refined(preparation, config, pools, deadline), preparation, config)
+    made = _with_units(_refined(preparation, config, pools, deadline, laws), preparation, config)
     if not deadline.has_cut_short:
         return made
     warnings = tuple(each for each in made.warnings if each != NOT_SIMULATED)
@@ -72,7 +77,9 @@ def _with_units(made: Refinement, preparation: Preparation, config: JobConfig) -
     return replace(made, equations=equations)
 
 
-def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline) -> Refinement:
+def _refined(
+    preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline, laws: LawsByGroup | None
+) -> Refinement:
     candidates = collect_candidates(preparation.dataset, config, pools)
     if preparation.process is not None:
         choice = ProcessChoice(preparation.dataset, preparation.process, config, candidates, deadline)
@@ -85,8 +92,9 @@ def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline
     settled = _by_regression(preparation, config, converged, deadline)
     with ThreadPoolExecutor(usable_cores(os.environ)[0]) as executor:
         task = ModellingTask(
-            preparation.dataset, preparation.recording, config, candidates, settled, executor, deadline=deadline
-        )
+            preparation.dataset, preparation.recording, config, candidates, settled, executor, deadline=deadline,
+            among_many=laws,
+        )  # fmt: skip
         selected = select_model(task)
         deadline.begin_last_stage()
         summarized = summarize_groups if preparation.recording.groups else summarize

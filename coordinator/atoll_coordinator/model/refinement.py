@@ -1,8 +1,9 @@
-"""What refining takes and gives: pools of the search; equations with errors, alternatives, verdicts, simulations. Pure.
+"""What refining takes and gives: pools, laws; equations with errors, alternatives, verdicts, simulations. Pure.
 
 Letters: K constants of one program, T trajectories, R rows of one trajectory, S states.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -40,6 +41,29 @@ class Pool:
 
 Pools = Mapping[str, Pool]
 """By variable, what the search hands on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A sum of products: its `program`, the `nats` by which laws of one state compare, and how well it fits.
+
+    `excess` is how many times as large as the noise, or as the limit of convergence, the errors are. `is_tested` tells
+    whether there are enough rows for the largest library that it was chosen from. `lead` is how many nats longer the
+    best of the other programs is that were compared with it and are no sums of products. `probability` is that of
+    errors as large as these where all are noise. `is_of_rates`: it was found among many variables, by derivatives.
+    """
+
+    program: Program
+    nats: float
+    excess: float
+    is_tested: bool
+    lead: float = math.inf
+    probability: float = 1.0
+    is_of_rates: bool = False
+
+
+LawsByGroup = Sequence[Mapping[str, tuple[Law, ...]]]
+"""By variable, its laws: a mapping for each group of trajectories, one for all where there are no groups."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from atoll_coordinator.client import Client
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import Pools, Refinement
+from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.tasks import Preparer, Refiner
 from atoll_coordinator.service.service import Service
@@ -47,13 +47,15 @@ def prepare(table: bytes, config: JobConfig) -> Preparation:
 _REFINEMENTS: Final[dict[bytes, Refinement]] = {}
 
 
-def refine_once(preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline) -> Refinement:
+def refine_once(
+    preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline, laws: LawsByGroup | None
+) -> Refinement:
     """Return what `refine_all` does, kept by its arguments: most worlds of a seed end with the same pools."""
     if deadline.seconds is not None:
-        return refine_all(preparation, config, pools, deadline)
-    key = pickle.dumps((preparation, config, pools))
+        return refine_all(preparation, config, pools, deadline, laws)
+    key = pickle.dumps((preparation, config, pools, laws))
     if key not in _REFINEMENTS:
-        _REFINEMENTS[key] = refine_all(preparation, config, pools, deadline)
+        _REFINEMENTS[key] = refine_all(preparation, config, pools, deadline, laws)
     return _REFINEMENTS[key]
 
 

@@ -20,7 +20,7 @@ from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.criteria import is_function
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.refinement import Refined, may_be_shown
+from atoll_coordinator.model.refinement import Law, LawsByGroup, Refined, may_be_shown
 from atoll_coordinator.model.selection.candidates import CandidateSet, ranked
 from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
 from atoll_coordinator.model.selection.groups import GroupedRows
@@ -29,7 +29,6 @@ from atoll_coordinator.model.shooting.measurements import Measurements, measurem
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import variable_program
 from atoll_coordinator.model.sparse.pursuit import pursue
-from atoll_coordinator.model.sparse.regression import Law
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
@@ -55,7 +54,7 @@ class ModellingTask:
 
     `settled` are equations that were fitted to noise-free targets; `executor` has the threads that fit systems, none
     when they are fitted one after another; `piece` is how many rows are simulated at a stretch, at most; after the
-    `deadline` nothing new is tried.
+    `deadline` nothing new is tried. `among_many` are laws that preparing has found already (None: it has not looked).
     """
 
     dataset: Dataset
@@ -67,6 +66,7 @@ class ModellingTask:
     piece: int = SETTINGS.shooting.piece
     laws: Mapping[str, Sequence[Law]] = field(default_factory=dict)
     deadline: Deadline | None = None
+    among_many: LawsByGroup | None = None
     _restrictions: dict[str, Restrictions] = field(default_factory=dict, repr=False)
 
     @property

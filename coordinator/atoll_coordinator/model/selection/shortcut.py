@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from atoll.expression.program import Program
-from atoll_coordinator.data.recording import of_group
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel, exchange
@@ -22,8 +22,7 @@ from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.stretches import in_stretches, is_nearly_clean
 from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
-from atoll_coordinator.model.sparse.laws import find_all_laws, find_laws
-from atoll_coordinator.model.sparse.regression import Law
+from atoll_coordinator.model.sparse.laws import find_all_laws
 from atoll_coordinator.settings import SETTINGS
 
 _LEAST_SIZE: Final = 1e-4
@@ -33,24 +32,10 @@ and initial states lose the share g^4 of their double precision, here to 1e-4.""
 
 def with_laws(task: ModellingTask) -> ModellingTask:
     """Return the task with the laws of sparse regression of each variable that is sought."""
-    if task.recording.groups:
-        return replace(task, laws={name: _of_groups(task, name) for name in task.variables if name not in task.known})
     others = {name: task.candidates[name].programs for name in task.variables}
-    found = find_all_laws(task.dataset, task.recording, task.config, others)
-    return replace(task, laws={name: laws for name, laws in found if name in task.variables})
-
-
-def _of_groups(task: ModellingTask, name: str) -> tuple[Law, ...]:
-    """Return the laws of one variable on the trajectories of each group."""
-    problem, recording = task.dataset.problem(name), task.recording
-    return tuple(
-        law
-        for place, group in enumerate(recording.groups)
-        for law in find_laws(
-            problem.of_group(place), of_group(recording, group), task.columns(name), task.operators(name),
-            task.candidates[name].programs,
-        )
-    )  # fmt: skip
+    preparation = Preparation(task.dataset, task.recording)
+    found = find_all_laws(preparation, task.config, others, task.among_many)
+    return replace(task, laws={name: laws for name, laws in found.items() if name in task.variables})
 
 
 def select_by_laws(task: ModellingTask) -> SelectedModel | None:

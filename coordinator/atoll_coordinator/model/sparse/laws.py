@@ -14,11 +14,11 @@ from atoll.expression.program import MAX_NODES, Program, constant_places, struct
 from atoll.expression.writing.shortest import collected
 from atoll_coordinator.data.recording import Preparation, Recording, by_group
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
-from atoll_coordinator.model.refinement import may_be_shown
+from atoll_coordinator.model.refinement import Law, LawsByGroup, may_be_shown
 from atoll_coordinator.model.sparse.products import products_of
 from atoll_coordinator.model.sparse.rates.laws import find_rate_laws
 from atoll_coordinator.model.sparse.rates.rows import rate_rows
-from atoll_coordinator.model.sparse.regression import Elimination, Law, Regression, eliminated, libraries, misfit
+from atoll_coordinator.model.sparse.regression import Elimination, Regression, eliminated, libraries, misfit
 from atoll_coordinator.model.sparse.weak_form import Measured, WeakForm, measured_of, weak_form
 from atoll_coordinator.model.sparse.windows.laws import WindowEquation, find_window_laws
 from atoll_coordinator.model.sparse.windows.rows import window_rows
@@ -27,44 +27,87 @@ from atoll_coordinator.settings import SETTINGS
 
 
 def find_all_laws(
-    dataset: Dataset, recording: Recording, config: JobConfig, others: Mapping[str, Sequence[Program]]
-) -> Iterator[tuple[str, tuple[Law, ...]]]:
-    """Yield the variables of `dataset` that are not known already, each with its laws, as `find_laws` has them.
+    preparation: Preparation,
+    config: JobConfig,
+    others: Mapping[str, Sequence[Program]],
+    among_many: LawsByGroup | None = None,
+) -> dict[str, tuple[Law, ...]]:
+    """Return the laws of each variable that is not known already, those of one group of trajectories after another.
 
     Args:
-        dataset: the derivatives on the rows of the search, whose variables are states of `recording`.
-        recording: what was measured.
+        preparation: the derivatives on the rows of the search, and the recording of their states.
         config: the resolved configuration.
         others: programs by variable that laws are compared with where there is noise.
+        among_many: what `laws_among_many` gave; None: it is asked here.
     """
-    sought = [name for name in dataset.variables if name not in config.prior.known]
-    columns = {name: config.space.columns_for(name, dataset.names) for name in sought}
-    operators = {name: [BY_NAME[each].code for each in config.space.operators_for(name)] for name in sought}
-    together = _from_windows(dataset, recording, columns, operators)
-    for name in sought:
-        laws = together.get(name, ())
-        yield (
-            name,
-            laws or find_laws(dataset.problem(name), recording, columns[name], operators[name], others.get(name, ())),
+    found: dict[str, tuple[Law, ...]] = {}
+    among_many = laws_among_many(preparation, config) if among_many is None else among_many
+    for part, known in zip(_parts(preparation), among_many, strict=True):
+        for name, laws in _laws(part, config, others, known):
+            found[name] = found.get(name, ()) + laws
+    return found
+
+
+def laws_among_many(preparation: Preparation, config: JobConfig) -> LawsByGroup:
+    """Return the laws among many variables, which need no programs to be compared with; none where variables are few.
+
+    That is most of the work of `find_all_laws`; preparing does it, and refining is given what it found.
+    """
+    return [_among_many(part, config) for part in _parts(preparation)]
+
+
+def _parts(preparation: Preparation) -> Sequence[Preparation]:
+    """Return what each group of trajectories gives by itself, all together where there are no groups."""
+    return tuple(by_group(preparation)) or (preparation,)
+
+
+def _laws(
+    part: Preparation,
+    config: JobConfig,
+    others: Mapping[str, Sequence[Program]],
+    among_many: Mapping[str, tuple[Law, ...]],
+) -> Iterator[tuple[str, tuple[Law, ...]]]:
+    dataset, recording = part.dataset, part.recording
+    assert recording is not None
+    for name, (columns, operators) in _spaces(dataset, config).items():
+        alone = (dataset.problem(name), recording, columns, operators, others.get(name, ()))
+        yield name, among_many.get(name) or find_laws(*alone)
+
+
+def _spaces(dataset: Dataset, config: JobConfig) -> dict[str, tuple[tuple[int, ...], frozenset[int]]]:
+    """Return by variable that is sought what its equation may be made of: columns of variables, codes of operators."""
+    space = config.space
+    return {
+        name: (
+            space.columns_for(name, dataset.names),
+            frozenset(BY_NAME[each].code for each in space.operators_for(name)),
         )
+        for name in dataset.variables
+        if name not in config.prior.known
+    }
 
 
-def _from_windows(
-    dataset: Dataset,
-    recording: Recording,
-    columns: Mapping[str, Sequence[int]],
-    operators: Mapping[str, Collection[int]],
-) -> dict[str, tuple[Law, ...]]:
-    """Return the laws of the states among many variables with noise."""
-    has_noise = any(each.method != "interpolation" for each in recording.smoothing)
-    if not has_noise or recording.order == 2 or not _are_many(dataset.names) or not _has_like_rows(recording):
+def _among_many(part: Preparation, config: JobConfig) -> dict[str, tuple[Law, ...]]:
+    """Return the laws of the states of one group: on derivatives without noise, on windows with noise."""
+    dataset, recording = part.dataset, part.recording
+    if recording is None or not _are_many(dataset.names) or not _has_like_rows(recording):
         return {}
-    equations = {}
-    for name, allowed in operators.items():
-        rows = window_rows(recording, dataset.names, name) if {ADD, MULTIPLY} <= set(allowed) else None
-        if rows is not None and columns[name]:
-            equations[name] = WindowEquation(rows, columns[name], allowed)
-    return find_window_laws(equations)
+    spaces = {name: its for name, its in _spaces(dataset, config).items() if _makes_sums(*its)}
+    if _is_interpolated(recording):
+        rates = ((name, rate_rows(recording, dataset.names, name), its) for name, its in spaces.items())
+        return {name: find_rate_laws(rows, *its) for name, rows, its in rates if rows is not None}
+    if recording.order == 2:
+        return {}
+    windows = ((name, window_rows(recording, dataset.names, name), its) for name, its in spaces.items())
+    return find_window_laws({name: WindowEquation(rows, *its) for name, rows, its in windows if rows is not None})
+
+
+def _makes_sums(columns: Sequence[int], operators: Collection[int]) -> bool:
+    return bool(columns) and {ADD, MULTIPLY} <= set(operators)
+
+
+def _is_interpolated(recording: Recording) -> bool:
+    return all(each.method == "interpolation" for each in recording.smoothing)
 
 
 def find_laws(
@@ -74,7 +117,9 @@ def find_laws(
     operators: Collection[int],
     others: Sequence[Program] = (),
 ) -> tuple[Law, ...]:
-    """Return the laws of one state that its rows single out, the shortest description first; none if there are none.
+    """Return the laws of one state by itself that its rows single out, the shortest description first.
+
+    None where there are none, or where variables are too many for libraries of all products.
 
     Args:
         problem: its derivative on the rows of the search; the target's variable is a state of `recording`.
@@ -83,17 +128,9 @@ def find_laws(
         operators: codes of the operators.
         others: programs that laws are compared with where there is noise.
     """
-    if not _has_like_rows(recording) or not {ADD, MULTIPLY} <= set(operators) or not columns:
+    if not _has_like_rows(recording) or not _makes_sums(columns, operators) or recording.order == 2:
         return ()
-    is_interpolated = all(each.method == "interpolation" for each in recording.smoothing)
-    if is_interpolated and _are_many(problem.names):
-        rows = rate_rows(recording, problem.names, problem.target.variable)
-        found = find_rate_laws(rows, columns, operators) if rows is not None else ()
-        if found:
-            return found
-    if recording.order == 2:
-        return ()
-    if not problem.target.is_noisy and is_interpolated:
+    if not problem.target.is_noisy and _is_interpolated(recording):
         return tuple(_without_noise(problem, columns))
     return tuple(_with_noise(problem, recording, columns, others))
 
@@ -103,25 +140,32 @@ def _are_many(names: Sequence[str]) -> bool:
     return math.comb(len(names) + SETTINGS.sparse.degree, len(names)) > SETTINGS.sparse.largest_library
 
 
-def settled_variables(preparation: Preparation, config: JobConfig) -> frozenset[str]:
+def settled_variables(preparation: Preparation, config: JobConfig, among_many: LawsByGroup) -> frozenset[str]:
     """Return the variables whose equations have laws that need no long search to compare them with.
 
     Those are laws whose errors are those of noise, chosen on more rows than systems are compared on. Among many
     variables each equation counts for itself; else all are settled or none, since the laws of few are found beside a
-    search that ends soon. None where the user has said when the search ends or where it begins.
+    search that ends soon. None where the user has said when the search ends or where it begins. `among_many` is what
+    `laws_among_many` gave.
     """
-    dataset, recording, budget = preparation.dataset, preparation.recording, config.budget
+    budget = config.budget
     is_asked = budget.target_error is not None or budget.stagnation is not None or bool(config.prior.guesses)
-    if recording is None or is_asked:
+    if preparation.recording is None or is_asked:
         return frozenset()
-    if recording.groups:
-        return frozenset.intersection(*(settled_variables(part, config) for part in by_group(preparation)))
-    rows = sum(len(each.times) for each in recording.trajectories if not each.held_out)
+    parts = zip(_parts(preparation), among_many, strict=True)
+    return frozenset.intersection(*(_settled_variables(part, config, laws) for part, laws in parts))
+
+
+def _settled_variables(
+    part: Preparation, config: JobConfig, among_many: Mapping[str, tuple[Law, ...]]
+) -> frozenset[str]:
+    assert part.recording is not None
+    rows = sum(len(each.times) for each in part.recording.trajectories if not each.held_out)
     settled = set()
-    for name, laws in find_all_laws(dataset, recording, config, {}):
+    for name, laws in _laws(part, config, {}, among_many):
         if _settles(laws, rows, config.space.max_size):
             settled.add(name)
-        elif not _are_many(dataset.names):
+        elif not _are_many(part.dataset.names):
             return frozenset()
     return frozenset(settled)
 

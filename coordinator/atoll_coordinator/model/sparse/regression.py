@@ -8,31 +8,12 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program
 from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
+from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.weak_form import WeakForm
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, sum_of
 from atoll_coordinator.settings import SETTINGS
-
-
-@dataclass(frozen=True, eq=False)
-class Law:
-    """A sum of products: its `program`, the `nats` by which laws of one state compare, and how well it fits.
-
-    `excess` is how many times as large as the noise, or as the limit of convergence, the errors are. `is_tested` tells
-    whether there are enough rows for the largest library that it was chosen from. `lead` is how many nats longer the
-    best of the other programs is that were compared with it and are no sums of products. `probability` is that of
-    errors as large as these where all are noise. `is_of_rates`: it was found among many variables, by derivatives.
-    """
-
-    program: Program
-    nats: float
-    excess: float
-    is_tested: bool
-    lead: float = math.inf
-    probability: float = 1.0
-    is_of_rates: bool = False
 
 
 def libraries(columns: Sequence[int], rows: float) -> Iterator[tuple[list[Term], bool]]:

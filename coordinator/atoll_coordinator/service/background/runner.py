@@ -61,7 +61,7 @@ class TaskRunner:
 
         `JobRefined` is posted unless the job is cancelled.
         """
-        task = partial(refine_job, self._ports.refiner, job, prepared.preparation, prepared.config, pools, seconds)
+        task = partial(refine_job, self._ports.refiner, job, prepared, pools, seconds)
         self._ports.pool.submit(
             job, task, self._post, lambda why: self._post(refinement_failed(job, why)), is_queued=True
         )

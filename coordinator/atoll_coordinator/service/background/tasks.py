@@ -11,7 +11,7 @@ from atoll.logs import fields
 from atoll.wire.codec import dataset_to_bytes
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.refinement import Pools, Refinement
+from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
 from atoll_coordinator.model.result.known import known_entries, with_remarks
 from atoll_coordinator.service.jobs.defaults import resolve, with_units
 from atoll_coordinator.service.jobs.job import Fault, Prepared
@@ -22,7 +22,7 @@ Preparer = Callable[[bytes, JobConfig], Preparation]
 """Turns an uploaded table into regression problems and a recording; raises DataError or UsageError with a sentence for
 the user."""
 
-Refiner = Callable[[Preparation, JobConfig, Pools, Deadline], Refinement]
+Refiner = Callable[[Preparation, JobConfig, Pools, Deadline, LawsByGroup | None], Refinement]
 """Makes the equations that are shown from the search's pools; see `atoll_coordinator.model.pipeline.refine_all`."""
 
 
@@ -66,16 +66,18 @@ def prepare_table(table: bytes, config: JobConfig) -> Preparation:
     return prepare(Table.from_bytes(table), config)
 
 
-def refine(preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline) -> Refinement:
+def refine(
+    preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline, laws: LawsByGroup | None
+) -> Refinement:
     """See `atoll_coordinator.model.pipeline.refine_all`, whose kernels are loaded no sooner."""
     from atoll_coordinator.model.pipeline import refine_all
 
-    return refine_all(preparation, config, pools, deadline)
+    return refine_all(preparation, config, pools, deadline, laws)
 
 
 def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -> JobPrepared | PreparationFailed:
     """Prepare the table of a job, or say why that cannot be done."""
-    from atoll_coordinator.model.sparse.laws import settled_variables  # loads kernels
+    from atoll_coordinator.model.sparse.laws import laws_among_many, settled_variables  # loads kernels
     from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
 
     try:
@@ -86,8 +88,9 @@ def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -
         known = known_entries(preparation.dataset, resolved)
         preparation = with_remarks(preparation, resolved)
         resolved = with_units(resolved, preparation.source)
-        settled = settled_variables(preparation, resolved)
-        return JobPrepared(job, Prepared(preparation, resolved, blob, len(data), known, settled), data)
+        laws = laws_among_many(preparation, resolved)
+        settled = settled_variables(preparation, resolved, laws)
+        return JobPrepared(job, Prepared(preparation, resolved, blob, len(data), known, settled, laws), data)
     except (DataError, UsageError, RemoteProtocolError) as error:
         return PreparationFailed(job, "data", str(error))
     except Exception as error:  # the job fails with it, the coordinator goes on
@@ -101,11 +104,11 @@ def preparation_failed(job: str, why: str) -> PreparationFailed:
 
 
 def refine_job(
-    refiner: Refiner, job: str, preparation: Preparation, config: JobConfig, pools: Pools, seconds: float | None = None
+    refiner: Refiner, job: str, prepared: Prepared, pools: Pools, seconds: float | None = None
 ) -> JobRefined:
     """Make the equations of a job, in so many seconds. When that fails, the selected members stay as they are."""
     try:
-        return JobRefined(job, refiner(preparation, config, pools, Deadline(seconds)))
+        return JobRefined(job, refiner(prepared.preparation, prepared.config, pools, Deadline(seconds), prepared.laws))
     except Exception as error:  # the job is done all the same
         _LOG.exception("refining failed", extra=fields(job=job))
         return refinement_failed(job, f"{type(error).__name__}: {error}")

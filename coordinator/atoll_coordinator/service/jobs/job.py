@@ -15,7 +15,7 @@ from atoll.wire.messages.views import FINAL_STATES, JobState
 from atoll.wire.messages.workers import Commit, EpochReport, JobAnnouncement
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import count_constants, front_length
-from atoll_coordinator.model.refinement import Pool, Refinement
+from atoll_coordinator.model.refinement import LawsByGroup, Pool, Refinement
 from atoll_coordinator.service.jobs.defaults import independent_rows, stagnation_of
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.checkpoints import StoredSearchState
@@ -85,7 +85,8 @@ class Prepared:
     """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size.
 
     `known` has the known equations by variable, as members of fronts of their own; `settled` are the variables
-    that have laws by regression (`atoll_coordinator.model.sparse.laws.settled_variables`).
+    that have laws by regression (`atoll_coordinator.model.sparse.laws.settled_variables`), `laws` those among many
+    variables, which refining takes over (None: it seeks them itself).
     """
 
     preparation: Preparation
@@ -94,6 +95,7 @@ class Prepared:
     size: int
     known: Mapping[str, FrontEntry] = field(default_factory=dict)
     settled: frozenset[str] = frozenset()
+    laws: LawsByGroup | None = None
 
     @property
     def sought(self) -> tuple[Target, ...]:

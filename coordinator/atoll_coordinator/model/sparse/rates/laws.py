@@ -4,12 +4,12 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from atoll.expression.operators import TANH
 from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.sparse.rates.functions import extended
 from atoll_coordinator.model.sparse.rates.networks import with_network
 from atoll_coordinator.model.sparse.rates.rows import RateRows
 from atoll_coordinator.model.sparse.rates.screening import screened
 from atoll_coordinator.model.sparse.rates.sums import Atom, RateSum, polished, pruned, shortest_sum
-from atoll_coordinator.model.sparse.regression import Law
 from atoll_coordinator.model.sparse.shapes import powers
 from atoll_coordinator.settings import SETTINGS
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from atoll.expression.builder import operators_in
 from atoll_coordinator.model.criteria import log
+from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.sparse.rates.functions import Beside, dictionary
 from atoll_coordinator.model.sparse.rates.sums import Atom
-from atoll_coordinator.model.sparse.regression import Law
 from atoll_coordinator.model.sparse.shapes import powers
 from atoll_coordinator.model.sparse.windows.rows import WindowRows
 from atoll_coordinator.model.sparse.windows.sums import WindowSum, eliminated, fitted, improved, polished

@@ -2,24 +2,27 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from atoll.config import BudgetConfig, JobConfig, PriorConfig, SpaceConfig
-from atoll.data.table import Table
 from atoll.expression.operators import BY_NAME
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.sparse.laws import find_laws, settled_variables
+from atoll_coordinator.model.sparse.laws import find_laws, laws_among_many, settled_variables
 from atoll_coordinator.model.sparse.regression import Regression, products
 from atoll_coordinator.model.sparse.weak_form import Measured, weak_form
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, TERMS, monomials, prepared
+from tests.unit.coordinator.model.sparse.ring import RING, SUMS, ring
 
 OPERATORS = frozenset(BY_NAME[name].code for name in ("+", "-", "*", "/"))
 
 
 def laws_of(preparation, name, columns=(0, 1, 2), **options):
     return find_laws(preparation.dataset.problem(name), preparation.recording, columns, OPERATORS, **options)
+
+
+def settled_of(preparation, config):
+    return settled_variables(preparation, config, laws_among_many(preparation, config))
 
 
 def terms(law):
@@ -105,27 +108,11 @@ def test_windows_that_differ_much_in_variance_decide_the_terms_of_a_state_in_bur
 )
 def test_a_long_search_is_spared_where_all_equations_have_laws_and_nothing_else_is_asked_for(rows, changes, expected):
     preparation = prepared(rows, 0.01, trajectories=4)
-    assert settled_variables(preparation, JobConfig(**changes)) == (set(NAMES) if expected else set())
+    assert settled_of(preparation, JobConfig(**changes)) == (set(NAMES) if expected else set())
 
 
 def test_among_many_variables_each_equation_that_has_a_law_is_settled_by_itself():
-    """The last of a ring of six has a quotient, which the operators do not allow."""
-    names = tuple(f"x{place}" for place in range(6))
-
-    def field(_, x):
-        rates = [x[place - 1] * x[place - 2] - x[place] for place in range(5)]
-        return [*rates, 2.0 / (1.0 + x[0] * x[0]) - x[5]]
-
-    times = 0.05 * np.arange(41)
-    generator = np.random.default_rng(1)
-    starts = generator.uniform(0.2, 1.5, (6, 6))
-    values = np.hstack(
-        [solve_ivp(field, (0.0, 2.0), start, "LSODA", times, rtol=1e-11, atol=1e-11).y for start in starts]
-    )
-    columns, zero = np.vstack([np.tile(times, 6), values]), np.zeros(246, np.int64)
-    table = Table(("t", *names), ("",) * 7, columns, tuple(range(0, 246, 41)), ("made",), zero, zero + 1)
-    config = JobConfig(space=SpaceConfig(operators=("+", "-", "*")))
-    assert settled_variables(prepare(table, config), config) == set(names[:5])
+    assert settled_of(prepare(ring(), SUMS), SUMS) == set(RING[:5])
 
 
 def test_weights_of_rows_are_not_taken_for_equal():

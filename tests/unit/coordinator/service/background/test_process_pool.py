@@ -130,7 +130,7 @@ def test_what_children_make_is_what_threads_make_to_the_last_bit(pool: ProcessPo
     assert plain(there) == plain(here)
     found = pools(here.prepared.preparation, x=("x", "-0.4*x"))
     refined = [
-        work(partial(refine_job, refine, "j", ready.prepared.preparation, ready.prepared.config, found))
+        work(partial(refine_job, refine, "j", ready.prepared, found))
         for ready, work in ((here, lambda task: task()), (there, partial(pool.run, "j")))
     ]
     assert refined[0].refinement.simulation is not None
