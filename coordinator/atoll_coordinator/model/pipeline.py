@@ -101,7 +101,9 @@ def _refined(
         model = None if selected is None else summarized(selected)
     if model is not None:
         remarks = stochastic_remarks(preparation.recording, model.simulation)
-        return replace(model, warnings=(*model.warnings, *remarks))
+        left_out = {name: those for name, those in candidates.items() if name not in model.equations}
+        alone = _by_regression(preparation, config, left_out, deadline)
+        return replace(model, equations={**alone, **model.equations}, warnings=(*model.warnings, *remarks))
     unsettled = {name: those for name, those in candidates.items() if name not in converged}
     rest = _by_regression(preparation, config, unsettled, deadline)
     warnings = (NOT_SIMULATED, *stochastic_remarks(preparation.recording, None))

@@ -15,7 +15,7 @@ from atoll_coordinator.model.selection.joint_search import (
     ranked_candidates,
     search_jointly,
 )
-from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, with_laws
+from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, select_without_wrong_law, with_laws
 from atoll_coordinator.model.selection.stretches import in_stretches, is_nearly_clean
 from atoll_coordinator.settings import SETTINGS
 
@@ -25,7 +25,7 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     if task.recording.offsets:
         task = replace(task, piece=longest(task))
     task = with_laws(task)
-    shortcut = select_by_laws(task)
+    shortcut = select_by_laws(task) or select_without_wrong_law(task)
     if shortcut is not None:
         return shortcut
     lists = ranked_candidates(task)

@@ -17,7 +17,7 @@ from atoll.expression.program import Program
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel, exchange
+from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel, exchange, ranked_candidates
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.stretches import in_stretches, is_nearly_clean
 from atoll_coordinator.model.shooting.lyapunov import growth_rate
@@ -45,6 +45,56 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     lists = [_programs(task, name) for name in task.variables]
     if not all(lists) or not task.laws:
         return None
+    found = _fitted_together(task, lists)
+    if found is None:
+        return None
+    if all(task.laws.values()):
+        return found if _is_like_noise(found) else None
+    return found if found.comparison.is_exact(found.model) else None
+
+
+def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
+    """Return the model of all laws but one among many variables, None where no others leave noise alone.
+
+    One wrong law makes the simulations of all states wrong. Each is left out in turn, its state taken as smoothed: the
+    one is wrong without which the others leave the least. Its state gets the best of its other candidates if the whole
+    system leaves noise alone with it; else it stays without an equation.
+    """
+    names = [name for name, laws in task.laws.items() if laws and laws[0].is_of_rates]
+    if task.recording.groups or len(names) < len(task.variables) or len(names) < 2:
+        return None
+    found = {name: _excess_without(task, name) for name in names}
+    wrong = min(found, key=lambda name: found[name])
+    if not found[wrong] <= SETTINGS.inference.excess:
+        return None
+    others = select_by_laws(without(task, wrong))
+    if others is None:
+        return None
+    lists = ranked_candidates(replace(task, laws={**task.laws, wrong: ()}))
+    whole = _fitted_together(task, lists) if all(lists) else None
+    return whole if whole is not None and _is_like_noise(whole) else others
+
+
+def without(task: ModellingTask, name: str) -> ModellingTask:
+    """Return the task without the equation of one variable, whose state is an input as smoothed."""
+    candidates = {each: those for each, those in task.candidates.items() if each != name}
+    return replace(task, candidates=candidates, laws={each: task.laws[each] for each in task.laws if each != name})
+
+
+def _excess_without(task: ModellingTask, name: str) -> float:
+    """Return the excess that the laws of the others leave; infinite where they cannot be simulated."""
+    others = without(replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1])), name)
+    lists = [_programs(others, each) for each in others.variables]
+    begun = _begun(others, lists) if all(lists) else None
+    return math.inf if begun is None else begun.comparison.excess(begun.model)
+
+
+def _is_like_noise(its: SelectedModel) -> bool:
+    return its.comparison.excess(its.model) <= SETTINGS.inference.excess
+
+
+def _fitted_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
+    """Return the best system of these candidates, None where none can be simulated or the long way tells more."""
     short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))
     begun = _begun(short, lists)
     if begun is None:
@@ -65,12 +115,7 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     for equation in range(len(lists)) if not is_of_rates else ():  # those can do without nothing
         if equation not in comparison.fixed:
             best = descent.prune(best, equation)
-    best = comparison.fit_beside(best, best.programs) or best
-    if all(task.laws.values()):
-        is_held = comparison.excess(best) <= SETTINGS.inference.excess
-    else:
-        is_held = comparison.is_exact(best)
-    return SelectedModel(task, comparison, best, lists) if is_held else None
+    return SelectedModel(task, comparison, comparison.fit_beside(best, best.programs) or best, lists)
 
 
 def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison) -> int:

@@ -3,16 +3,20 @@
 from dataclasses import replace
 from functools import cache
 
-from atoll.config import PRESETS
+from atoll.config import PRESETS, JobConfig, SpaceConfig
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference.conclusion import summarize
-from atoll_coordinator.model.refinement import Refined
+from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.model.refinement import Law, Member, Pool, Refined
+from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.piece_lengths import select_model
 from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, with_laws
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, TERMS, monomials, prepared
+from tests.unit.coordinator.model.sparse.ring import RING, SUMS, TRUTHS, ring
 
 
 def task_of(*sample, **options):
@@ -80,3 +84,42 @@ def test_equations_that_a_search_without_noise_has_converged_to_stand_beside_law
 def test_equations_without_a_law_must_be_exact_for_no_search_around_them():
     texts = ("10*(y - x)", "x*(28 - z) - y", "x*y")
     assert select_by_laws(converged_task(texts, with_law=False)) is None
+
+
+WRONG = "x1*x0 - x2*x3"
+"""A law of the third state of the ring, whose truth is x1*x0 - x2."""
+
+
+def ring_with_a_wrong_law():
+    """Return the preparation of the ring with noise, and its laws."""
+    preparation = prepare(ring(0.01), SUMS)
+    texts = {**TRUTHS, "x2": WRONG, "x5": "2/(1 + x0*x0) - x5"}
+    laws = {name: (Law(from_infix(text, RING), 1.0, 1.0, True, is_of_rates=True),) for name, text in texts.items()}
+    return preparation, [laws]
+
+
+def forms(programs):
+    return [monomials(to_infix(program, RING), RING) for program in programs]
+
+
+def test_one_wrong_law_gives_way_to_another_candidate_and_leaves_the_others_as_they_are(monkeypatch):
+    monkeypatch.setattr(joint_search, "pursue", lambda *_: [])
+    preparation, laws = ring_with_a_wrong_law()
+    candidates = {name: CandidateSet() for name in RING}
+    candidates["x2"] = CandidateSet((Member(from_infix("x0*x1 - 0.9*x2", RING), 0.1, 0.01),))
+    task = ModellingTask(preparation.dataset, preparation.recording, SUMS, candidates, among_many=laws)
+    assert select_by_laws(with_laws(task)) is None
+    found = select_model(task)
+    assert forms(found.model.programs[:5]) == forms(from_infix(text, RING) for text in TRUTHS.values())
+
+
+def test_the_state_of_a_wrong_law_is_taken_as_smoothed_where_no_other_equation_holds():
+    preparation, laws = ring_with_a_wrong_law()
+    config = JobConfig(space=SpaceConfig(operators=("+", "-", "*"), variables_of={"x2": ("x3",)}))
+    refinement = refine_all(preparation, config, {name: Pool(()) for name in RING}, laws=laws)
+    assert list(refinement.equations) == ["x0", "x1", "x3", "x4", "x5"]
+    for name in ("x0", "x1", "x3", "x4"):
+        equation = refinement.equations[name]
+        assert forms([equation.program]) == forms([from_infix(TRUTHS[name], RING)])
+        assert equation.grade == "good"
+    assert any("x2, without an equation, as smoothed" in warning for warning in refinement.warnings)

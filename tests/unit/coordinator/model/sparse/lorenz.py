@@ -38,13 +38,13 @@ def prepared(rows, noise, config=PRESETS["default"], **options):
     return prepare(table(rows, noise, **options), config)
 
 
-def monomials(text):
-    """Return the monomials of a polynomial over x, y and z, as text such as x*y, sorted."""
+def monomials(text, names=NAMES):
+    """Return the monomials of a polynomial over variables of these names, as text such as x*y."""
     import sympy
 
-    symbols = sympy.symbols(NAMES)
+    symbols = sympy.symbols(names)
     polynomial = sympy.Poly(sympy.expand(sympy.sympify(text)), *symbols)
     return {
-        "*".join(name for name, power in zip(NAMES, powers, strict=True) for _ in range(power)) or "1"
+        "*".join(name for name, power in zip(names, powers, strict=True) for _ in range(power)) or "1"
         for powers in polynomial.monoms()
     }
