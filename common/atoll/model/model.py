@@ -710,17 +710,17 @@ class Model(Exports):
         return {}
 
     @property
-    def recorded(self) -> dict[str, Callable[[float], float]]:
-        """The inputs that were recorded along the first trajectory, by symbol, as functions of time."""
+    def recorded(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Times (N,) and values (N,) of the inputs that were recorded along the first trajectory, by symbol."""
         listed = (self._result.get("data") or {}).get("trajectories") or ()
         its = next((each for each in listed if each["name"] == self.beginning.get("name")), None)
         if its is None:
             return {}
         named, times = self._result["symbols"], np.array(its["times"], dtype=np.float64)
+        columns = {named.get(name, name): np.array(each, dtype=np.float64) for name, each in its["inputs"].items()}
+        known = {name: np.isfinite(values) for name, values in columns.items()}
         return {
-            named.get(name, name): _curve(times, np.array(values, dtype=np.float64))
-            for name, values in its["inputs"].items()
-            if np.isfinite(np.array(values, dtype=np.float64)).any()
+            name: (times[known[name]], values[known[name]]) for name, values in columns.items() if known[name].any()
         }
 
     def start_of(self, x0: Given | None) -> FloatArray:
@@ -773,7 +773,7 @@ class Model(Exports):
         self,
         u: Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None,
         times: FloatArray,
-        recorded: Mapping[str, Callable[[float], float]],
+        recorded: Mapping[str, tuple[FloatArray, FloatArray]],
     ) -> Inputs | None:
         if not self.inputs:
             return None
@@ -790,14 +790,14 @@ class Model(Exports):
         return together([self._input(name, given, times, recorded.get(name)) for name in self.inputs])
 
     def _input(
-        self, name: str, given: Any, times: FloatArray, recorded: Callable[[float], float] | None
+        self, name: str, given: Any, times: FloatArray, recorded: tuple[FloatArray, FloatArray] | None
     ) -> Callable[[float], float]:
         column = next((each for each in (name, self._columns[name]) if _has(given, each)), None)
         if column is None:
             if self._columns[name] == self.time:
                 return lambda t: t
             if recorded is not None:
-                return recorded
+                return _curve(*recorded)
             raise UsageError(
                 f"the model has the input {name!r}, of which nothing is given",
                 python="name it in u",
@@ -811,8 +811,7 @@ class Model(Exports):
             return lambda _: float(values)
         if values.shape != times.shape:
             raise UsageError(f"the input {name!r} has {values.size} values for {len(times)} times; give one for each")
-        curve = interpolated(times, values[:, np.newaxis])
-        return lambda t: float(curve(t)[0])
+        return _curve(times, values)
 
     def _rows(self, given: Any, names: Sequence[str]) -> FloatArray:
         """Return rows (N, len(names)) from an array or from columns by name."""
@@ -875,9 +874,8 @@ def _stacked(columns: Sequence[FloatArray]) -> FloatArray:
 
 
 def _curve(times: FloatArray, values: FloatArray) -> Callable[[float], float]:
-    """Return what was recorded at `times` (N,) as a function of time, without the rows that have no value."""
-    known = np.isfinite(values)
-    curve = interpolated(times[known], values[known, np.newaxis])
+    """Return `values` (N,) at `times` (N,) as a function of time."""
+    curve = interpolated(times, values[:, np.newaxis])
     return lambda t: float(curve(t)[0])
 
 

@@ -118,10 +118,13 @@ def content_of(
     x0: Any = None,
     t: Any = None,
     u: Mapping[str, Any] | None = None,
+    without_tables: str = "",
 ) -> Content:
     """Return what `model` is, with an initial state, times and inputs as `Model.simulate` takes them.
 
-    Inputs of which nothing is given are held at 0. Times are written as their first, their last and their number.
+    Inputs of which nothing is given and nothing was recorded are held at 0, and so are those recorded as they change
+    where a format has no tables, `without_tables` being its name. Times are written as their first, their last and
+    their number.
 
     Raises:
         UsageError: nothing tells the initial state or the times, what is given does not fit, or constants differ
@@ -134,10 +137,12 @@ def content_of(
     components = {} if model.is_regression else model.components
     by_name = dict(zip((each["variable"] for each in result["equations"]), formulas, strict=True))
     times = np.zeros(1) if model.is_regression else model.times_of(t)
+    held = held_at_zero(model, x0, u, without_tables)
+    recorded = _recorded(model, x0, without_tables)
     return Content(
         names,
         tuple(_variable(model, name) for name in model.states),
-        tuple(_input(model, name, u or {}, times) for name in model.inputs),
+        tuple(_input(model, name, u or {}, times, recorded.get(name)) for name in model.inputs),
         tuple(each for each in model.params.values() if _is_named(each)),
         tuple(formulas[:1]) if model.is_regression else _rates(model, formulas, names),
         {pair: by_name[name] for name, pair in components.items()},
@@ -148,8 +153,34 @@ def content_of(
         model.time,
         _units(model).get(model.time, ""),
         str(result["equations"][0]["variable"]) if model.is_regression else "",
-        tuple(_origin(model)),
+        (*_origin(model), *([""] if held else []), *held),
     )
+
+
+def held_at_zero(model: "Model", x0: Any, u: Mapping[str, Any] | None, without_tables: str = "") -> tuple[str, ...]:
+    """Return sentences on the inputs that an export holds at 0, by arguments of `content_of`."""
+    if model.is_regression:
+        return ()
+    columns = {name: _column(model, name) for name in model.inputs}
+    left = {name: its for name, its in columns.items() if its != model.time and not {name, its} & set(u or {})}
+    known, kept = _recorded(model, x0), _recorded(model, x0, without_tables)
+    lost = ", ".join(its for name, its in left.items() if name in known and name not in kept)
+    unknown = ", ".join(its for name, its in left.items() if name not in known)
+    return (
+        *((f"inputs held at 0, not as recorded, since {without_tables} has no tables: {lost}",) if lost else ()),
+        *((f"inputs held at 0, since nothing is given of them: {unknown}",) if unknown else ()),
+    )
+
+
+def _recorded(model: "Model", x0: Any, without_tables: str = "") -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return times and values of recorded inputs as far as an export holds them; of another state than x0 none."""
+    if x0 is not None or model.is_regression:
+        return {}
+    return {name: rows for name, rows in model.recorded.items() if not without_tables or _is_constant(rows[1])}
+
+
+def _is_constant(values: FloatArray) -> bool:
+    return bool((values == values[0]).all())
 
 
 def _is_named(its: Parameter) -> bool:
@@ -198,12 +229,20 @@ def _variable(model: "Model", name: str) -> Variable:
     return Variable(name, column, _units(model).get(column, ""))
 
 
-def _input(model: "Model", name: str, given: Mapping[str, Any], times: FloatArray) -> Input:
+def _input(
+    model: "Model",
+    name: str,
+    given: Mapping[str, Any],
+    times: FloatArray,
+    recorded: tuple[FloatArray, FloatArray] | None,
+) -> Input:
     column = _column(model, name)
     unit = _units(model).get(column, "")
     its = next((given[each] for each in (name, column) if each in given), None)
     if its is None and column == model.time and not model.is_regression:
         return Input(name, column, unit, "time")
+    if its is None and recorded is not None:
+        times, its = recorded[0], recorded[1][0] if _is_constant(recorded[1]) else recorded[1]
     if callable(its):
         raise UsageError(f"the input {name!r} is a function, which no export can hold; give its values at the times t")
     values = np.asarray(0.0 if its is None else its, dtype=np.float64)

@@ -14,7 +14,8 @@ class Format:
     """A format of one file: its `name` in options, what it `holds`, who `opens` it.
 
     Exactly one writer is given: `of_content` where a file has an initial state and times; `of_result` where it
-    holds what a result has, which need not be a model.
+    holds what a result has, which need not be a model. `without_tables` is the name of a program that cannot take
+    inputs along tables, "" of others.
     """
 
     name: str
@@ -22,6 +23,7 @@ class Format:
     opens: str
     of_content: Callable[[Content], str] | None = None
     of_result: Callable[[Mapping[str, Any]], str] | None = None
+    without_tables: str = ""
 
 
 FORMATS: Final = {
@@ -32,7 +34,7 @@ FORMATS: Final = {
         Format("julia", "a ModelingToolkit system", "Julia: OrdinaryDiffEq, BifurcationKit, Attractors", julia.write),
         Format("matlab", "a function that calls ode45", "MATLAB, Octave", matlab.write),
         Format("modelica", "a model", "OpenModelica, Dymola; FMUs by them", modelica.write),
-        Format("xppaut", "an .ode file", "XPPAUT and its AUTO", xppaut.write),
+        Format("xppaut", "an .ode file", "XPPAUT and its AUTO", xppaut.write, without_tables="XPPAUT"),
         Format("sbml", "rate rules, L3V2", "COPASI, tellurium, AMICI, Julia's SBMLToolkit", sbml.write),
         Format("latex", "the equations, aligned", "LaTeX", None, text.as_latex),
         Format("sympy", "the equations as sympy objects", "Python with sympy", None, text.as_sympy),

@@ -12,8 +12,9 @@ class Exports:
     """Methods of a model that write it; docs/export.md says who opens what.
 
     `x0`, `t` and `u` are the initial state, the times and the inputs that a file holds, as `atoll.Model.simulate` takes
-    them; inputs of which nothing is given are held at 0, and functions of time are refused. Each raises UsageError
-    where the format cannot hold the model, or where nothing tells the initial state or the times.
+    them, with the inputs that were recorded where `x0` is None; inputs of which nothing is known are held at 0, and
+    functions of time are refused. Each raises UsageError where the format cannot hold the model, or where nothing tells
+    the initial state or the times.
     """
 
     def export(self, format: str, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
@@ -23,7 +24,7 @@ class Exports:
 
         its, model = format_of(format), cast("Model", self)
         if its.of_content is not None:
-            return its.of_content(content_of(model, x0, t, u))
+            return its.of_content(content_of(model, x0, t, u, its.without_tables))
         assert its.of_result is not None
         return its.of_result(model.result)
 
@@ -82,4 +83,5 @@ class Exports:
 
         model = cast("Model", self)
         start, times = (None, None) if data is None else petab.beginning(model, data)
-        petab.save(petab.write(model, content_of(model, start, times), data), folder)
+        placeholders = dict.fromkeys((name for name in model.inputs if name != model.time), 0.0)
+        petab.save(petab.write(model, content_of(model, start, times, placeholders), data), folder)

@@ -16,6 +16,7 @@ from atoll_coordinator.cli.verbs.simulate import Given, held_inputs, load, times
 
 def export(options: argparse.Namespace) -> int:
     """Write the model of ``options.result`` in ``options.format``. Return the exit code."""
+    from atoll.model.export.content import held_at_zero
     from atoll.model.export.formats import PETAB, format_of
 
     if options.format == PETAB:
@@ -30,8 +31,8 @@ def export(options: argparse.Namespace) -> int:
     model = _chosen(load(options.result, options.group), options)
     beginning = _beginning(model, options)
     _write(model.export(options.format, **beginning), options)
-    if not model.is_regression:
-        _say_what_is_held(model, beginning["u"])
+    for each in held_at_zero(model, beginning.get("x0"), beginning.get("u"), its.without_tables):
+        note(f"coordinator: {each}; give --hold{'' if its.without_tables else ' or --initial FILE'}")
     return DONE
 
 
@@ -47,17 +48,6 @@ def _result(options: argparse.Namespace) -> Mapping[str, Any]:
     if options.group is None and options.candidate is None and not options.pick:
         return read_result(options.result)
     return _chosen(load(options.result, options.group), options).result
-
-
-def _say_what_is_held(model: Model, given: Mapping[str, Any]) -> None:
-    """Say on stderr which inputs are held at 0 since nothing is given of them."""
-    columns = {symbol: column for column, symbol in model.result["symbols"].items()}
-    held = [
-        columns[name] for name in model.inputs if not {name, columns[name]} & set(given) and columns[name] != model.time
-    ]
-    if held:
-        names = ", ".join(held)
-        note(f"coordinator: inputs held at 0, since nothing is given of them: {names}; give --hold or --initial FILE")
 
 
 def _chosen(model: Model, options: argparse.Namespace) -> Model:

@@ -119,6 +119,34 @@ def test_an_input_is_a_number_a_table_or_the_time() -> None:
         assert difference(read(clock.export(name)).simulate(TIMES), clock) < 1e-8
 
 
+def recorded(values: list[float | None]) -> Model:
+    """Return a model whose result has the measurements of its input."""
+    found = decay().result
+    part = {"name": "1", "times": TIMES.tolist(), "measured": {}, "inputs": {"u": values}}
+    return Model({**found, "data": {**found["data"], "trajectories": [part]}})
+
+
+def test_recorded_inputs_are_held_as_simulations_have_them() -> None:
+    its = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
+    assert difference(run_python(its.to_python())["simulate"](), its) < 1e-8
+    late = np.linspace(0.0, 3.0, 9)
+    assert difference(run_python(its.to_python(t=3.0))["simulate"](times=late), its, t=late) < 1e-8
+    for name in ("c", "julia", "matlab", "modelica", "sbml"):
+        assert "held at 0" not in its.export(name)
+    assert "held at 0, since nothing is given of them: u" in its.to_python({"x": 1.0})
+    assert (
+        difference(readers.read_modelica(recorded([2.0] * 9).to_modelica()).simulate(TIMES), recorded([2.0] * 9)) < 1e-8
+    )
+
+
+def test_a_format_without_tables_says_that_a_recorded_input_is_not_held() -> None:
+    text = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5]).to_xppaut()
+    assert "held at 0, not as recorded, since XPPAUT has no tables: u" in text
+    text = recorded([2.0] * 9).to_xppaut()
+    assert "held at 0" not in text
+    assert "par u=2.0" in text
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_c_goes_along_tables() -> None:
     values = np.sin(3.0 * TIMES)
@@ -128,6 +156,8 @@ def test_c_goes_along_tables() -> None:
             return self.export("c", None, TIMES, {"u": values})
 
     assert difference(programs.c(Given(decay().result)), decay(), t=TIMES, u={"u": values}) < 1e-8
+    its = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
+    assert difference(programs.c(its), its) < 1e-8
 
 
 def test_second_order_becomes_first_order() -> None:
