@@ -6,9 +6,10 @@ arguments of functions. A sum in a divisor, or a factor that cannot be opened, i
 term with a variable, so that ``x/(4 + 2*y)`` is ``0.5*x/(2 + y)``.
 """
 
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, TypeAlias
 
 from atoll.expression.builder import ProgramBuilder
 from atoll.expression.operators import (
@@ -32,6 +33,7 @@ MOST_TERMS: Final = 40
 
 Shape = Hashable
 """What terms have in common that differ in numbers only."""
+Path: TypeAlias = tuple[tuple[str, int], ...]
 
 
 @dataclass(frozen=True)
@@ -39,20 +41,26 @@ class Role:
     """What a constant of an opened program stands for.
 
     `sign` times its value is the number that it stands for: the coefficient of the term of this `shape`, or where it
-    `is_inner`, a number inside the term.
+    `is_inner`, a number inside the term. `path` tells where inside: the factor, the sum in it, the term there and so
+    on, each by its shape, whatever the order in which numbers put them; those of one shape are counted.
     """
 
     shape: Shape
     sign: float
     is_inner: bool
+    path: Path = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """The opened `program` and the role of each of its constants, in node order."""
+    """The opened `program` and the role of each of its constants, in node order.
+
+    `units` are the numbers inside terms that are one or minus one and are not written, as their signs.
+    """
 
     program: Program
     roles: tuple[Role, ...]
+    units: tuple[Role, ...] = ()
 
 
 IsWritten = Callable[[Shape, float], bool]
@@ -161,7 +169,7 @@ def open_sum(its: Sum, is_written: IsWritten = lambda *_: False) -> Opened | Non
     output = builder.sum_of_terms(its)
     if len(builder.nodes) > MAX_NODES:
         return None
-    return Opened(builder.program(output), tuple(builder.roles))
+    return Opened(builder.program(output), tuple(builder.roles), tuple(builder.units))
 
 
 class _Builder(ProgramBuilder):
@@ -171,6 +179,7 @@ class _Builder(ProgramBuilder):
         super().__init__()
         self._is_written = is_written
         self.roles: list[Role] = []
+        self.units: list[Role] = []
 
     def number(self, value: float, role: Role) -> int:
         """Return the index of a new constant."""
@@ -183,32 +192,37 @@ class _Builder(ProgramBuilder):
             return self.number(0.0, Role(shape_of(ONE), 1.0, is_inner=False))
         return self._added(its, inner=None)
 
-    def _added(self, its: Sum, inner: Shape | None) -> int:
+    def _added(self, its: Sum, inner: Shape | None, path: Path = ()) -> int:
         terms = list(in_order(its))
         first = next((place for place, (_, coefficient) in enumerate(terms) if coefficient > 0.0), 0)
         terms.insert(0, terms.pop(first))
-        top = self._term(*terms[0], inner, is_first=True)
-        for monomial, coefficient in terms[1:]:
-            term = self._term(monomial, coefficient, inner, is_first=False)
-            top = self.operate(ADD if coefficient > 0.0 else SUBTRACT, top, term)
+        counts: Counter[str] = Counter()
+        top = -1
+        for place, (monomial, coefficient) in enumerate(terms):
+            within = () if inner is None else _extended(path, repr(shape_of(monomial)), counts)
+            term = self._term(monomial, coefficient, inner, within, is_first=place == 0)
+            top = self.operate(ADD if coefficient > 0.0 else SUBTRACT, top, term) if place else term
         return top
 
-    def _term(self, monomial: Monomial, coefficient: float, inner: Shape | None, *, is_first: bool) -> int:
+    def _term(self, monomial: Monomial, coefficient: float, inner: Shape | None, path: Path, *, is_first: bool) -> int:
         """Return the index of a term; the sign stands before it, unless it is the first."""
         shape = shape_of(monomial) if inner is None else inner
         sign = 1.0 if is_first or coefficient > 0.0 else -1.0
-        role = Role(shape, sign, is_inner=inner is not None)
+        role = Role(shape, sign, inner is not None, path)
         if monomial == ONE:
             return self.number(sign * coefficient, role)
         is_plain = abs(coefficient) == 1.0 and (inner is not None or not self._is_written(shape, coefficient))
+        if is_plain and inner is not None:
+            self.units.append(replace(role, sign=coefficient))
         factor = None if is_plain else self.number(sign * coefficient, role)
-        node = self._product(monomial, factor, shape)
+        node = self._product(monomial, factor, shape, path)
         return self.operate(NEGATE, node) if is_plain and sign * coefficient < 0.0 else node
 
-    def _product(self, monomial: Monomial, factor: int | None, shape: Shape) -> int:
+    def _product(self, monomial: Monomial, factor: int | None, shape: Shape, path: Path) -> int:
+        counts: Counter[str] = Counter()
         above = [] if factor is None else [factor]
-        above += [self._atom(atom, shape) for atom, count in monomial for _ in range(count)]
-        below = [self._atom(atom, shape) for atom, count in monomial for _ in range(-count)]
+        above += [self._atom(atom, shape, path, counts) for atom, count in monomial for _ in range(count)]
+        below = [self._atom(atom, shape, path, counts) for atom, count in monomial for _ in range(-count)]
         if not below:
             return self._chained(above)
         divisor = self._chained(below)
@@ -220,16 +234,23 @@ class _Builder(ProgramBuilder):
             node = self.operate(MULTIPLY, node, factor)
         return node
 
-    def _atom(self, atom: Atom, shape: Shape) -> int:
+    def _atom(self, atom: Atom, shape: Shape, path: Path, counts: Counter[str]) -> int:
         kind, *rest = atom
         if kind == VARIABLE:
             return self.add(VARIABLE, rest[0])
+        path = _extended(path, repr(_atom_shape(atom)), counts)
         if kind == ADD:
-            return self._added(rest[0], shape)
+            return self._added(rest[0], shape, path)
         if kind == POW:
-            base = self._added(rest[0], shape)
-            return self.operate(POW, base, self._added(rest[1], shape))
-        return self.operate(kind, self._added(rest[0], shape))
+            base = self._added(rest[0], shape, (*path, ("base", 0)))
+            return self.operate(POW, base, self._added(rest[1], shape, (*path, ("exponent", 0))))
+        return self.operate(kind, self._added(rest[0], shape, path))
+
+
+def _extended(path: Path, name: str, counts: Counter[str]) -> Path:
+    """Return the path to the next part of this name among its neighbours, and count it."""
+    counts[name] += 1
+    return (*path, (name, counts[name]))
 
 
 def factored_forms(program: Program) -> Iterator[Program]:

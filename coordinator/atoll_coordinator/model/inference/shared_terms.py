@@ -8,7 +8,7 @@ numbers; a fit with all of it decides.
 Letters: P fitted constants.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places
-from atoll.expression.writing.opened import Opened, Shape, open_sum, raised_quotients, shape_of, terms_of
+from atoll.expression.writing.opened import Opened, Role, Shape, open_sum, raised_quotients, shape_of, terms_of
 from atoll.expression.writing.sums import Sum, UndefinedError
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.regression.rounding import find_simple
@@ -92,12 +92,14 @@ def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence
 class _Occurrence:
     """A term of an equation: the place of its factor, None for a factor of one, and those of its numbers inside.
 
-    Each comes with the sign that the constant there acts with.
+    Each comes with the sign that the constant there acts with. Numbers inside are in the order of their paths;
+    `layout` has these, and the numbers that are one or minus one by their form.
     """
 
     equation: int
     factor: tuple[Place, float] | None
     inner: tuple[tuple[Place, float], ...]
+    layout: Hashable
 
 
 def _sums(comparison: ModelComparison, shown: Sequence[Program]) -> list[Sum | None]:
@@ -149,14 +151,17 @@ def _common(opened: Sequence[Opened | None]) -> dict[Shape, list[_Occurrence]]:
 def _occurrences(equation: int, opened: Opened) -> Iterator[tuple[Shape, _Occurrence]]:
     """Yield the terms of an equation that have a variable, with their shapes."""
     places = [(equation, node) for node in constant_places(opened.program)]
-    by_shape: dict[Shape, list[tuple[Place, float, bool]]] = {}
+    by_shape: dict[Shape, list[tuple[Role, Place]]] = {}
     for place, role in zip(places, opened.roles, strict=True):
-        by_shape.setdefault(role.shape, []).append((place, role.sign, role.is_inner))
+        by_shape.setdefault(role.shape, []).append((role, place))
     for shape, its in by_shape.items():
-        factors = [(place, sign) for place, sign, is_inner in its if not is_inner]
-        inner = tuple((place, sign) for place, sign, is_inner in its if is_inner)
-        if shape and len(factors) < 2:
-            yield shape, _Occurrence(equation, factors[0] if factors else None, inner)
+        factors = [(place, role.sign) for role, place in its if not role.is_inner]
+        inside = sorted(((role.path, place, role.sign) for role, place in its if role.is_inner))
+        paths = tuple(path for path, _, _ in inside)
+        units = frozenset((role.path, role.sign) for role in opened.units if role.shape == shape)
+        if shape and len(factors) < 2 and len({*paths}) == len(paths):
+            inner = tuple((place, sign) for _, place, sign in inside)
+            yield shape, _Occurrence(equation, factors[0] if factors else None, inner, (paths, units))
 
 
 # --------------------------------------------------------------------------------------------------- what they share
@@ -236,7 +241,7 @@ def _alike(
     for term in those:
         for flux in fluxes:
             trial, nats = estimates, saving if term.inner else 0.0
-            if len(flux.terms[0].inner) != len(term.inner):
+            if flux.terms[0].layout != term.layout:
                 continue
             for one, other in zip(flux.terms[0].inner, term.inner, strict=True):
                 trial, grown = trial.decided(trial.row((one, 1.0), (other, -1.0)))

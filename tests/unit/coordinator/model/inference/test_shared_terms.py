@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from atoll.expression.text.parsing import from_infix
+from atoll.expression.writing.opened import open_terms
+from atoll_coordinator.model.inference import shared_terms
 from atoll_coordinator.model.inference.shared_terms import fit_together
 from atoll_coordinator.model.inference.standard_errors import estimate_errors
 from tests.unit.coordinator.model.shooting.made import Known, compare, measurements
@@ -78,3 +81,26 @@ def test_a_variable_alone_is_a_flux_if_it_leaves_as_fast_as_it_enters():
     _, _, made = found(rates(0.4), texts)
     (term,) = made.terms
     assert term.multiples == {0: -1.0, 1: 1.0}
+
+
+def paired(one: str, other: str) -> list[tuple[float, ...]]:
+    """Return the numbers that stand in the same place of the one term that two expressions have."""
+    opened = [open_terms(from_infix(text, ("x", "y"))) for text in (one, other)]
+    ((those),) = shared_terms._common(opened).values()
+    if len({each.layout for each in those}) > 1:
+        return []
+    numbers = [[opened[each.equation].program.constants[place[1]] * sign for place, sign in each.inner]
+               for each in those]  # fmt: skip
+    return sorted(zip(*numbers, strict=True))
+
+
+def test_numbers_are_paired_by_their_places_not_by_their_size():
+    one, other = "3*x*y/((1.0 + x)*(1.01 + y))", "-3*x*y/((1.02 + x)*(1.01 + y))"
+    assert paired(one, other) == [(1.0, 1.02), (1.01, 1.01)]
+    waves = "2*sin(3*x)*exp(-2*y/(4 + x))", "2*sin(2*x)*exp(-5*y/(3 + x))"
+    assert paired(*waves) == [(-2.0, -5.0), (3.0, 2.0), (4.0, 3.0)]
+    assert paired("x/((1 + x)*(2 + x))", "3*x/((2.1 + x)*(1.1 + x))") == [(1.0, 1.1), (2.0, 2.1)]
+
+
+def test_terms_that_differ_in_a_number_that_is_not_written_are_not_one():
+    assert paired("2*exp(x + 3*y)", "2*exp(3*x + y)") == paired("2*y*exp(x)", "3*y*exp(-x)") == []
