@@ -12,12 +12,14 @@ SPACES: Final = " \u00a0\u2009\u202f'’"
 """Characters, beside commas and points, that separate thousands."""
 
 _EXPONENT: Final = r"(?:[eE][+-]?\d+)?\s*"
-WITH_POINT: Final = re.compile(rf"\s*[+-]?\d{{1,3}}([,{SPACES}])\d{{3}}(?:\1\d{{3}})*(?:\.\d*)?{_EXPONENT}")
-"""A number with separators of thousands and perhaps a decimal point."""
+WITH_POINT: Final = re.compile(rf"\s*[+-]?[1-9]\d{{,2}}([,{SPACES}])\d{{3}}(?:\1\d{{3}})*(?:\.\d*)?{_EXPONENT}")
+"""A number with separators of thousands, the first of which is not zero, and perhaps a decimal point."""
 WITH_COMMA: Final = re.compile(
-    rf"\s*[+-]?(?:\d*,\d+|\d+,|\d{{1,3}}([.{SPACES}])\d{{3}}(?:\1\d{{3}})*(?:,\d*)?){_EXPONENT}"
+    rf"\s*[+-]?(?:\d*,\d+|\d+,|[1-9]\d{{,2}}([.{SPACES}])\d{{3}}(?:\1\d{{3}})*(?:,\d*)?){_EXPONENT}"
 )
 """A number with a decimal comma, or with separators of thousands that go with one."""
+_OF_FORTRAN: Final = re.compile(r"\s*[+-]?(?=\.?\d)\d*\.\d*[dD][+-]?\d+\s*")
+"""A number of double precision as Fortran writes it; its point tells it from a label such as 1D2."""
 
 
 def is_missing(cell: str) -> bool:
@@ -26,9 +28,13 @@ def is_missing(cell: str) -> bool:
 
 
 def number(cell: str) -> float | None:
-    """Return the number in `cell` as Python writes it (NaN when missing), or None for anything else."""
+    """Return the number in `cell` as Python prints it or Fortran does (NaN when missing), or None for anything else."""
     if is_missing(cell):
         return math.nan
+    if "_" in cell:  # groups digits in programs, not in measurements
+        return None
+    if _OF_FORTRAN.fullmatch(cell):
+        cell = cell.lower().replace("d", "e")
     try:
         return float(cell)
     except ValueError:

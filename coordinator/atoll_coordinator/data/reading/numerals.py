@@ -40,7 +40,7 @@ def read_numbers(
     seen: set[Decimal] = {next(iter(its)) for its in ways.values() if len(its) == 1}
     if any(len(its) > 1 for its in ways.values()) and _has_points(columns, plain):
         seen.add("point")
-    usual: set[Decimal] = seen if len(seen) == 1 else _of_separator(separator)
+    usual: set[Decimal] = _of_separator(separator) if not seen else seen if len(seen) == 1 else set()
     chosen: dict[str, Decimal] = {
         name: next(iter(its & usual)) if its & usual else _only(file, name, columns[name], its)
         for name, its in ways.items()
@@ -52,9 +52,10 @@ def read_numbers(
 
 
 def _plain(cells: Sequence[str]) -> FloatArray | None:
-    """Return the cells as numbers; None where one of them is not written as Python writes numbers."""
+    """Return the cells as numbers; None where one of them is not written as Python prints numbers."""
     try:
-        return np.array([float(cell) for cell in cells], dtype=np.float64)
+        if not any("_" in cell for cell in cells):
+            return np.array([float(cell) for cell in cells], dtype=np.float64)
     except ValueError:
         pass
     numbers = [number(cell) for cell in cells]
@@ -126,9 +127,12 @@ def _number(cell: str, way: Decimal) -> float:
         return float("nan")
     text = cell.strip().translate(_GROUPS)
     if way == "point":
-        return float(text.replace(",", ""))
-    whole = text.replace(".", "") if "," in text or _THOUSANDS.fullmatch(text) else text
-    return float(whole.replace(",", "."))
+        plain = text.replace(",", "")
+    else:
+        plain = (text.replace(".", "") if "," in text or _THOUSANDS.fullmatch(text) else text).replace(",", ".")
+    found = number(plain)
+    assert found is not None
+    return found
 
 
 def _remarks(columns: Mapping[str, Sequence[str]], chosen: Mapping[str, Decimal]) -> tuple[str, ...]:

@@ -24,6 +24,8 @@ def numbers(separator=",", **columns):
         ("1'234.5|2", [1234.5, 2.0]),
         ("1 234|5 678", [1234.0, 5678.0]),
         ("1.234.567|0", [1234567.0, 0.0]),
+        ("0,100|0,103|-0,106", [0.1, 0.103, -0.106]),
+        ("1.00000D+00|9.5d-1|.5D0", [1.0, 0.95, 0.5]),
     ],
 )
 def test_a_column_tells_how_it_is_written(text, found):
@@ -38,6 +40,16 @@ def test_what_separates_cells_decides_where_nothing_else_does(separator, found):
 def test_other_columns_decide_before_that():
     assert numbers(";", x="1,234|2,345", t="0.5|1.5")[0]["x"] == [1234.0, 2345.0]
     assert numbers("\t", x="1,234|2,345", t="0,5|1,5")[0]["x"] == [1.234, 2.345]
+
+
+def test_a_group_of_thousands_never_begins_with_zero():
+    read, remarks = numbers(",", t="0,000|0,100", x="4,000|3,715")
+    assert (read, remarks) == ({"t": [0.0, 0.1], "x": [4.0, 3.715]}, ("decimal commas in t, x",))
+
+
+def test_columns_that_contradict_each_other_decide_nothing():
+    with pytest.raises(DataError, match=r"'x' of a\.csv holds '4,000', which may be 4000 or 4;"):
+        numbers(",", t="0,5|1,5", y="0.5|1.5", x="4,000|3,715")
 
 
 def test_points_separate_thousands_where_commas_are_decimal():
@@ -55,7 +67,7 @@ def test_plain_numbers_have_no_remark():
     assert numbers(x="1.234|1e5|") == ({"x": [1.234, 1e5, pytest.approx(float("nan"), nan_ok=True)]}, ())
 
 
-@pytest.mark.parametrize("text", ["1,23,456", "12,34.5", "1.2.3", "1,234 567", "0x10", "1,5,6"])
+@pytest.mark.parametrize("text", ["1,23,456", "12,34.5", "1.2.3", "1,234 567", "0x10", "1,5,6", "4_002", "1D2", ".D2"])
 def test_other_texts_are_no_numbers(text):
     with pytest.raises(DataError, match="where a number is expected"):
         numbers(x=f"1|{text}")
