@@ -699,15 +699,19 @@ class Model(Exports):
     @property
     def _first_measured(self) -> Mapping[str, Any]:
         """Name, start and times of the first measured trajectory that has a row with all its states, from there on."""
-        for each in (self._result.get("data") or {}).get("trajectories") or ():
-            columns = {name: np.array(values, dtype=np.float64) for name, values in each["measured"].items()}
-            times = np.array(each["times"], dtype=np.float64)
-            known = np.flatnonzero(np.isfinite([times, *columns.values()]).all(axis=0))
-            if len(known):
-                part = {name: values[known] for name, values in {self.time: times, **columns}.items()}
-                start = {self._columns[name]: value for name, value in self.rows_of(part)[2].items()}
-                return {"name": each["name"], "start": start, "times": part[self.time].tolist()}
-        return {}
+        listed = (self._result.get("data") or {}).get("trajectories") or ()
+        return next(filter(None, map(self.measured_beginning, listed)), {})
+
+    def measured_beginning(self, part: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return name, start and times of the whole rows of a measured trajectory of the result; empty without any."""
+        columns = {name: np.array(values, dtype=np.float64) for name, values in part["measured"].items()}
+        times = np.array(part["times"], dtype=np.float64)
+        known = np.flatnonzero(np.isfinite([times, *columns.values()]).all(axis=0))
+        if not len(known):
+            return {}
+        rows = {name: values[known] for name, values in {self.time: times, **columns}.items()}
+        start = {self._columns[name]: value for name, value in self.rows_of(rows)[2].items()}
+        return {"name": part["name"], "start": start, "times": rows[self.time].tolist()}
 
     @property
     def recorded(self) -> dict[str, tuple[FloatArray, FloatArray]]:

@@ -3,6 +3,7 @@
 Letters: P constants of a vector field, K constants whose joint covariance is known.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -280,3 +281,20 @@ def _place(field: VectorField, symbol: str) -> int:
     if field.expressions[position] in field.states:  # the rate of a position is its velocity
         return field.states.index(field.expressions[position])
     return position
+
+
+def r2_text(value: float | None) -> str:
+    """Return R2 in four decimals, never rounded up to 1; ``-`` for None."""
+    if value is None:
+        return "-"
+    return "1" if value == 1.0 else f"{math.floor(value * 1e4) / 1e4:.4f}" if value > -10.0 else f"{value:.2g}"
+
+
+def interval_text(bounds: Sequence[float | None] | None) -> str:
+    """Return ``1.99956 to 2.00019``, with digits that tell the ends apart; ``-`` where an end is not known."""
+    low, high = bounds or (None, None)
+    if low is None or high is None:
+        return "-"
+    spread = high - low
+    digits = 6 if spread <= 0.0 else 3 + max(0, math.floor(math.log10(max(abs(low), abs(high)) / spread)))
+    return f"{low:.{digits}g} to {high:.{digits}g}"

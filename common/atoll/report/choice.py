@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
-from atoll.report.markup import Child, Element, element, figure, number, paragraph, section, table
+from atoll.report.markup import Child, Element, element, figure, number, paragraph, r2_cell, section, table
 
 if TYPE_CHECKING:
     from atoll.experiments.suggestions import Suggestions
@@ -92,8 +92,8 @@ def _candidates(equation: Mapping[str, Any], its: Findings) -> list[Element]:
         [
             element("code", its.rounded(each["expression"])),
             "shown" if each["selected"] else number(each["nats"], 3),
-            number(each["r2"], 5),
-            number(each["held_out_r2"], 5) + (" (left out in turn)" if each["cross_validated"] else ""),
+            r2_cell(each["r2"]),
+            r2_cell(each["held_out_r2"]) + (" (left out in turn)" if each["cross_validated"] else ""),
             str(each["complexity"]),
             each["origin"] or "",
         ]

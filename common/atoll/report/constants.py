@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from atoll.model.parameters import constant_names, differing_groups
+from atoll.model.parameters import constant_names, differing_groups, interval_text
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
 from atoll.report.markup import Element, element, figure, number, paragraph, section, table
@@ -52,7 +52,7 @@ def _rows_of_groups(equation: Mapping[str, Any], names: Sequence[str]) -> list[l
             element("span", str(group["group"])),
             number(its["value"], 6),
             number(its["std_error"], 2),
-            _interval(its),
+            interval_text(its["interval"]) if its.get("interval") else "",
         ]
         for place, mean in enumerate(equation.get("constants") or ())
         if not mean.get("shared")
@@ -98,19 +98,12 @@ def _rows(equation: Mapping[str, Any], names: Sequence[str]) -> list[list[str | 
             number(its["value"], 6),
             number(its["fitted"], 6),
             number(its["std_error"], 2),
-            _interval(its),
+            interval_text(its["interval"]) if its.get("interval") else "",
             _simple(its.get("simple")),
             "" if its["std_error"] is None else "yes" if its["identifiable"] else "not by these data",
         ]
         for name, its in listed
     ]
-
-
-def _interval(its: Mapping[str, Any]) -> str:
-    if not its.get("interval"):
-        return ""
-    low, high = its["interval"]
-    return f"{number(low)} to {number(high)}"
 
 
 def _simple(its: Mapping[str, Any] | None) -> str:

@@ -4,6 +4,8 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 from xml.etree import ElementTree
 
+from atoll.model.parameters import r2_text
+
 Element = ElementTree.Element
 Child = Element | str
 
@@ -100,6 +102,11 @@ def parse_mathml(text: str) -> Element:
 def number(value: float | None, digits: int = 4) -> str:
     """Return a number as text with so many significant digits; "" of None."""
     return "" if value is None else f"{value:.{digits}g}"
+
+
+def r2_cell(value: float | None) -> str:
+    """Return R2 for a table, never rounded up to 1; "" of None."""
+    return "" if value is None else r2_text(value)
 
 
 def to_text(root: Element) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from atoll.model.display import equation_mathml
-from atoll.model.parameters import remark_on_groups
+from atoll.model.parameters import r2_text, remark_on_groups
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, facts, number, paragraph, parse_mathml, scrolling, section
 
@@ -72,6 +72,5 @@ def _simulation(its: Findings) -> list[tuple[str, str]]:
     values = [value for each in its.trajectories for value in (each.get("r2") or {}).values() if value is not None]
     if not values:
         return []
-    number_of = len(its.trajectories)
-    return [("Simulation", f"explains at least {100 * min(values):.4g} % of the variance on {number_of} trajectories"
-             if number_of > 1 else f"explains at least {100 * min(values):.4g} % of the variance")]  # fmt: skip
+    on = f" on {len(its.trajectories)} trajectories" if len(its.trajectories) > 1 else ""
+    return [("Simulation", f"R² at least {r2_text(min(values))}{on}")]

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from atoll.report.chart import COLORS, Axis, Chart
 from atoll.report.findings import Findings
-from atoll.report.markup import Element, element, figure, legend, number, paragraph, section, table
+from atoll.report.markup import Element, element, figure, legend, number, paragraph, r2_cell, section, table
 
 SHOWN: Final = COLORS
 """Trajectories that are drawn, each in a colour of its own."""
@@ -95,7 +95,7 @@ def _explained(its: Findings) -> Element:
     rows = [
         [
             str(each["name"]) + (" (held out)" if each.get("held_out") else ""),
-            *(number(each["r2"].get(state), 5) for state in states),
+            *(r2_cell(each["r2"].get(state)) for state in states),
             ", ".join(f"{name} = {number(value)}" for name, value in (each.get("start") or {}).items()),
         ]
         for each in its.trajectories

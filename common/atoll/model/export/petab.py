@@ -97,20 +97,34 @@ def save(files: Mapping[str, str], folder: str | Path) -> None:
 
 
 def _recorded(model: "Model") -> list[Trajectory]:
-    """Return the measurements that a result holds, without held-out trajectories, from their fitted initial states."""
+    """Return the measurements that a result holds, without held-out trajectories, from their fitted initial states.
+
+    A trajectory without a fitted one begins at its first row that has every state.
+    """
     symbols, result = model.result["symbols"], model.result
     simulated = (result.get("simulation") or {}).get("trajectories") or ()
     starts = {str(part["name"]): part["start"] for part in simulated if part.get("start")}
     found = []
     for part in (result.get("data") or {}).get("trajectories") or simulated:
-        if part.get("held_out") or not part.get("measured") or str(part["name"]) not in starts:
+        if part.get("held_out") or not part.get("measured"):
             continue
-        values = {symbols[name]: np.array(its, dtype=np.float64) for name, its in part["measured"].items()}
-        inputs = {symbols[name]: np.array(its, dtype=np.float64) for name, its in (part.get("inputs") or {}).items()}
-        named = {symbols[name]: float(value) for name, value in starts[str(part["name"])].items()}
+        times, its_start = _values(part["times"]), starts.get(str(part["name"]))
+        first = 0
+        if its_start is None:
+            beginning = model.measured_beginning(part)
+            if not beginning:
+                continue
+            its_start, first = beginning["start"], int(np.searchsorted(times, beginning["times"][0]))
+        values = {symbols[name]: _values(its)[first:] for name, its in part["measured"].items()}
+        inputs = {symbols[name]: _values(its)[first:] for name, its in (part.get("inputs") or {}).items()}
+        named = {symbols[name]: float(value) for name, value in its_start.items()}
         start = tuple(named[name] for name in model.states)
-        found.append(Trajectory(str(part["name"]), np.array(part["times"], dtype=np.float64), values, start, inputs))
+        found.append(Trajectory(str(part["name"]), times[first:], values, start, inputs))
     return found
+
+
+def _values(listed: Sequence[float | None]) -> FloatArray:
+    return np.array(listed, dtype=np.float64)
 
 
 def _given(model: "Model", data: Sequence[Mapping[str, Any]]) -> list[Trajectory]:

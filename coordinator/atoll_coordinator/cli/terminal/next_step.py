@@ -26,6 +26,8 @@ def next_step(result: Mapping[str, Any], folder: Path, words: Sequence[str]) -> 
         folder: where it was written.
         words: of the command line that gave it, without the program.
     """
+    if result["state"] == "cancelled" and result.get("refining") == "not refined":
+        return _command(_elsewhere(words), _CANCELLED)
     if result["state"] != "done" or not result["equations"]:
         return None
     for propose in (_again_with_option, _again_for_longer, _again_with_operators):
@@ -71,6 +73,7 @@ def _again_for_longer(result: Mapping[str, Any], words: Sequence[str]) -> _Propo
 
 
 _LONGER: Final = "the search ended before it had converged"
+_CANCELLED: Final = "it was interrupted before the equations were fitted to trajectories and compared"
 _NOT_REFINED: Final = "the time was over before the equations were fitted to trajectories and compared"
 
 

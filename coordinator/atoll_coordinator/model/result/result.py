@@ -138,7 +138,7 @@ def build_result(
         "system": system(preparation),
         "data": data(preparation, has_trajectories=account.state in FINAL_STATES),
         "config": settings(config),
-        "refining": model.end if account.state == "done" else None,
+        "refining": model.end if account.state in ("done", "cancelled") else None,
         "warnings": [*dataset.warnings, *model.warnings, *_of_groups(preparation, model, account.state)],
         "point_evaluations": sum(_total(outcome) for outcome in outcomes),
         "search_seconds": finite(account.search_seconds),

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-from atoll.model.parameters import constant_names
+from atoll.model.parameters import constant_names, interval_text, r2_text
 
 MOST_LINES: Final = 12
 """Trajectories and pairs of constants listed one by one; of more, the worst are."""
@@ -33,13 +33,6 @@ def columns(heads: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "
         "  ".join([*(cell.rjust(width) for cell, width in zip(line, widths, strict=False)), line[-1]]) for line in lines
     )
     return [f"{indent}{line}".rstrip() for line in padded]
-
-
-def r2_text(value: float | None) -> str:
-    """Return R2 in four decimals, never rounded up to 1; ``-`` for None."""
-    if value is None:
-        return "-"
-    return "1" if value == 1.0 else f"{math.floor(value * 1e4) / 1e4:.4f}" if value > -10.0 else f"{value:.2g}"
 
 
 def percent(share: float | None) -> str:
@@ -104,7 +97,7 @@ def _number_text(constant: Mapping[str, Any]) -> str:
     shown = f"{constant['value']:.6g}"
     remark = "" if _is_told(constant) else "not determined"
     if constant.get("at_bound"):
-        return f"{shown} (at its bound, {_interval(constant.get('interval'))})"
+        return f"{shown} (at its bound, {interval_text(constant.get('interval'))})"
     if constant["std_error"] is None:
         return f"{shown} ({remark})" if remark else shown
     if text.startswith(f"{shown} "):
@@ -121,7 +114,7 @@ def constants_table(constants: Sequence[Mapping[str, Any]]) -> list[str]:
         (
             f"{each['value']:.6g}{_unit_text(each)}",
             plus_minus(each["value"] if each["fitted"] is None else each["fitted"], each["std_error"] or 0.0),
-            *((_interval(each.get("interval")),) if has_intervals else ()),
+            *((interval_text(each.get("interval")),) if has_intervals else ()),
             _remark(each),
         )
         for each in known
@@ -160,15 +153,6 @@ def _simple_text(constant: Mapping[str, Any]) -> str:
     if simple["value"] == constant["value"]:
         return f"odds {simple['odds']:.2g} against other numbers"
     return f"{simple['value']:.6g} is {simple['standard_errors']:.1f} standard errors off, odds {simple['odds']:.2g}"
-
-
-def _interval(bounds: Sequence[float | None] | None) -> str:
-    low, high = bounds or (None, None)
-    if low is None or high is None:
-        return "-"
-    spread = high - low
-    digits = 6 if spread <= 0.0 else 3 + max(0, math.floor(math.log10(max(abs(low), abs(high)) / spread)))
-    return f"{low:.{digits}g} to {high:.{digits}g}"
 
 
 # ------------------------------------------------------------------------------------------------ contenders

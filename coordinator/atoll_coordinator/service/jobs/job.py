@@ -26,10 +26,11 @@ from atoll_coordinator.service.store.jobs import JobRecord
 SEARCH_SHARE: Final = 0.5
 """Share of what preparing leaves of `--max-time` that the search may take: refining takes about as long."""
 
-OUT_OF_TIME: Final = (
-    "The time allowed by --max-time was used up before refining had ended: equations are as the search found them, "
-    "their constants fitted to derivatives."
+_NOT_REFINED: Final = (
+    "before refining had ended: equations are as the search found them, their constants fitted to derivatives."
 )
+OUT_OF_TIME: Final = f"The time allowed by --max-time was used up {_NOT_REFINED}"
+_CANCELLED: Final = f"The job was cancelled {_NOT_REFINED}"
 _NOTHING_PREPARED: Final = "the time allowed by --max-time was used up while the data were being prepared; allow more"
 
 JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
@@ -267,6 +268,7 @@ class Job:
             return []
         for archipelago in self.open_archipelagos:
             archipelago.collector.cut_now("cancelled")
+        self.refinement = Refinement(warnings=(_CANCELLED,), end="not refined")
         self._step("cancel")
         return [CommitResult()]
 

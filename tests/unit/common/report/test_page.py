@@ -16,6 +16,7 @@ from atoll.report.markup import Element, table, to_text
 from atoll.report.origin import origin
 from atoll.report.overview import overview
 from atoll.report.page import as_html
+from atoll.report.trajectories import trajectories
 from tests.unit.common.report.results import dynamics, process, regression
 
 
@@ -208,3 +209,15 @@ def test_the_page_of_one_group_is_analysed() -> None:
     assert found.analysis is not None
     assert found.analysis.field.values(np.array([[1.0, 0.0]]))[0, 0] == pytest.approx(2.5)
     assert "<b>" in Reader(to_text(overview(found))).texts
+
+
+def test_figures_have_the_digits_that_their_errors_leave() -> None:
+    found = dynamics()
+    found["equations"][0]["constants"][0] |= {"std_error": 0.00016, "interval": [1.999562, 2.000193]}
+    (part,) = found["simulation"]["trajectories"]
+    part["r2"] = {"x": 0.99999919, "y": 1.0}
+    found["equations"][0]["candidates"][0]["r2"] = 0.99999919
+    its = Findings(found, None)
+    assert "1.99956 to 2.00019" in to_text(constants(its)[0])
+    assert "R² at least 0.9999" in to_text(overview(its))
+    assert all(">0.9999<" in to_text(each) for each in (trajectories(its)[0], choice(its)[0]))

@@ -41,6 +41,16 @@ def test_measurements_begin_at_time_0_and_leave_out_what_is_missing_or_held_out(
     assert {each["simulationConditionId"] for each in found} == {"trajectory_1"}
 
 
+def test_measurements_of_a_result_that_was_not_simulated_begin_at_their_first_whole_row(tmp_path: Path) -> None:
+    its = alone().result
+    part = {"name": "1", "times": [2.0, 3.0, 5.0], "measured": {"x": [None, 1.25, 0.75]}, "inputs": {}}
+    its["data"]["trajectories"] = [part | {"held_out": False}]
+    Model({**its, "simulation": None}).to_petab(tmp_path)
+    found = rows((tmp_path / "measurements.tsv").read_text())
+    assert [(each["time"], each["measurement"]) for each in found] == [("0.0", "1.25"), ("2.0", "0.75")]
+    assert rows((tmp_path / "parameters.tsv").read_text())[1]["nominalValue"] == "1.25"
+
+
 def test_constants_starts_and_noise_are_estimated_within_bounds(tmp_path: Path) -> None:
     measured().to_petab(tmp_path)
     found = {each["parameterId"]: each for each in rows((tmp_path / "parameters.tsv").read_text())}

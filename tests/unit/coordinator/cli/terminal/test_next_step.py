@@ -35,6 +35,7 @@ def after(
     [
         ("coordinator analyse here", {}),
         ("coordinator analyse here", {"rivals": 1}),
+        (AGAIN, {"state": "cancelled", "refining": "not refined"}),
         ("coordinator suggest here", {"verdict": "doubtful", "rivals": 1}),
         ("coordinator analyse here --identifiability", {"verdict": "doubtful", "loose": True, "rivals": 1}),
         (

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from atoll.model.parameters import r2_text
 from atoll_coordinator.model.result.tables import (
     MOST_LINES,
     columns,
@@ -14,7 +15,6 @@ from atoll_coordinator.model.result.tables import (
     noise_lines,
     percent,
     plus_minus,
-    r2_text,
     simulation_table,
     summary,
 )

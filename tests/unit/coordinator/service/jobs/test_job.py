@@ -197,6 +197,8 @@ def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
     cuts = [archipelago.cut for archipelago in job.archipelagos.values() if archipelago.cut is not None]
     assert [(cut.variable, cut.epochs, cut.why) for cut in cuts] == [("x", 1, "cancelled"), ("y", 0, "cancelled")]
     assert job.state == "cancelled"
+    assert job.refinement.end == "not refined"
+    assert "was cancelled before refining had ended" in job.refinement.warnings[0]
     assert job.cancel() == job.fail("internal", "too late") == []
     assert job.reason is None
 
