@@ -21,6 +21,7 @@ from atoll.wire.addresses import bindable, parse_address
 _STOP_LIMIT_S: Final = 7.0
 """Longer than the process that watches over the workers gives these."""
 
+_ENDED: Final = "the process that watches over the workers has ended, and they with it"
 _SPEAKER: Final = b"island-worker: "
 """Begins lines of the log that are for people."""
 
@@ -37,7 +38,7 @@ def plain_environment() -> dict[str, str]:
 
 
 class NoWorkerLeftError(AtollError):
-    """Raised when the last worker of a local run has ended before its job."""
+    """Raised when the process that watches over the workers of a local run has ended before the job."""
 
 
 class LocalWorkers:
@@ -47,10 +48,11 @@ class LocalWorkers:
         self.log = log
         self.number = number
         self._command = supervisor_command(endpoint, number)
-        self._read = 0
+        self._begin = self._read = 0
 
     def __enter__(self) -> Self:
         with self.log.open("ab") as log:
+            self._begin = self._read = log.tell()
             self._process = subprocess.Popen(
                 self._command,
                 stdin=subprocess.DEVNULL,
@@ -69,11 +71,14 @@ class LocalWorkers:
         self.stop()
 
     def check(self) -> list[str]:
-        """Return what was said since the last check of workers that died; raise NoWorkerLeftError without any."""
+        """Return what was said since the last check of workers that died, in this run.
+
+        Raises NoWorkerLeftError when the process that watches over them has ended, and they with it.
+        """
         has_ended = self._process.poll() is not None
         sentences = self._said()
         if has_ended:
-            raise NoWorkerLeftError(f"every worker has ended; the reason is in {self.log}{self._last_line()}")
+            raise NoWorkerLeftError(f"{_ENDED}; the reason is in {self.log}{self._last_line()}")
         return sentences
 
     def dismiss(self) -> None:
@@ -94,7 +99,7 @@ class LocalWorkers:
             self._process.wait(_STOP_LIMIT_S)
 
     def _said(self) -> list[str]:
-        """Return the sentences for people that have been added to the log."""
+        """Return the sentences for people that this run has added to the log since the last time."""
         with self.log.open("rb") as log:
             log.seek(self._read)
             *lines, rest = log.read().split(b"\n")
@@ -102,7 +107,7 @@ class LocalWorkers:
         return [line.removeprefix(_SPEAKER).decode("utf-8", "replace") for line in lines if line.startswith(_SPEAKER)]
 
     def _last_line(self) -> str:
-        lines = self.log.read_text("utf-8", "replace").strip().splitlines()
+        lines = self.log.read_bytes()[self._begin :].decode("utf-8", "replace").strip().splitlines()
         return f": {lines[-1]}" if lines else ""
 
 

@@ -54,6 +54,16 @@ def test_what_is_said_of_workers_is_told_once_and_their_end_is_an_error(workers:
     assert workers._said() == []
 
 
+@pytest.mark.parametrize("workers", ["pass"], indirect=True)
+def test_what_an_earlier_run_said_of_its_workers_is_no_news(workers: LocalWorkers) -> None:
+    workers.log.write_text("island-worker: process 4711 (w-0) was ended by signal 9\n")
+    with workers:
+        workers._process.wait()
+        assert workers._said() == []
+        with pytest.raises(NoWorkerLeftError, match=r"has ended, and they with it; the reason is in .*log$"):
+            workers.check()
+
+
 def test_a_process_that_the_system_cannot_end_is_waited_for_within_a_limit(tmp_path: Path) -> None:
     """Such as one that hangs in a driver: it is killed, and stays."""
 
