@@ -11,10 +11,10 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.errors import UsageError
 from atoll.expression.text.parsing import from_infix
-from atoll.model.simulation import Inputs, check_times
-from atoll.stochastic.densities import StationaryDensity, density_of, settled_paths
+from atoll.model.simulation import MOST_NUMBERS, Inputs, check_times
+from atoll.stochastic.densities import STEPS, StationaryDensity, density_of, settled_paths
 from atoll.stochastic.moments import StepMoments, step_moments
-from atoll.stochastic.paths import Ensemble, Simulator, divided
+from atoll.stochastic.paths import Ensemble, Simulator, divided, step_counts
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
@@ -33,10 +33,11 @@ def ensemble_of(
     """
     simulator, longest = _simulator(model, *drawn), _step(model)
     check_times(model.field, x0, times, drawn[0])
-    begins, lengths, is_kept = divided(times, longest)
-    if len(lengths) > MOST_STEPS:
-        what = f"{len(lengths)} steps of {longest:g}, that of the measurements, are more than {MOST_STEPS}"
+    count = float(step_counts(times, longest).sum())
+    if count > MOST_STEPS:
+        what = f"{count:.15g} steps of {longest:g}, that of the measurements, are more than {MOST_STEPS}"
         raise UsageError(f"{what}; simulate less time")
+    begins, lengths, is_kept = divided(times, longest)
     middles = (begins + 0.5 * lengths).tolist()
     held = np.zeros((0, len(middles))) if inputs is None else np.array([inputs(at) for at in middles]).T
     found = simulator.paths(np.repeat(x0[:, None], drawn[0], axis=1), held, lengths, is_kept)
@@ -47,10 +48,22 @@ def density_of_process(
     model: "Model", x0: FloatArray, inputs: Sequence[float], drawn: tuple[int, int]
 ) -> StationaryDensity | None:
     """Return the density that paths from `x0` (S,) settle into, `inputs` (U,) held; None where they do not settle."""
-    simulator = _simulator(model, *drawn)
-    check_times(model.field, x0, np.zeros(1), drawn[0])
+    simulator = _simulator(model, *drawn, least=2)  # one path tells no error of its means
+    check_times(model.field, x0, np.zeros(1))
+    most = MOST_NUMBERS // ((STEPS + 1) * len(x0))
+    if drawn[0] > most:
+        raise UsageError(f"{drawn[0]} paths are more than {most}, those of which a density is taken; draw fewer")
     paths = settled_paths(simulator, np.repeat(x0[:, None], drawn[0], axis=1), np.array(inputs), _step(model))
     return None if paths is None else density_of(model.states, paths)
+
+
+def require_process(model: "Model") -> None:
+    """Raise UsageError where the model has no noise, or its result does not say in which steps it was measured."""
+    if not model.components:
+        raise UsageError("the model has no noise of its own, so it has no paths; --stochastic seeks such models")
+    if model.result["process"] is None:
+        raise UsageError("this result has equations of noise but nothing as 'process'; give it as it was written")
+    _step(model)
 
 
 def _step(model: "Model") -> float:
@@ -58,13 +71,11 @@ def _step(model: "Model") -> float:
     return float(model.result["process"]["step"])
 
 
-def _simulator(model: "Model", paths: int, seed: int) -> Simulator:
-    """Return what draws paths; raises UsageError where the model has no noise, or there is nothing to draw."""
-    if not model.components:
-        raise UsageError("the model has no noise of its own, so it has no paths; --stochastic seeks such models")
-    for name, value, least in (("paths", paths, 1), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise UsageError(f"{name} must be a whole number of at least {least}, but {value!r} was given")
+def _simulator(model: "Model", paths: int, seed: int, *, least: int = 1) -> Simulator:
+    """Return what draws paths; raises UsageError where there is nothing to draw."""
+    for name, value, lower in (("paths", paths, least), ("seed", seed, 0)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < lower:
+            raise UsageError(f"{name} must be a whole number of at least {lower}, but {value!r} was given")
     names = (*model.states, *model.inputs)
     texts = {each["variable"]: each["expression"] for each in model.result["equations"]}
     diffusion = {pair: from_infix(texts[name], names) for name, pair in model.components.items()}

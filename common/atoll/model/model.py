@@ -20,7 +20,7 @@ from atoll.expression.evaluation import values_of
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.model.arguments import by_name, interval, number, numbers, shown
-from atoll.model.ensembles import density_of_process, ensemble_of
+from atoll.model.ensembles import density_of_process, ensemble_of, require_process
 from atoll.model.export.methods import Exports
 from atoll.model.parameters import (
     LEVEL,
@@ -395,6 +395,8 @@ class Model(Exports):
         else:
             self.require_one_group()
             model = self
+        if paths is not None:
+            require_process(model)
         field, times, start = model.field, model.times_of(t), model.start_of(x0)
         inputs = model._inputs(u, times, model.recorded if x0 is None else {})
         if paths is not None:
@@ -417,12 +419,13 @@ class Model(Exports):
         Args:
             x0: where all paths begin; None: as measured.
             inputs: values at which inputs are held, by name; zeros unless given.
-            paths: how many are drawn.
+            paths: how many are drawn, at least 2.
             seed: of the paths.
 
         Raises:
             UsageError: the arguments do not fit, or the model has no noise of its own.
         """
+        require_process(self)
         given = {name: number(its, f"the input {name!r}") for name, its in by_name(inputs, "inputs").items()}
         held = {self._result["symbols"].get(name, name): its for name, its in given.items()}
         unknown = next((name for name in held if name not in self.inputs), None)

@@ -1,12 +1,14 @@
 """Results as they are saved: the content of ``result.json``, which people may have cut or edited."""
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from atoll.errors import UsageError
 from atoll.model.arguments import path_of, shown
+from atoll.stochastic.moments import Discretisation
 from atoll.suggestions import similar_file
 
 SCHEMA: Final = 1
@@ -14,6 +16,8 @@ RESULT: Final = "result.json"
 
 _NUMBERS: Final = [float]
 _PAIR: Final = (float, float)
+_POSITIVE: Final = "a number above 0"
+_DISCRETISATIONS: Final = frozenset(get_args(Discretisation))
 _CURVES: Final = {str: _NUMBERS}
 _VALUES: Final = {str: float}
 _CONSTANT: Final = {
@@ -65,16 +69,19 @@ _RESULT: Final = {
     "correlations": [{"first": _PLACE, "second": _PLACE, "value": float}], "symbols": {str: str}, "chaos": {},
     "shared_terms": [{"term": str, "factors": _VALUES}], "noise": {str: _NOISE}, "smoothing": _TRAJECTORIES,
     "simulation": _TRAJECTORIES, "config": {"data": {}, "budget": {}, "space": {}}, "versions": {}, "system": _SYSTEM,
-    "process": {"measurement_noise": {str: {}}, "stationary": {str: _DENSITY}, "ensemble": _ENSEMBLE},
+    "process": {
+        "step": _POSITIVE, "discretisation": _DISCRETISATIONS, "measurement_noise": {str: {}},
+        "stationary": {str: _DENSITY}, "ensemble": _ENSEMBLE,
+    },
     "data": {**_TRAJECTORIES, "digest": str, "files": [str], "rows": int, "read_as": str},
 }  # fmt: skip
-"""What a result holds: kinds of values by key (`str` for any), of lists that of each item, of pairs of both."""
+"""What a result holds: kinds by key (`str` for any); of lists that of each item, of pairs both, of sets any."""
 
 _NEVER_NULL: Final = frozenset(
     (
         "variable", "lhs", "name", "group", "term", "constants", "front", "candidates", "groups", "implied", "matrix",
         "convergence", "generations", "doubtful", "times", "measured", "inputs", "values", "warnings", "factors",
-        "states", "faults", "files", "first", "second",
+        "states", "faults", "files", "first", "second", "step", "discretisation",
     )
 )  # fmt: skip
 """Other keys may be null, as unknown and non-finite values are; items of lists may not, unless they are numbers."""
@@ -116,11 +123,17 @@ def _checked(found: Any, kind: Any, name: str, *, may_be_null: bool = True) -> A
     if kind is None or (found is None and may_be_null and name not in _NEVER_NULL):
         return found
     is_number = isinstance(found, int | float) and not isinstance(found, bool)
+    if (is_number and 0.0 < found < math.inf) if kind == _POSITIVE else _is_one_of(found, kind):
+        return found
     if is_number if kind in (int, float) else isinstance(kind, type) and isinstance(found, kind):
         return found
     raise UsageError(
         f"this result has {shown(found)} as {name!r}, where {_named(kind)} is expected; give it as written"
     )
+
+
+def _is_one_of(found: Any, kind: Any) -> bool:
+    return isinstance(kind, frozenset) and isinstance(found, str) and found in kind
 
 
 def _object(found: Mapping[str, Any], kind: Mapping[Any, Any]) -> Content:
@@ -141,6 +154,8 @@ def _object(found: Mapping[str, Any], kind: Mapping[Any, Any]) -> Content:
 def _named(kind: Any) -> str:
     if isinstance(kind, type):
         return {str: "text", bool: "true or false", int: "a whole number", float: "a number"}[kind]
+    if isinstance(kind, str | frozenset):
+        return kind if isinstance(kind, str) else " or ".join(sorted(kind))
     return "an object" if isinstance(kind, dict) else "two numbers" if kind is _PAIR else "a list"
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.special import stdtrit
 
 from atoll.data.dataset import FloatArray
 from atoll.stochastic.paths import Simulator
@@ -13,8 +14,8 @@ STEPS: Final = 500
 _LONGER: Final = 1
 BINS: Final = 40
 """Of a density that is shown."""
-_SIGNIFICANT: Final = 3.0
-"""Standard errors by which moments of settled paths differ at most from one half to the other (p = 0.003)."""
+_LEVEL: Final = 0.01
+"""With which probability at most the test says of settled paths that they still change; they are tested once more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +43,14 @@ def settled_paths(simulator: Simulator, starts: FloatArray, inputs: FloatArray, 
     """Return paths (N, S, P) after they have settled, from `starts` (S, P) in steps of one length; None: they do not.
 
     They have settled when the means of states and of their squares no longer change from one half to the other by more
-    than chance does. `inputs` (U,) are held.
+    than chance does; two paths at least tell that. `inputs` (U,) are held.
     """
     lengths, held = np.full(STEPS, length), np.repeat(inputs[:, None], STEPS, axis=1)
     states = simulator.paths(starts, held, lengths)[-1]
     for _ in range(1 + _LONGER):
         found = simulator.paths(states, held, lengths)[1:]
         kept = found[:, :, np.isfinite(found[-1]).all(axis=0)]
-        if kept.shape[2] < starts.shape[1] // 2:
+        if kept.shape[2] < max(starts.shape[1] // 2, 2):
             return None
         if _is_settled(kept):
             return kept
@@ -72,12 +73,17 @@ def histograms(values: FloatArray, edges: FloatArray) -> FloatArray:
 
 
 def _is_settled(paths: FloatArray) -> bool:
-    """Tell whether two halves of paths (N, S, P) agree in the means of states and of their squares."""
+    """Tell whether two halves of paths (N, S, P) agree in the means of states and of their squares.
+
+    Each of the 2 S changes has Student's distribution over its error from P paths, one by one; the level is divided
+    among them (Bonferroni), and among both signs.
+    """
     half = len(paths) // 2
+    most = stdtrit(paths.shape[2] - 1, 1.0 - _LEVEL / (2 * 2 * paths.shape[1]))
     for power in (1, 2):
         moments = paths**power
         change = moments[half:].mean(axis=0) - moments[:half].mean(axis=0)
-        error = change.std(axis=1) / np.sqrt(change.shape[1])
-        if (np.abs(change.mean(axis=1)) > _SIGNIFICANT * error).any():
+        error = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
+        if (np.abs(change.mean(axis=1)) > most * error).any():
             return False
     return True

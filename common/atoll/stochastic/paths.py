@@ -166,14 +166,19 @@ class Ensemble:
         return found
 
 
+def step_counts(times: FloatArray, longest: float) -> FloatArray:
+    """Return into how many equal steps, no longer than `longest`, gaps between ascending times are divided."""
+    return np.maximum(np.ceil(np.diff(times) / longest - _SLACK), 1.0)
+
+
 def divided(times: FloatArray, longest: float) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
     """Return where steps begin (N,), their lengths, and which of them end at one of the ascending `times`.
 
     Gaps between times are divided into equal steps that are no longer than `longest`.
     """
     begins, lengths, ends = [], [], []
-    for begin, end in zip(times[:-1].tolist(), times[1:].tolist(), strict=True):
-        count = max(math.ceil((end - begin) / longest - _SLACK), 1)
+    counts = step_counts(times, longest).astype(int).tolist()
+    for begin, end, count in zip(times[:-1].tolist(), times[1:].tolist(), counts, strict=True):
         step = (end - begin) / count
         begins += [begin + k * step for k in range(count)]
         lengths += [step] * count

@@ -45,11 +45,38 @@ def test_inputs_are_held_at_their_values_along_the_paths() -> None:
         ({"paths": 2, "seed": -1}, "seed must be a whole number of at least 0"),
         ({"paths": 10_000_000}, "on 10000000 paths are more than"),
         ({"paths": 1, "t": [0.0, 1e6]}, "steps of 0.1, that of the measurements, are more than 200000"),
+        ({"paths": 1, "t": [0.0, 1e300]}, "^1e\\+301 steps of 0.1"),
     ],
 )
 def test_what_does_not_fit_is_said(arguments: dict, fault: str) -> None:
     with pytest.raises(UsageError, match=fault):
         Model(process_result()).simulate(**arguments)
+
+
+@pytest.mark.parametrize(("paths", "fault"), [(1, "at least 2, but 1"), (20_000, "20000 paths are more than 19960")])
+def test_a_density_takes_two_paths_and_no_more_than_memory_holds(paths: int, fault: str) -> None:
+    with pytest.raises(UsageError, match=fault):
+        Model(process_result()).stationary_density(paths=paths)
+
+
+def test_two_paths_settle_as_many_do() -> None:
+    model = Model(process_result())
+    assert all(model.stationary_density([1.0], paths=2, seed=seed) is not None for seed in range(4))
+
+
+@pytest.mark.parametrize(
+    ("process", "fault"),
+    [
+        ({"step": None}, "has None as 'step', where a number above 0 is expected"),
+        ({"step": -1.0}, "has -1.0 as 'step', where a number above 0 is expected"),
+        ({"step": 0.1, "discretisation": "foo"}, "where Euler-Maruyama or local linearisation is expected"),
+        ({}, "lacks 'step'"),
+        (None, "nothing as 'process'"),
+    ],
+)
+def test_what_a_result_says_of_its_process_is_checked(process: object, fault: str) -> None:
+    with pytest.raises(UsageError, match=fault):
+        Model(process_result() | {"process": process}).simulate(paths=2, t=1.0)
 
 
 def test_a_model_without_noise_has_no_paths() -> None:
