@@ -3,11 +3,12 @@
 Letters: C columns, N rows.
 """
 
+import datetime
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,16 @@ MANY = 5
 """So many rows are named in a message before it says how many there are in all."""
 
 
+MIDNIGHT: Final = "midnight"
+
+
+class Origin(NamedTuple):
+    """Since when the times of a column of dates are counted, as ISO 8601 or `MIDNIGHT`, and the seconds of its unit."""
+
+    since: str
+    seconds: float
+
+
 @dataclass(frozen=True, eq=False)
 class Table:
     """Columns as read, checked for shape only.
@@ -31,7 +42,7 @@ class Table:
     one 0. For messages: `files` are the names of the files, `file_of_row` (N,) indices into them, `line_of_row` (N,)
     line numbers from 1, or 0 where a file has no lines. `skipped` are columns that hold text. `read_as` says how
     the files were read, "" where that is not known. `labels` are the texts that the numbers of a column of groups stand
-    for, from 1.
+    for, from 1. `origins` belong to columns that hold dates or clock times in the files.
     """
 
     names: tuple[str, ...]
@@ -44,6 +55,7 @@ class Table:
     skipped: tuple[str, ...] = ()
     read_as: str = ""
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    origins: Mapping[str, Origin] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that the parts fit together; raises DataError."""
@@ -60,6 +72,15 @@ class Table:
         """Return the text that a number of column `name` stands for, None where it stands for itself."""
         texts = self.labels.get(name)
         return texts[int(value) - 1] if texts is not None and 1 <= value <= len(texts) else None
+
+    def moment(self, name: str, time: float) -> str:
+        """Return a time of column `name` as a date or clock time where the files hold these, else as a number."""
+        origin = self.origins.get(name)
+        if origin is None:
+            return repr(time)
+        start = "1970-01-01" if origin.since == MIDNIGHT else origin.since.removesuffix(" UTC")
+        moment = datetime.datetime.fromisoformat(start) + datetime.timedelta(seconds=round(time * origin.seconds, 6))
+        return str(moment.time() if origin.since == MIDNIGHT else moment)
 
     @property
     def rows(self) -> int:
@@ -100,6 +121,8 @@ class Table:
         }
         if self.labels:
             header["labels"] = {name: list(texts) for name, texts in self.labels.items()}
+        if self.origins:
+            header["origins"] = {name: list(origin) for name, origin in self.origins.items()}
         arrays = {"columns": self.columns, "file_of_row": self.file_of_row, "line_of_row": self.line_of_row}
         return encode_arrays(header, arrays)
 
@@ -119,6 +142,7 @@ class Table:
                 _texts(header["skipped"]),
                 _texts([header.get("read_as", "")])[0],
                 {name: _texts(texts) for name, texts in header.get("labels", {}).items()},
+                {name: _origin(*its) for name, its in header.get("origins", {}).items()},
             )
         except (KeyError, TypeError, ValueError, DataError) as error:
             raise RemoteProtocolError(f"the bytes of a table do not fit: {error}") from error
@@ -137,6 +161,12 @@ def _texts(values: object) -> tuple[str, ...]:
     if not isinstance(values, (list, tuple)) or not all(isinstance(value, str) for value in values):
         raise TypeError("a list of texts was expected")
     return tuple(values)
+
+
+def _origin(since: object, seconds: object) -> Origin:
+    if since != MIDNIGHT:
+        datetime.datetime.fromisoformat(str(since).removesuffix(" UTC"))
+    return Origin(_texts([since])[0], float(str(seconds)))
 
 
 def _numbers(array: npt.NDArray[Any], kind: type[S], dimensions: int) -> npt.NDArray[S]:

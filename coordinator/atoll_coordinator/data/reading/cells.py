@@ -59,5 +59,12 @@ def is_text(cells: Iterable[str]) -> bool:
 
 
 def on_one_line(text: str) -> str:
-    """Return `text` with single spaces for whatever white space it holds."""
-    return " ".join(text.split())
+    """Return `text` with single spaces for whatever white space it holds, and nothing that a terminal obeys."""
+    return visible(" ".join(text.split()))
+
+
+def visible(text: str) -> str:
+    """Return `text` with escapes, as ``\\x1b``, for characters that cannot be seen."""
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)

@@ -1,5 +1,6 @@
 """`Rows` -> the columns of one file: numbers, instants, and text that is set aside. Pure."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, cast
@@ -8,13 +9,15 @@ import numpy as np
 
 from atoll.config import DataConfig
 from atoll.data.dataset import FloatArray
+from atoll.data.table import MANY
 from atoll.errors import DataError
-from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line
-from atoll_coordinator.data.reading.instants import Instants, is_instant
+from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line, visible
+from atoll_coordinator.data.reading.instants import Instants, is_instant, split_origin
 from atoll_coordinator.data.reading.numerals import place, read_numbers
 from atoll_coordinator.data.reading.rows import Rows
 from atoll_coordinator.data.reading.times import compact_dates, read_times
 from atoll_coordinator.data.roles.options import find_trajectory_column, named_columns, split_unit, strip_units
+from atoll_coordinator.data.roles.roles import assigned
 
 TIME: Final = "time"
 
@@ -47,7 +50,10 @@ def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
         DataError: columns share a name, or a cell holds nothing that is expected there.
     """
     rows = _with_index(rows)
-    units, cells = _headed(file, rows)
+    written, cells = _headed(file, rows)
+    counted = {name: split_origin(unit) for name, unit in written.items()}
+    units = {name: unit for name, (unit, _) in counted.items()}
+    since = tuple(f"{name}: in {unit} since {origin}" for name, (unit, origin) in counted.items() if origin)
     names = [*cells]
     config = strip_units(config, names)
     needed, trajectory = named_columns(config), find_trajectory_column(names, config)
@@ -61,9 +67,12 @@ def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
         for name, its in cells.items()
         if name not in runs and name not in times.values and (name not in texts or name in needed)
     }
+    old, new = times.renamed or ("", "")
+    usable = {new if name == old else name: None for name in names if name in {**runs, **times.values, **plain}}
+    if texts and not assigned([*usable], config, trajectory).equations:
+        raise _nothing_left(file, {name: its for name, its in texts.items() if name not in times.values}, rows.lines)
     numbers, remarks = read_numbers(file, plain, rows.lines, rows.separator)
     read = cast(dict[str, FloatArray | Instants], {**runs, **times.values, **numbers})
-    old, new = times.renamed or ("", "")
     skipped = (*_unnamed(rows), *(name for name in texts if name not in read and name != times.absorbed))
     left_out = (f"text left out: {', '.join(skipped)}",) if skipped else ()
     return Columns(
@@ -73,9 +82,21 @@ def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
         rows.lines,
         rows.starts,
         skipped,
-        (*rows.remarks, *remarks, *times.remarks, *left_out),
+        (*rows.remarks, *remarks, *times.remarks, *since, *left_out),
         labels,
     )
+
+
+def _nothing_left(file: str, texts: Mapping[str, Sequence[str]], lines: Sequence[int]) -> DataError:
+    """Name columns of text, and a cell of each."""
+    found = []
+    for name, cells in [*texts.items()][:MANY]:
+        row = next(row for row, cell in enumerate(cells) if not is_missing(cell))
+        cell = textwrap.shorten(on_one_line(cells[row]), 40, placeholder="…")
+        found.append(f"'{name}' holds '{cell}' in {place(lines, row)}")
+    more = ", …" if len(texts) > MANY else ""
+    advice = "write numbers alone into cells, and their unit into the header, as x [%]"
+    return DataError(f"no column of numbers is left in {file}: {', '.join(found)}{more}; {advice}")
 
 
 def _with_index(rows: Rows) -> Rows:
@@ -111,9 +132,9 @@ def _unnamed(rows: Rows) -> list[str]:
 def _numbered(cells: Sequence[str]) -> FloatArray:
     """Number the different texts of a column by first appearance."""
     numbers = {label: float(number) for number, label in enumerate(_labels(cells), start=1)}
-    return np.array([numbers[cell.strip()] for cell in cells], dtype=np.float64)
+    return np.array([numbers[visible(cell.strip())] for cell in cells], dtype=np.float64)
 
 
 def _labels(cells: Sequence[str]) -> tuple[str, ...]:
     """Return the different texts of a column, by first appearance."""
-    return tuple(dict.fromkeys(cell.strip() for cell in cells))
+    return tuple(dict.fromkeys(visible(cell.strip()) for cell in cells))

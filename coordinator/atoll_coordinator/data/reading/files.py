@@ -14,12 +14,12 @@ import numpy as np
 
 from atoll.config import DataConfig
 from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
+from atoll.data.table import Origin, Table
 from atoll.errors import DataError
 from atoll_coordinator.data.reading.arrays import read_npz
 from atoll_coordinator.data.reading.columns import Columns, columns_of
 from atoll_coordinator.data.reading.hdf5 import read_hdf5
-from atoll_coordinator.data.reading.instants import Instants, times_of
+from atoll_coordinator.data.reading.instants import Instants, origin_of, times_of
 from atoll_coordinator.data.reading.layout import read_text
 from atoll_coordinator.data.reading.matlab import read_matlab
 from atoll_coordinator.data.reading.parquet import read_parquet
@@ -28,6 +28,7 @@ from atoll_coordinator.data.reading.rows import Rows
 from atoll_coordinator.data.reading.workbooks import read_workbook
 
 _REFUSED: Final = {
+    ".npy": "a NumPy array without names of columns; save them by name with numpy.savez, or as CSV",
     ".xls": "an Excel workbook of the old format; save it as .xlsx or CSV",
     ".ods": "an OpenDocument spreadsheet; save it as .xlsx or CSV",
     ".pkl": "a pickle, which may hold programs; write CSV or Parquet",
@@ -89,12 +90,15 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
     before = [0, *accumulate(counts[:-1])]
     starts = tuple(start + rows for file, rows in zip(files, before, strict=True) for start in file.starts)
     columns: list[FloatArray] = []
+    origins: dict[str, Origin] = {}
     units, remarks = dict(first.units), []
     for name in first.values:
         values, unit, remark = _joined([file.values[name] for file in files], starts, time_units.get(name))
         columns.append(values)
         if unit:
             units[name] = unit
+            instants = [part for file in files if isinstance(part := file.values[name], Instants)]
+            origins[name] = origin_of(instants, unit)
             remarks.append(f"{name}: {remark}")
     return Table(
         tuple(first.values),
@@ -107,6 +111,7 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
         first.skipped,
         "; ".join([_read_as(files), *remarks]),
         labels,
+        origins,
     )
 
 

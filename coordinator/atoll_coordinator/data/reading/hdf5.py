@@ -13,6 +13,7 @@ from atoll.config import DataConfig
 from atoll.errors import DataError
 from atoll_coordinator.data.reading.arrays import rows_of_arrays
 from atoll_coordinator.data.reading.rows import Rows
+from atoll_coordinator.data.roles.roles import TIME_NAMES
 
 MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 _Arrays = tuple[dict[str, Any], dict[str, str]]
@@ -23,6 +24,10 @@ def read_hdf5(path: Path, config: DataConfig) -> Rows:
     arrays, units = read_arrays(path)
     if not arrays:
         raise DataError(f"{path.name} holds no numeric datasets; one for each column is expected")
+    times = [name for name in arrays if name.rpartition(".")[2] in TIME_NAMES]
+    if len(times) > 1 and config.time is None and config.states is None:
+        advice = "write each group into a file of its own, or choose columns with --time and --states"
+        raise DataError(f"{path.name} holds {len(times)} times, {', '.join(times)}; {advice}")
     return rows_of_arrays(path.name, arrays, config, ("HDF5",), units)
 
 

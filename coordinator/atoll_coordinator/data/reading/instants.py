@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
+from atoll.data.table import MIDNIGHT, Origin
 from atoll.errors import DataError
 from atoll_coordinator.data.reading.cells import is_missing, on_one_line
 
@@ -31,6 +32,8 @@ _CALLED: Final = {
     }.items()
     for name in names.split()
 }
+_SINCE: Final = re.compile(r"\s*(?P<unit>\w+)\s+since\s+(?P<origin>\S.*)", re.IGNORECASE)
+_FINER: Final = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
 _EPOCH: Final = datetime.date(1970, 1, 1).toordinal()
 _MONTHS: Final = ("january", "february", "march", "april", "may", "june", "july", "august", "september")
 _MONTHS_BY_NAME: Final = {
@@ -39,7 +42,7 @@ _MONTHS_BY_NAME: Final = {
     for name in (month, month[:3], month[:4])
 }
 _CLOCK: Final = (
-    r"(?:(?P<days>\d+) days?,? )?(?P<hour>\d{1,4}):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<part>\d+))?)?"
+    r"(?:(?P<days>\d+) days?,? )?(?P<hour>\d{1,4}):(?P<minute>\d\d)(?::(?P<second>\d\d))?(?:[.,](?P<part>\d+))?"
     r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
 _ZONE: Final = r"(?: ?(?P<zone>Z|UTC|GMT|[+-]\d\d(?::?\d\d)?))?"
@@ -68,6 +71,13 @@ class Instants:
     has_date: bool
     has_clock: bool = True
     is_utc: bool = False
+
+
+def split_origin(unit: str) -> tuple[str, str]:
+    """Split ``hours since 2020-01-01``, as netCDF writes the units of times, into unit and origin, "" for none."""
+    match = _SINCE.fullmatch(unit)
+    known = None if match is None else (_CALLED | _FINER).get(match["unit"].lower())
+    return (unit, "") if match is None or known is None else (known, match["origin"].strip())
 
 
 def is_instant(cell: str) -> bool:
@@ -138,9 +148,9 @@ def _each(
 
 
 def _check_hours(column: str, matches: Sequence[_Match | None]) -> None:
-    """Refuse ``45:10``, which may be minutes and seconds."""
+    """Refuse ``45:10`` and ``05:10.5``, which may be minutes and seconds."""
     for match in matches:
-        if match is not None and match["second"] is None and int(match["hour"]) > 24:
+        if match is not None and match["second"] is None and (match["part"] or int(match["hour"]) > 24):
             raise DataError(
                 f"{column} holds '{match[0]}', which may be minutes and seconds; write hours:minutes:seconds"
             )
@@ -153,7 +163,7 @@ def _clock(match: _Match) -> int:
         if not 1 <= hour <= 12:
             raise ValueError(match[0])
         hour = hour % 12 + (12 if match["half"] in "pP" else 0)
-    if minute > 59 or second > 60:
+    if minute > 59 or second > 60 or (match["part"] and match["second"] is None):
         raise ValueError(match[0])
     whole = ((int(match["days"] or 0) * 24 + hour) * 60 + minute) * 60 + second
     return whole * NANOSECONDS["s"] + int((match["part"] or "0").ljust(9, "0")[:9])
@@ -289,8 +299,15 @@ def times_of(columns: Sequence[Instants], starts: Iterable[int], unit: str | Non
     chosen = _unit(values, set(starts)) if unit is None else unit
     length = NANOSECONDS[_CALLED[chosen]]
     times = [float("nan") if value is None else (value - origin) / length for value in values]
-    since = _written(origin, first) if first.has_date else "midnight"
-    return np.array(times, dtype=np.float64), chosen, f"{first.form}, in {chosen} since {since}"
+    remark = f"{first.form}, in {chosen} since {origin_of(columns, chosen).since}"
+    return np.array(times, dtype=np.float64), chosen, remark
+
+
+def origin_of(columns: Sequence[Instants], unit: str) -> Origin:
+    """Return the origin of what `times_of` returns in `unit`."""
+    first = next(value for each in columns for value in each.nanoseconds if value is not None)
+    since = _written(first, columns[0]) if columns[0].has_date else MIDNIGHT
+    return Origin(since, NANOSECONDS[_CALLED[unit]] / NANOSECONDS["s"])
 
 
 def _unit(values: Sequence[int | None], starts: set[int]) -> str:

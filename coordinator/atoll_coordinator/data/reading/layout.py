@@ -7,6 +7,7 @@ numbers, the last comment before it that has as many cells, as `numpy.savetxt` w
 import csv
 import re
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -25,6 +26,8 @@ _LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _COMMENT: Final = re.compile(r"\s*(?:#(?!N/A|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!)|%)", re.IGNORECASE)
 """How a comment begins; what spreadsheets write for an error is none."""
 _SEPARATOR: Final = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)
+_JSON: Final = re.compile(r"""\s*(?:\{\s*["}]|\[\s*[\[{]|[{\[]\s*$)""")
+"""How the first line of JSON begins."""
 _MARKS: Final = "#% \t"
 _Line = tuple[int, str]
 
@@ -53,7 +56,12 @@ def read_text(name: str, data: bytes) -> Rows:
     beginning = _beginning(text)
     if beginning.first is None:
         raise DataError(f"{name} holds comments only; a header line and rows of numbers are expected")
-    rows = _split(name, text, beginning, _COMMENT.match)
+    if _JSON.match(beginning.first[1]):
+        raise DataError(f"{name} holds JSON or JSON lines; give it the ending .json or .jsonl")
+    try:
+        rows = _split(name, text, beginning, _COMMENT.match)
+    except DataError as error:
+        raise (_preamble(name, text, beginning.first[0]) or error) from None
     if not rows.lines and _has_other_comments(text, beginning):  # the first column begins with the mark of a comment
         rows = _split(name, text, beginning, lambda _: None)
     return replace(rows, remarks=(*rows.remarks, encoding)) if encoding else rows
@@ -214,6 +222,21 @@ def _names(comment: str, separator: str, count: int) -> list[str] | None:
             return cells
     cells = re.split(r"\s{2,}", text)
     return cells if len(cells) == count and not any(map(is_numeral, cells)) else None
+
+
+def _preamble(name: str, text: str, first: int) -> DataError | None:
+    """Return what is wrong where most lines have as many cells as a header below line `first`, others above it not."""
+    lines = [(number, line) for number, line in _lines(text) if number >= first and line.strip()]
+    for separator in "\t;,":
+        counts = [len(cells_of(line, separator)) for _, line in lines]
+        usual = Counter(counts).most_common(1)[0][0]
+        place, header = lines[counts.index(usual)]
+        if usual > 1 and place > first and not any(map(is_numeral, cells_of(header, separator))):
+            last = lines[counts.index(usual) - 1][0]
+            above = f"line {first} of {name} stands" if last == first else f"lines {first} to {last} of {name} stand"
+            shown = textwrap.shorten(on_one_line(header), 60, placeholder="…")
+            return DataError(f"{above} above the header '{shown}' in line {place}; begin them with #, or remove them")
+    return None
 
 
 def _check_header(name: str, headers: Sequence[str]) -> None:

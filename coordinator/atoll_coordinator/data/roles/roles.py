@@ -99,7 +99,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
     for name, unit in config.units.items():
         _check_known(name, table)
         _check_unit(name, unit)
-    roles = _assigned(table.names, config, trajectory)
+    roles = assigned(table.names, config, trajectory)
     _check_time(roles, table)
     _check_equations(roles, config, table)
     _check_angles(roles)
@@ -128,7 +128,8 @@ def _check_unit(name: str, text: str) -> None:
         raise UsageError(f"--unit for '{name}': {error}") from error
 
 
-def _assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
+def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
+    """Return the roles of columns by their names alone; nothing is checked."""
     time = config.time or next((name for name in TIME_NAMES if name in names and _is_free(name, config)), None)
     taken = {time, trajectory, config.group, config.target, config.weights, *config.inputs, *(config.derivatives or ())}
     rest = tuple(name for name in names if name not in taken)
@@ -168,10 +169,11 @@ def _check_time(roles: Roles, table: Table) -> None:
 
 def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
     if not roles.equations:
-        if table.skipped:
-            found = f"no column of numbers is left to be a state; text: {', '.join(table.skipped)}"
-            raise DataError(f"{found}; write numbers alone into cells, and their unit into the header, as x [%]")
         raise DataError("no column is left to be a state; name the states with --states")
+    clash = next((name for name in roles.states if roles.order == 2 and f"{name}_dot" in roles.states), None)
+    if clash is not None:
+        found = f"'{clash}_dot' is a state and with --order 2 also the name of the velocity of '{clash}'"
+        raise DataError(f"{found}; name the states without it, as --states {clash}, or leave --order 2 out")
     if roles.target is not None and not roles.inputs:
         raise DataError(f"there is no column besides '{roles.target}' from which it could be computed; add one")
     if roles.derivatives and len(roles.derivatives) != len(roles.states):

@@ -83,10 +83,11 @@ def check_trajectory(table: Table, name: str, times: FloatArray, rows: Sequence[
         raise DataError(f"the time column '{name}' is constant ({float(times[0]):g}); name another with --time")
     for row, (before, after) in zip(rows[1:], pairwise(times.tolist()), strict=True):
         if after == before:
-            problem = f"time {after!r} is repeated at {table.places([row])}"
+            problem = f"time {table.moment(name, after)} is repeated at {table.places([row])}"
             raise DataError(f"{problem}; keep one row, or mark trajectories (--trajectory COLUMN or blank rows)")
         if after < before:
-            problem = f"time goes back from {before!r} to {after!r} at {table.places([row])}"
+            moments = f"from {table.moment(name, before)} to {table.moment(name, after)}"
+            problem = f"time goes back {moments} at {table.places([row])}"
             raise DataError(f"{problem}; sort the rows, or mark trajectories (--trajectory COLUMN or blank rows)")
     if len(rows) < MIN_ROWS:
         count = f"{len(rows)} {'row' if len(rows) == 1 else 'rows'}"

@@ -5,6 +5,7 @@ import polars
 import pytest
 
 from atoll.config import DataConfig
+from atoll.data.table import Table
 from atoll.errors import DataError
 from atoll_coordinator.data.reading.files import read_table
 
@@ -226,3 +227,20 @@ def test_an_npz_that_is_none_is_refused_without_advice_to_trust_it(tmp_path, con
     with pytest.raises(DataError, match=r"a\.npz is not an NPZ file of plain arrays") as caught:
         read_table([tmp_path / "a.npz"], DataConfig())
     assert "pickle" not in str(caught.value)
+
+
+def test_characters_that_a_terminal_obeys_are_escaped(read):
+    table = read("t,x\x1b[31m,trajectory\n0,1,a\x1b\n1,2,a\x1b\n", config=DataConfig(group="trajectory"))
+    assert table.names == ("t", r"x\x1b[31m", "trajectory")
+    assert table.labels == {"trajectory": (r"a\x1b",)}
+
+
+def test_origins_of_dates_survive_the_wire(read):
+    table = read("t,x\n2021-10-31 02:50,1\n2021-10-31 03:00,2\n")
+    assert Table.from_bytes(table.to_bytes()).moment("t", 5.0) == "2021-10-31 02:55:00"
+    assert table.moment("x", 5.0) == "5.0"
+
+
+def test_units_with_an_origin_are_units(read):
+    table = read("t [hours since 2020-01-01 00:00],x [fish since]\n0,1\n")
+    assert (table.units, table.read_as) == (("h", "fish since"), "text with commas; t: in h since 2020-01-01 00:00")

@@ -246,3 +246,12 @@ def test_a_row_of_units_below_a_header_of_dates(tmp_path: Path) -> None:
     found = read_table([tmp_path / "a.csv"], DataConfig())
     assert found.column("S").tolist() == [1.5, 2.5, 3.5, 4.5, 5.5]
     assert found.units[found.names.index("I")] == "mg/L"
+
+
+def test_groups_with_times_of_their_own_are_refused_unless_options_choose(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for group in "ab":
+            file[f"{group}/t"], file[f"{group}/x"] = T, X
+    with pytest.raises(DataError, match=r"a\.h5 holds 2 times, t, b\.t; write each group into a file of its own"):
+        read_table([tmp_path / "a.h5"], DataConfig())
+    assert read_table([tmp_path / "a.h5"], DataConfig(time="t", states=("x",))).rows == len(T)

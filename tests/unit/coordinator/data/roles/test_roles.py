@@ -87,7 +87,8 @@ def test_contradictory_options_are_refused(options, message):
         ("t x", {"inputs": ("wind",)}, "there is no column 'wind' in a.csv, which has t, x"),
         ("t x", {"states": ("who",)}, "column 'who' holds text; a column of numbers is expected"),
         ("x y", {}, "no time column was found (looked for t or time); name it with --time (perhaps x), or use"),
-        ("t", {}, "no column of numbers is left to be a state; text: who; write numbers alone into cells"),
+        ("t", {}, "no column is left to be a state; name the states with --states"),
+        ("t x x_dot", {"order": 2}, "'x_dot' is a state and with --order 2 also the name of the velocity of 'x'"),
         ("x", {"target": "x"}, "there is no column besides 'x' from which it could be computed"),
     ],
 )
