@@ -93,7 +93,9 @@ def process_lines(result: Mapping[str, Any]) -> list[str]:
         start = f"{ensemble['finite_paths']} paths from the beginning of trajectory {ensemble['trajectory']}"
         lines.append(f"ensemble: {start}; at t = {ensemble['times'][-1]:.6g} 90 % have {', '.join(ranges)}")
     if its["stationary"] is None:
-        return [*lines, "stationary density: none that simulations settle into"]
+        has_inputs = bool((result.get("system") or {}).get("inputs"))
+        reason = "not sought: there are inputs" if has_inputs else "none that simulations settle into"
+        return [*lines, f"stationary density: {reason}"]
     for state, density in its["stationary"].items():
         edges = density["edges"]
         lines.append(

@@ -14,7 +14,12 @@ if TYPE_CHECKING:
     from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 
 _LEAST_CURVATURE: Final = 1e-13
-"""Curvatures of an initial state are at least so large, over the largest: smaller ones are rounding."""
+"""Least curvature of an initial state, its D coordinates scaled to a curvature of one: smaller ones are rounding.
+
+Entries are sums over N rows, rounded by about eps*sqrt(N) each, and the largest eigenvalue is at most D, so that
+eigenvalues are known to about eps*D*sqrt(N): 1e-13 at D = 7 and N = 4000. It is one number for all: with fewer rows
+some curvature that is known is raised, with more some rounding is kept.
+"""
 
 
 @dataclass(frozen=True, eq=False)

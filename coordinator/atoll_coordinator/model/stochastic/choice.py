@@ -147,8 +147,11 @@ class ProcessChoice:
         model = replace(model, discretisation="Euler-Maruyama")
         for place, (i, j) in enumerate(model.pairs):
             if i == j and len(model.drift) + place in self._sought:
-                without, _ = self._without(model, len(model.drift) + place)
-                is_better = self._likelihood.whitened(without).misfit < self._likelihood.whitened(model).misfit
+                without, length = self._without(model, len(model.drift) + place)
+                is_better = (
+                    math.isfinite(length)
+                    and self._likelihood.whitened(without).misfit < self._likelihood.whitened(model).misfit
+                )
                 model = without if is_better else model
         return self._likelihood.fit(model, self._free(model))
 
@@ -237,7 +240,7 @@ class ProcessChoice:
         return (without, its) if its < length else (found_model, length)
 
     def _without(self, model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
-        """Return the model with one component of the diffusion zero, and its length.
+        """Return the model with one component of the diffusion zero, and its length, infinite where it may not be.
 
         Of a variance, all components of that state are, and its drift is fitted again: where it follows states with
         noise, their noise is then all that it is uncertain by.
@@ -250,9 +253,17 @@ class ProcessChoice:
                 without = without.with_program(states + place, _constant(0.0)) if i in pair else without
             free = tuple(each for each in (i,) if each in self._sought)
             without = self._likelihood.fit(without, free, SETTINGS.selection.least_gain).model
-        is_kept = self._restrictions[number].are_kept(without.programs[number])
+        made = [each for each, program in enumerate(without.programs[states:], states)
+                if is_zero(program) and not is_zero(model.programs[each])]  # fmt: skip
+        is_kept = all(self._may_be_zero(each) for each in made)
         misfit = self._likelihood.whitened(without).misfit if is_kept else math.inf
         return without, self._length(misfit, without.programs[number], 0)
+
+    def _may_be_zero(self, number: int) -> bool:
+        """Tell whether a component of the diffusion may be zero: it is sought, and its restrictions admit zero."""
+        its, zero = self._restrictions[number], _constant(0.0)
+        is_within = its.bounds is None or is_zero(its.bounds.clipped(zero))
+        return number in self._sought and its.are_kept(zero) and is_within
 
     def _is_of_no_noise(self, model: ProcessModel, number: int) -> bool:
         """Tell whether an equation is the covariance of noises of which one is none."""

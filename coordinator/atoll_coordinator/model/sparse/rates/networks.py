@@ -20,7 +20,11 @@ from atoll_coordinator.model.sparse.shapes import SCALED, Shape
 from atoll_coordinator.settings import SETTINGS
 
 _STEEPNESS = (1.0, 3.0, 10.0)
-"""Standard deviations of the argument to begin with: from nearly a line to nearly a step."""
+"""Standard deviations of the argument to begin with, each about the root of ten times the one before.
+
+Of a normal argument the tangent correlates by 0.96 with a line at the first, and at the last 92 % of its values are
+beyond ±0.76, as those of a step. Each takes a fit of every direction; with fewer, more fits end in a minimum nearby.
+"""
 
 
 @dataclass(frozen=True, eq=False)

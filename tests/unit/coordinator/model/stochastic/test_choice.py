@@ -11,6 +11,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.stochastic.choice import ChosenProcess, ProcessChoice, is_zero
+from atoll_coordinator.model.stochastic.likelihood import ProcessModel
 from tests.unit.coordinator.data.tables import table_of
 
 
@@ -35,13 +36,29 @@ def euler_maruyama(rows: int, step: float, seed: int) -> FloatArray:
     return np.array(found).T
 
 
-def choice_of(states: FloatArray, known: Mapping[str, str] | None = None) -> ChosenProcess:
-    config = JobConfig(data=DataConfig(stochastic=True), space=SpaceConfig(operators=("+", "-", "*")))
+def begun(
+    states: FloatArray, known: Mapping[str, str] | None = None, required: Mapping[str, tuple[str, ...]] | None = None
+) -> ProcessChoice:
+    space = SpaceConfig(operators=("+", "-", "*"), required_of=dict(required or {}))
+    config = JobConfig(data=DataConfig(stochastic=True), space=space)
     prepared = prepare(table_of({"t": 0.1 * np.arange(states.shape[1]), "x": states[0], "v": states[1]}), config)
     assert prepared.process is not None
     assert prepared.process.components == ("[x]", "[v]"), "what v carries over to x is no correlation of noises"
     candidates = {name: CandidateSet(known=from_infix(text, ["x", "v"])) for name, text in (known or {}).items()}
-    return ProcessChoice(prepared.dataset, prepared.process, config, candidates, Deadline()).choose()
+    return ProcessChoice(prepared.dataset, prepared.process, config, candidates, Deadline())
+
+
+def choice_of(states: FloatArray, known: Mapping[str, str] | None = None) -> ChosenProcess:
+    return begun(states, known).choose()
+
+
+def test_a_variance_that_must_depend_on_a_variable_does_not_become_zero() -> None:
+    states = np.round(euler_maruyama(120, 0.1, seed=1), 7)
+    programs = [from_infix(text, ["x", "v"]) for text in ("v", "-x - 0.5*v", "0.01*v*v", "0.25")]
+    model = ProcessModel(tuple(programs[:2]), tuple(programs[2:]), ((0, 0), (1, 1)), (0.0, 0.0))
+    assert is_zero(begun(states)._as_euler_maruyama(model).model.programs[2])
+    its = begun(states, required={"[x]": ("v",)})
+    assert not is_zero(its._as_euler_maruyama(model).model.programs[2])
 
 
 def test_a_table_made_by_euler_and_maruyama_is_taken_for_that() -> None:
