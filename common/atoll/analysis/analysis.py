@@ -1,7 +1,7 @@
 """Everything that is found of a model's dynamics, in one object."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -38,6 +38,7 @@ class Analysis:
     `lyapunov` is of courses that no fixed point or cycle explains, None where there are none. `comparisons` stand
     beside the measured trajectories, but not beside those `not_compared`, whose inputs are not known. `branches` (of
     fixed points) and `cycle_branches` are those along what was `varied`; `coefficients` name what can be.
+    `caveat` says of which equations the verdict is `no model`, "" where of none.
     """
 
     field: VectorField
@@ -56,6 +57,7 @@ class Analysis:
     branches: tuple[Branch, ...] = ()
     cycle_branches: tuple[CycleBranch, ...] = ()
     not_compared: tuple[str, ...] = ()
+    caveat: str = ""
 
     def __str__(self) -> str:
         from atoll.analysis.rendering import as_text
@@ -176,7 +178,14 @@ def analyse_result(
     held = np.array([float((inputs or {}).get(name, 0.0)) for name in field.inputs])
     box, measured = box_of(found, field, bounds)
     varied = None if vary is None else (vary[0], _range(*vary[1]))
-    return analyse(field, box, inputs=held, measured=measured, vary=varied)
+    return replace(analyse(field, box, inputs=held, measured=measured, vary=varied), caveat=_caveat(found))
+
+
+def _caveat(found: Mapping[str, Any]) -> str:
+    sides = [str(each["lhs"]) for each in found["equations"] if each.get("verdict") == "no model"]
+    if not sides:
+        return ""
+    return f"The verdict on {', '.join(sides)} is no model: these are dynamics of equations that do not fit the data."
 
 
 def _range(lower: float, upper: float) -> tuple[float, float]:

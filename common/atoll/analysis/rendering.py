@@ -29,6 +29,7 @@ def as_data(its: Analysis) -> dict[str, Any]:
     names = its.field.states
     return {
         "schema": SCHEMA,
+        "caveat": its.caveat,
         "states": list(names),
         "inputs": dict(zip(its.field.inputs, _list(its.inputs), strict=True)),
         "box": {name: [low, high] for name, low, high in zip(names, its.box.lower, its.box.upper, strict=True)},
@@ -215,7 +216,8 @@ def _cycle_branch(its: CycleBranch) -> dict[str, Any]:
 def as_text(its: Analysis) -> str:
     """Return the analysis as lines for a person."""
     return "\n".join(
-        [*_box_lines(its), *_fixed_lines(its), *_cycle_lines(its), *_basin_lines(its), *_other_lines(its),
+        [*filter(None, [its.caveat]), *_box_lines(its),
+         *_fixed_lines(its), *_cycle_lines(its), *_basin_lines(its), *_other_lines(its),
          *_comparison_lines(its), *_branch_lines(its)]
     )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """The experiments that are worth most, as they are said."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal, get_args
 
 SCHEMA: Final = 1
@@ -24,7 +24,8 @@ class Candidate:
 
     Its `weight` among all candidates is Akaike's, by how well it describes the data alone; `nats` how far it is behind
     the best one: ln of the ratio of weights. `longer` is how many nats more than the shown one its description has,
-    which is what results choose by: it also counts what the equations are made of.
+    which is what results choose by: it also counts what the equations are made of. `written` are the equations with the
+    constants of the result, where these are others; empty where not.
     """
 
     equations: Mapping[str, str]
@@ -32,6 +33,7 @@ class Candidate:
     weight: float
     nats: float
     longer: float = 0.0
+    written: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -101,10 +103,13 @@ class Suggestions:
         return "\n".join([*self._candidate_lines(), *self._bound_lines(), *self._experiment_lines()])
 
     def _candidate_lines(self) -> list[str]:
-        lines = [f"candidates ({self.source}):"]
+        lines = [f"candidates, their constants fitted again ({self.source}):"]
         for number, each in enumerate(self.candidates, start=1):
             texts = "; ".join(f"{side} = {text}" for side, text in each.equations.items())
             lines.append(f"  {number}. weight {each.weight:.2g} ({self._origin(each)})  {texts}")
+            if each.written:
+                texts = "; ".join(f"{side} = {text}" for side, text in each.written.items())
+                lines.append(f"     with the constants of the result  {texts}")
         if self.candidates and self.candidates[0].origin != "shown":
             lines.append(_WEIGHTS)
         purpose = "to tell them apart" if self.purpose == "discrimination" else "to determine constants"
@@ -153,6 +158,7 @@ class Suggestions:
                     "weight": each.weight,
                     "nats": each.nats,
                     "longer": each.longer,
+                    "written": dict(each.written),
                 }
                 for each in self.candidates
             ],

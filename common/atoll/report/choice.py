@@ -41,8 +41,13 @@ def _next_experiment(found: "Suggestions") -> list[Element]:
     told_apart = found.purpose == "discrimination"
     text = f"Experiments that {'tell these apart' if told_apart else 'determine the constants'}, since {found.reason}."
     systems: list[list[Child]] = [
-        [number(each.weight, 2), each.origin, element("code", "; ".join(map(" = ".join, each.equations.items())))]
+        [number(weight, 2), origin, element("code", "; ".join(map(" = ".join, equations.items())))]
         for each in found.candidates
+        for weight, origin, equations in (
+            (each.weight, each.origin, each.equations),
+            (None, f"{each.origin}, with the constants of the result", each.written),
+        )
+        if equations
     ]
     rows: list[list[Child]] = [
         [
@@ -58,7 +63,7 @@ def _next_experiment(found: "Suggestions") -> list[Element]:
     return [
         element("h3", "The next experiment"),
         paragraph(text),
-        table("Systems", ["weight", "origin", "equations"], systems),
+        table("Systems, their constants fitted again", ["weight", "origin", "equations"], systems),
         table("Experiments", heads, rows),
     ]
 

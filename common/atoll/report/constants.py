@@ -32,7 +32,16 @@ def constants(its: Findings) -> list[Element]:
     profiles = [] if its.identifiability is None else _profiles(its.identifiability)
     if count_constants(its.result) > MOST_PROFILES:
         profiles.append(paragraph("coordinator analyse --identifiability says what the data determine of so many."))
-    return [section("constants", "Constants", table("Constants", heads, rows), *_groups(its, names), *notes, *profiles)]
+    return [
+        section(
+            "constants",
+            "Constants",
+            table("Constants", heads, rows, is_stacked=True),
+            *_groups(its, names),
+            *notes,
+            *profiles,
+        )
+    ]
 
 
 def _groups(its: Findings, names: Mapping[str, Sequence[str]]) -> list[Element]:

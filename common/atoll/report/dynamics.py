@@ -25,7 +25,7 @@ def dynamics(its: Findings) -> list[Element]:
     if its.analysis is None:
         return [section("dynamics", "Dynamics", paragraph(f"The model is not analysed: {its.unanalysed}."))]
     found = its.analysis.as_dict()
-    parts: list[Element] = []
+    parts: list[Element] = [paragraph(its.analysis.caveat)] if its.analysis.caveat else []
     if len(found["states"]) == 2:
         parts.append(element("div", _phase_plane(its, its.analysis), class_="pictures"))
     parts.append(_searched(found))

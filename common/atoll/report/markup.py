@@ -53,22 +53,23 @@ def facts(pairs: Iterable[tuple[str, Child]]) -> Element:
     return listed
 
 
-def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Child]]) -> Element:
+def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Child]], *, is_stacked: bool = False) -> Element:
     """Return a table that scrolls by itself where it is wider than the page; texts that are numbers stand right.
 
-    A column without any entry is left out.
+    A column without any entry is left out. One that `is_stacked` has its cells below each other on narrow pages.
     """
     rows = [*rows]
     kept = [place for place in range(len(heads)) if not rows or any(row[place] != "" for row in rows)]
     head = element("tr", *(element("th", heads[place], scope="col") for place in kept))
-    body = element("tbody", *(element("tr", *(_cell(row[place]) for place in kept)) for row in rows))
-    made = element("table", element("caption", caption), element("thead", head), body)
+    body = element("tbody", *(element("tr", *(_cell(row[place], heads[place]) for place in kept)) for row in rows))
+    kind = {"class_": "stacked"} if is_stacked else {}
+    made = element("table", element("caption", caption), element("thead", head), body, **kind)
     return scrolling(caption, made)
 
 
-def _cell(content: Child) -> Element:
+def _cell(content: Child, head: str) -> Element:
     is_number = isinstance(content, str) and content[:1] in "-0123456789" and content != ""
-    return element("td", content, class_="number") if is_number else element("td", content)
+    return element("td", content, data_head=head, **({"class_": "number"} if is_number else {}))
 
 
 def scrolling(label: str, content: Element) -> Element:

@@ -16,6 +16,7 @@ from atoll.data.table import Table
 from atoll.errors import UsageError
 from atoll.experiments.suggestions import Candidate, Purpose, Suggestion, Suggestions
 from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.experiments.designs import (
     NONE,
     Design,
@@ -211,7 +212,13 @@ class _Report:
             for name, program in zip(equations.variables, programs, strict=True)
         }
         shown = next(each.length for each in self._rivals if each.origin == "shown")
-        return Candidate(texts, its.origin, its.weight, its.nats, its.length - shown)
+        written = {}
+        if its.origin == "shown":
+            read = (from_infix(each["expression"], equations.names) for each in self._found["equations"])
+            of_result = (to_infix(program, equations.names, digits=4) for program in read)
+            written = dict(zip(sides.values(), of_result, strict=True))
+        others = {} if written == texts else written
+        return Candidate(texts, its.origin, its.weight, its.nats, its.length - shown, others)
 
     def _suggestion(self, its: _Tried, *, is_precise: bool) -> Suggestion:
         space, design = self._space, its.design

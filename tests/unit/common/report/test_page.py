@@ -11,6 +11,7 @@ from atoll.experiments.suggestions import Candidate, Suggestion, Suggestions
 from atoll.model.model import Model
 from atoll.report.choice import choice
 from atoll.report.constants import constants
+from atoll.report.dynamics import dynamics as section_of_dynamics
 from atoll.report.findings import MOST_PROFILES, Findings
 from atoll.report.markup import Element, table, to_text
 from atoll.report.origin import origin
@@ -221,3 +222,29 @@ def test_figures_have_the_digits_that_their_errors_leave() -> None:
     assert "1.99956 to 2.00019" in to_text(constants(its)[0])
     assert "R² at least 0.9999" in to_text(overview(its))
     assert all(">0.9999<" in to_text(each) for each in (trajectories(its)[0], choice(its)[0]))
+
+
+def test_dynamics_of_equations_that_do_not_fit_are_said_to_be_so() -> None:
+    found = dynamics()
+    found["equations"][1]["verdict"] = "no model"
+    analysis = Model(found).analyse()
+    assert str(analysis).startswith("The verdict on dy/dt is no model:")
+    section = to_text(section_of_dynamics(Findings(found, Model(found), analysis))[0])
+    assert section.index("The verdict on dy/dt is no model:") < section.index("<svg")
+
+
+def test_constants_of_the_result_stand_beside_those_fitted_again() -> None:
+    shown = Candidate({"dx/dt": "2.5*x"}, "shown", 1.0, 0.0, written={"dx/dt": "2*x"})
+    its = Suggestions("precision", "there is one", 0.0, (shown,), (), {}, (), "trajectory", "1 trajectory")
+    lines = str(its).splitlines()
+    assert "fitted again" in lines[0]
+    assert lines[2].strip() == "with the constants of the result  dx/dt = 2*x"
+    text = to_text(choice(Findings(dynamics(), None, suggestions=its))[0])
+    assert "shown, with the constants of the result" in text
+    assert "2*x" in text
+
+
+def test_constants_are_stacked_on_narrow_pages() -> None:
+    text = to_text(constants(Findings(dynamics(), None))[0])
+    assert '<table class="stacked">' in text
+    assert 'data-head="standard error"' in text

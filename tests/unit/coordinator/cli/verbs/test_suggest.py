@@ -34,7 +34,7 @@ def test_text_names_candidates_bounds_and_experiments(saved: Path, capsys: pytes
     words = ["suggest", str(saved), "--data", str(saved / "a.csv"), "--rival", "dx=-x + 0.1*x**2", "--cost", "samples"]
     assert main(words) == 0
     said = capsys.readouterr().out
-    assert said.startswith("candidates (the data that were given):")
+    assert said.startswith("candidates, their constants fitted again (the data that were given):")
     assert re.search(r"\(given, [\d.e+-]+ nats longer\)  dx/dt = ", said)
     assert "(of the data, smoothed)" in said
     assert "experiment 1: x = " in said
