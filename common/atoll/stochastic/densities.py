@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.special import stdtrit
 
 from atoll.data.dataset import FloatArray
 from atoll.stochastic.paths import Simulator
@@ -78,8 +77,10 @@ def _is_settled(paths: FloatArray) -> bool:
     Each of the 2 S changes has Student's distribution over its error from P paths, one by one; the level is divided
     among them (Bonferroni), and among both signs.
     """
+    from scipy import special  # not needed by processes that only read results
+
     half = len(paths) // 2
-    most = stdtrit(paths.shape[2] - 1, 1.0 - _LEVEL / (2 * 2 * paths.shape[1]))
+    most = special.stdtrit(paths.shape[2] - 1, 1.0 - _LEVEL / (2 * 2 * paths.shape[1]))
     for power in (1, 2):
         moments = paths**power
         change = moments[half:].mean(axis=0) - moments[:half].mean(axis=0)
