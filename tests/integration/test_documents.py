@@ -56,7 +56,7 @@ NOT_RUN = {
     # outputs
     r"limit cycles as c3 varies": "minutes of another system: tests/unit/common/analysis/test_cycle_continuation.py",
     r"identifiability \(95 %": "of data that the page does not have: tests/unit/coordinator/experiments",
-    r"candidates \(4 trajectories": "of data that the page does not have: tests/unit/coordinator/experiments",
+    r"candidates, their constants": "of data that the page does not have: tests/unit/coordinator/experiments",
     r"dx/dt = 0.534067": "of data that the page does not have: tests/unit/coordinator/model/inference/test_groups.py",
     r"dx/dt = x\*\(1\.5 - y\)": "of data that the page does not have: tests/unit/common/test_units.py",
     r"warning: Trajectories were simulated in pieces": "a search of chaotic data: benchmarks/RESULTS.md",
