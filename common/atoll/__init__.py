@@ -17,10 +17,10 @@ from typing import Any, Final
 VERSION: Final = "0.1.0"
 """Version of the distribution; kept equal to pyproject.toml by a test."""
 
-PROTOCOL_VERSION: Final = 6
+PROTOCOL_VERSION: Final = 7
 """Raised whenever a message on the wire changes its shape or meaning."""
 
-ENGINE_REVISION: Final = 6
+ENGINE_REVISION: Final = 7
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""
 
 _API: Final = "atoll_coordinator.api"

@@ -21,7 +21,7 @@ CrowdingDistance = Literal["live nodes", "live nodes and constants", "all nodes"
 PAPER_TERMINALS = 7
 TERMINALS_BEYOND_VARIABLES = 5
 
-PositiveInt = Annotated[int, Field(ge=1)]
+PositiveInt = Annotated[int, Field(ge=1, lt=2**63)]
 _SEQUENCES: Final = frozenset({"list", "tuple", "set", "frozenset"})
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -71,7 +71,7 @@ class DataConfig(Model):
     only: tuple[str, ...] | None = Field(None, description="search these equations only")
     stochastic: bool = Field(False, description="seek the drift and the diffusion of a process with noise of its own")
     robust: bool = Field(False, description="smooth so that outliers lose their weight")
-    holdout: Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
+    holdout: PositiveInt | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
         None, description="trajectories kept from the search: so many last ones, or COLUMN=VALUE"
     )
     weights: str | None = Field(None, description="column of row weights: inverse variances, up to a factor; 0: unused")
@@ -149,7 +149,7 @@ class EvolutionConfig(Model):
     scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
     constant_steps: ConstantSteps = Field("relative", description="how the mutation of a constant moves it")
     constant_moves: Probability = Field(0.5, description="share of mutated constants moved; the others are redrawn")
-    refit_interval: Annotated[int, Field(ge=1)] = Field(10, description="generations between offers to the front")
+    refit_interval: PositiveInt = Field(10, description="generations between offers to the front")
     runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
         None, description="next best of each complexity kept beside the front; None: 0, or 8 with noisy targets"
     )

@@ -40,6 +40,10 @@ class RefusedError(AtollError):
     exit_code = 2
 
 
+class TableMissingError(RefusedError):
+    """Raised when a job is submitted whose table the coordinator does not have, or not any more: upload it again."""
+
+
 class LocalProtocolError(AtollError):
     """Raised when our own side breaks the protocol: a bug; the process stops."""
 

@@ -23,6 +23,7 @@ def run_program(module: str) -> NoReturn:
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else a parent has it ignored
         signal.signal(signal.SIGINT, _end_at_once)
+    reap_children()
     open_closed_streams()
     from atoll.machine.garbage import collect_rarely
 
@@ -30,6 +31,12 @@ def run_program(module: str) -> NoReturn:
     code: int = importlib.import_module(module).main(sys.argv[1:])
     flush_streams()
     os._exit(code)
+
+
+def reap_children() -> None:
+    """Learn how child processes end, also where a parent has that ignored: the system would not tell how they did."""
+    if hasattr(signal, "SIGCHLD"):
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
 
 
 def raise_interrupts() -> None:

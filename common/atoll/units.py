@@ -2,7 +2,8 @@
 
 Any word is a unit: what is not known stands for itself, as cells or EUR do. Known symbols are also written by those of
 the SI, with their factor as powers of 2, 3 and 5, so that N is kg m s^-2, and min 60 s. Temperatures on shifted scales
-and units whose factor is no such product (ft, eV) stand for themselves.
+and units whose factor is no such product (ft, eV) stand for themselves, and so does pH, the acidity: whoever means
+picohenry writes nH/1000.
 """
 
 import re
@@ -39,7 +40,12 @@ _PLAIN: Final = {
     "yr": "year", "yrs": "year", "y": "year", "a": "year", "meter": "m", "metre": "m", "degrees": "deg",
     "degree": "deg", "°": "deg",
 }  # fmt: skip
+_THEMSELVES: Final = frozenset({"pH"})
+"""What looks like a prefix with a symbol and is none."""
 _PRIMES: Final = (2, 3, 5, 7)
+_FACTORS: Final = frozenset(map(str, _PRIMES))
+_LONGEST: Final = 300
+"""Characters of a unit. No unit has as many, and what has fewer cannot have too many brackets to be read."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +74,10 @@ class Unit:
     def __str__(self) -> str:
         if not self.powers:
             return "1"
-        above = [_power(symbol, power) for symbol, power in self.powers if power > 0]
-        below = [_power(symbol, -power) for symbol, power in self.powers if power < 0]
+        # Numbers first: one right behind a symbol is read as its exponent.
+        ordered = sorted(self.powers, key=lambda each: not is_factor(each[0]))
+        above = [_power(symbol, power) for symbol, power in ordered if power > 0]
+        below = [_power(symbol, -power) for symbol, power in ordered if power < 0]
         divisor = below[0] if len(below) == 1 else f"({' '.join(below)})"
         return (" ".join(above) or "1") + (f"/{divisor}" if below else "")
 
@@ -91,22 +99,26 @@ def parse_unit(text: str) -> Unit:
     """
     if text.strip() in _NONE:
         return NO_UNIT
+    if len(text) > _LONGEST:
+        raise UsageError(_fault(text))
     tokens: list[tuple[str, str]] = []
     place, end = 0, len(text.rstrip())
     while place < end:
         match = _TOKEN.match(text, place)
         if match is None or match.lastgroup is None:
-            raise UsageError(_FAULT.format(text))
+            raise UsageError(_fault(text))
         tokens.append((match.lastgroup, match[match.lastgroup]))
         place = match.end()
     parser = _Parser(text, tokens)
     found = parser.product()
     if parser.left:
-        raise UsageError(_FAULT.format(text))
+        raise UsageError(_fault(text))
     return found
 
 
-_FAULT: Final = "{!r} is no unit; write a product of powers such as m/s^2 or mol/(L h)"
+def _fault(text: str) -> str:
+    shown = text if len(text) <= _LONGEST else text[:30] + "…"
+    return f"{shown!r} is no unit; write a product of powers such as m/s^2 or mol/(L h)"
 
 
 class _Parser:
@@ -134,12 +146,12 @@ class _Parser:
             else:
                 found, side = found.times(self._factor(), side), 1
         if side < 0:
-            raise UsageError(_FAULT.format(self._text))
+            raise UsageError(_fault(self._text))
         return found
 
     def _next(self) -> tuple[str, str]:
         if not self.left:
-            raise UsageError(_FAULT.format(self._text))
+            raise UsageError(_fault(self._text))
         return self._tokens[self._place]
 
     def _factor(self) -> Unit:
@@ -152,10 +164,10 @@ class _Parser:
         elif (kind, value) == ("sign", "("):
             base = self.product()
             if self._next() != ("sign", ")"):
-                raise UsageError(_FAULT.format(self._text))
+                raise UsageError(_fault(self._text))
             self._place += 1
         else:
-            raise UsageError(_FAULT.format(self._text))
+            raise UsageError(_fault(self._text))
         return NO_UNIT.times(base, self._exponent(is_symbol=kind != "number"))
 
     def _exponent(self, *, is_symbol: bool) -> Fraction:
@@ -179,9 +191,12 @@ class _Parser:
             found = self._number()
             if self._next() == ("sign", "/"):
                 self._place += 1
-                found /= self._number()
+                divisor = self._number()
+                if not divisor:
+                    raise UsageError(_fault(self._text))
+                found /= divisor
             if self._next() != ("sign", ")"):
-                raise UsageError(_FAULT.format(self._text))
+                raise UsageError(_fault(self._text))
             self._place += 1
             return found
         if kind == "sign" and value in "+-−":
@@ -190,7 +205,7 @@ class _Parser:
             return Fraction(value)
         if kind == "raised":
             return Fraction(value.translate(_RAISED))
-        raise UsageError(_FAULT.format(self._text))
+        raise UsageError(_fault(self._text))
 
 
 def _factored(number: Fraction, text: str) -> dict[str, Fraction]:
@@ -199,14 +214,19 @@ def _factored(number: Fraction, text: str) -> dict[str, Fraction]:
     for part, sign in ((number.numerator, 1), (number.denominator, -1)):
         rest = part
         if rest <= 0:
-            raise UsageError(_FAULT.format(text))
+            raise UsageError(_fault(text))
         for prime in _PRIMES:
             while rest % prime == 0:
                 found[str(prime)] = found.get(str(prime), Fraction(0)) + sign
                 rest //= prime
         if rest != 1:
-            raise UsageError(_FAULT.format(text))
+            raise UsageError(_fault(text))
     return found
+
+
+def is_factor(symbol: str) -> bool:
+    """Tell whether a symbol of an expanded unit is a number."""
+    return symbol in _FACTORS
 
 
 def expanded(unit: Unit) -> dict[str, Fraction]:
@@ -221,7 +241,7 @@ def expanded(unit: Unit) -> dict[str, Fraction]:
 def _expanded(symbol: str) -> dict[str, Fraction]:
     if symbol in _PLAIN:
         return expanded(parse_unit(_PLAIN[symbol]))
-    if symbol in _BASE.split() or symbol.isdigit():
+    if symbol in _BASE.split() or symbol in _THEMSELVES or is_factor(symbol):
         return {symbol: Fraction(1)}
     if symbol in _DERIVED:
         return expanded(parse_unit(_DERIVED[symbol]))

@@ -8,6 +8,13 @@ from atoll.expression.program import Program
 
 NAMES = ("x", "y", "θ")
 
+_HOSTILE = (
+    "sin cos tan cot exp log sqrt abs Abs tanh pi e E I S N inf nan sin_theta cos_theta sint cost sinx cosx tanx logs "
+    "expx in lambda None True if c c1 inner m s kg e5 E1 x_1 x2 _ __ a np SIZE t d dx θ π µ ſin 価 sin_ cos_"
+)
+HOSTILE = _HOSTILE.split()
+"""Names that are functions, begin or end like them, are constants, keywords, units or numbers elsewhere."""
+
 CONSTANTS = st.one_of(
     st.sampled_from([0.0, -0.0, 1.0, -1.0, 2.0, -2.0, 0.5, 1e-300, 1e22, 1e16]),
     st.floats(-10.0, 10.0, allow_nan=False),
@@ -35,3 +42,6 @@ def programs(draw: st.DrawFn, largest: int = 16, constants: st.SearchStrategy[fl
     return Program(
         np.array(codes, np.int8), np.array(lefts, np.int16), np.array(rights, np.int16), np.array(values, float)
     )
+
+
+HOSTILE_NAMES = st.lists(st.sampled_from(HOSTILE), min_size=len(NAMES), max_size=len(NAMES), unique=True)

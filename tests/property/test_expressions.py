@@ -1,21 +1,40 @@
 """What must hold of every program: encoding, printing and parsing, simplification."""
 
 import contextlib
+import itertools
 import math
 import struct
 
+import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from atoll.errors import UsageError
-from atoll.expression.operators import ARITY, CONSTANT, COS, EXP, LOG, POW, SIN, TANH
+from atoll.expression.operators import (
+    ADD,
+    ARITY,
+    CONSTANT,
+    COS,
+    DIVIDE,
+    EXP,
+    LOG,
+    MULTIPLY,
+    OPERATORS,
+    POW,
+    SIN,
+    SUBTRACT,
+    TANH,
+    VARIABLE,
+)
 from atoll.expression.program import Program
 from atoll.expression.simplification import complexity, simplify_program
-from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll.expression.text.infix import PRINTABLE_SIZE, to_code, to_infix, tree_size
+from atoll.expression.text.notation import JULIA, MATLAB, MODELICA, PYTHON, XPPAUT, C
 from atoll.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
-from tests.property.programs import NAMES, ROWS, programs
+from tests.property.programs import HOSTILE_NAMES, NAMES, ROWS, programs
 
+LANGUAGES = (C, JULIA, MATLAB, MODELICA, PYTHON, XPPAUT)
 TAME = st.floats(0.5, 2.0)
 QUICK = settings(max_examples=300, deadline=None, derandomize=True, database=None)
 
@@ -31,6 +50,35 @@ def test_parsing_what_was_printed_evaluates_to_the_same_bits(program, row):
     assume(tree_size(program) <= PRINTABLE_SIZE)
     text = to_infix(program, NAMES)
     assert bits(evaluate(from_infix(text, NAMES), row)) == bits(evaluate(program, row)), text
+
+
+@QUICK
+@given(programs(), HOSTILE_NAMES)
+def test_whatever_variables_are_called_they_are_written_and_read_alike(program, names):
+    assume(tree_size(program) <= PRINTABLE_SIZE)
+    for digits in (None, 6):
+        text = to_infix(program, names, digits=digits)
+        assert from_infix(text, names) == from_infix(to_infix(program, NAMES, digits=digits), NAMES), text
+
+
+def test_names_that_begin_like_functions_are_names_beside_each_operator():
+    beginnings = [each.text for each in OPERATORS if each.text and each.text.isalpha()] + ["tan", "cot", "ln", "fabs"]
+    for first, second, ending in itertools.product(beginnings, beginnings, ("", "x", "_theta", "2")):
+        names = (first + ending, second + ending + "_" * (first == second), "x")
+        for code in (ADD, SUBTRACT, MULTIPLY, DIVIDE, POW):
+            program = Program.of([(VARIABLE, 0, 0, 0.0), (VARIABLE, 1, 0, 0.0), (code, 0, 1, 0.0)])
+            assert from_infix(to_infix(program, names), names) == program
+            assert all(name in to_code(program, names, language, {}) for name in names[:2] for language in LANGUAGES)
+
+
+@pytest.mark.parametrize("exponent", [2, 3, 63, 64, 65, 66, 100])
+def test_a_product_of_many_equal_factors_is_read_as_the_same_product(exponent):
+    nodes = [(VARIABLE, 0, 0, 0.0), *((MULTIPLY, place, 0, 0.0) for place in range(exponent - 1))]
+    program = Program.of(nodes)
+    read = from_infix(to_infix(program, NAMES), NAMES)
+    assert POW not in read.operators.tolist()
+    row = (1.0 + 1e-7, 0.0, 0.0)
+    assert bits(evaluate(read, row)) == bits(evaluate(program, row))
 
 
 @QUICK

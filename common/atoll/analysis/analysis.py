@@ -20,6 +20,7 @@ from atoll.analysis.nullclines import nullclines
 from atoll.analysis.varied import Coefficients, Varied
 from atoll.data.dataset import FloatArray
 from atoll.errors import UsageError
+from atoll.model.scales import measured_ranges
 from atoll.model.vector_field import VectorField
 
 MOST_STATES: Final = 12
@@ -203,17 +204,14 @@ def box_of(
     nothing below 0 was measured. Raises UsageError where a state has neither.
     """
     measured = measured_trajectories(found, field)
-    symbols = found.get("symbols") or {}
-    ranges = {
-        symbols.get(name, name): tuple(its) for name, its in ((found.get("system") or {}).get("ranges") or {}).items()
-    }
+    ranges = measured_ranges(found, field.states)
     if measured:
         states = np.vstack([each.states for each in measured])
         ends = zip(states.min(axis=0).tolist(), states.max(axis=0).tolist(), strict=True)
         ranges |= dict(zip(field.states, ends, strict=True))
     known: dict[str, tuple[float, float]] = {}
     for name, (low, high) in ranges.items():
-        if name in field.states:
-            beyond = _MARGIN * (high - low) or 1.0
-            known[name] = (max(low - beyond, 0.0) if low >= 0.0 else low - beyond, high + beyond)
+        # what was measured at one value has its own size, and what was never anything but 0 has none
+        beyond = _MARGIN * (high - low) or _MARGIN * abs(high) or 1.0
+        known[name] = (max(low - beyond, 0.0) if low >= 0.0 else low - beyond, high + beyond)
     return Box.of(field.states, {**known, **bounds}), measured

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.analysis.box import Box
-from atoll.analysis.fixed_points import fixed_points
+from atoll.analysis.fixed_points import fixed_points, rate_scale
 from atoll.analysis.flow import Flow
 from atoll.analysis.path_following import BRANCH_POINT, FOLD, Place, Side, followed
 from atoll.analysis.varied import Varied
@@ -70,21 +70,23 @@ class _FixedPointCurve:
     def __init__(self, flow: Flow, box: Box, varied: Varied, bounds: tuple[float, float]) -> None:
         self.flow, self.varied, self.bounds, self.box = flow, varied, bounds, box
         self.scale = np.append(box.widths, bounds[1] - bounds[0])
+        self._rates = rate_scale(flow, box)
         self.limits = (bounds[0] / self.scale[-1], bounds[1] / self.scale[-1])
 
     def at(self, z: FloatArray) -> Flow:
         return self.varied.at(self.flow, float(z[-1] * self.scale[-1]))
 
     def matrix(self, z: FloatArray) -> FloatArray:
-        """Return the derivative (D, D + 1) of the rates by z."""
+        """Return the derivative (D, D + 1) of the rates, over their typical sizes, by z."""
         flow, x = self.at(z), z[:-1] * self.box.widths
-        return np.asarray(np.hstack([flow.jacobian(x), self.varied.slope(flow, x[None]).T]) * self.scale)
+        by_x = np.hstack([flow.jacobian(x), self.varied.slope(flow, x[None]).T])
+        return np.asarray(by_x / self._rates[:, None] * self.scale)
 
     def corrected(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
         """Return the fixed point in the plane through `z` across `tangent`; None: none is near."""
         guess = z.copy()
         for _ in range(10):
-            rates = self.at(guess).rates(guess[:-1] * self.box.widths)
+            rates = self.at(guess).rates(guess[:-1] * self.box.widths) / self._rates
             bordered = np.vstack([self.matrix(guess), tangent])
             if not (np.isfinite(bordered).all() and np.isfinite(rates).all()):
                 return None
@@ -103,7 +105,8 @@ class _FixedPointCurve:
             return None
         tangent = np.linalg.svd(matrix)[2][-1]
         tangent = tangent if tangent @ before >= 0.0 else -tangent
-        eigenvalues = np.linalg.eigvals(matrix[:, :-1] / self.box.widths).astype(np.complex128)
+        similar = matrix[:, :-1] * (self._rates / self.box.widths)[:, None]
+        eigenvalues = np.linalg.eigvals(similar).astype(np.complex128)
         determinant = float(np.linalg.det(np.vstack([matrix, tangent])))
         tests = {FOLD: float(tangent[-1]), BRANCH_POINT: determinant, HOPF: _pair(eigenvalues)[0]}
         return _FixedPlace(z, tangent, tests, eigenvalues)

@@ -349,12 +349,11 @@ class _Search:
 
     def from_cycle(self, value: float, cycle: LimitCycle, most: int) -> list[CycleBranch]:
         """Return the branch through a cycle, followed to both sides."""
-        moved = np.sqrt(
-            (np.diff(np.vstack([cycle.points, cycle.points[:1]]) / self.box.widths, axis=0) ** 2).sum(axis=1)
-        )
+        widths = self.box.widths
+        moved = np.sqrt((np.diff(np.vstack([cycle.points, cycle.points[:1]]) / widths, axis=0) ** 2).sum(axis=1))
         mesh = levelled(np.linspace(0.0, 1.0, len(moved) + 1), moved / moved.sum() + 1.0 / len(moved))
         its = self.varied.at(self.flow, value)
-        orbit = sampled(lambda times: follow(its, cycle.point, cycle.period * times) / self.box.widths, mesh)
+        orbit = sampled(lambda times: follow(its, cycle.point, cycle.period * times, widths) / widths, mesh)
         sides: list[Side[_Cycle]] = []
         for sign in (-1.0, 1.0):
             curve = _CycleCurve(self, orbit, cycle.period)

@@ -180,34 +180,35 @@ def compared(
     found = []
     for each, reaches in zip(trajectories, reached.tolist(), strict=True):
         times = np.linspace(0.0, each.times[-1], ROWS)
-        course = _course(flow, each, times)
+        course = _course(flow, each, times, box)
         with np.errstate(invalid="ignore"):
             inside = np.abs((course - box.middle) / box.widths).max(axis=1) < UNBOUNDED
         known = np.isfinite(course).all(axis=1)
         simulated = motion(times[known], course[known])
-        orbit = _orbit_period(flow, each) if has_family and reaches == UNDECIDED else None
+        orbit = _orbit_period(flow, each, box) if has_family and reaches == UNDECIDED else None
         measured = motion(each.times, each.states)
         found.append(Comparison(each.name, bool(inside.all()), measured, simulated, reaches, orbit))
     return tuple(found)
 
 
-def _orbit_period(flow: Flow, its: Measured) -> float | None:
+def _orbit_period(flow: Flow, its: Measured, box: Box) -> float | None:
     """Return the period of the model from where a trajectory begins, which may be too short to show one itself."""
     times = np.linspace(0.0, _LONGER * its.times[-1], ROWS)
-    course = follow(flow, its.states[0], times)
+    course = follow(flow, its.states[0], times, box.widths)
     return motion(times, course).period if np.isfinite(course).all() else None
 
 
-def _course(flow: Flow, its: Measured, times: FloatArray) -> FloatArray:
+def _course(flow: Flow, its: Measured, times: FloatArray, box: Box) -> FloatArray:
     """Return the states (n, D) from where a measured trajectory begins, driven by its inputs where it has some."""
     recorded = its.inputs
     if recorded is None:
-        return follow(flow, its.states[0], times)
+        return follow(flow, its.states[0], times, box.widths)
 
     def rates(x: FloatArray) -> FloatArray:  # the last state is the time
         return np.append(flow.field.values(x[:-1], recorded(float(x[-1])), flow.parameters), 1.0)
 
-    return follow_rates(rates, np.append(its.states[0], 0.0), times)[:, :-1]
+    sizes = np.append(box.widths, times[-1])
+    return follow_rates(rates, np.append(its.states[0], 0.0), times, sizes)[:, :-1]
 
 
 def motion(times: FloatArray, states: FloatArray) -> Motion:

@@ -4,6 +4,8 @@ Steps are those of Levenberg and Marquardt, which also approach points where the
 proof: a fixed point whose catchment none of the starts met stays unseen, and the search that was done is stated.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.analysis.box import Box
-from atoll.analysis.flow import Ensemble, Flow, follow
+from atoll.analysis.flow import Ensemble, Flow, Step, crossing, steps
 from atoll.data.dataset import FloatArray
 
 Complexes = npt.NDArray[np.complex128]
@@ -34,8 +36,21 @@ _APART: Final = 1e-5
 _APART_DEGENERATE: Final = 1e-3
 """The same where the Jacobian is singular, which Newton steps approach slowly."""
 
+_EXACT: Final = 1e-13
+"""Of typical rates: what rounding leaves of 0."""
+
+_BESIDE: Final = 1e-6
+"""Longest Newton step to a root, in widths: of a root of order 5 it is 1e-8 after `_ITERATIONS`, of exp(-x) in a box of
+a thousand times the length by which it falls e-fold 1e-3."""
+
 _SINGULAR: Final = 1e-4
 """Smallest singular value of a Jacobian, as a share of the largest, below which it counts as singular."""
+
+_AMPLITUDES: Final = (0.02, 0.1, 0.3)
+"""Of orbits around a centre, in widths of the box."""
+
+_CLOSED: Final = 1e-6
+"""Share of its distance by which an orbit around a centre may miss itself: a hundred times the error of a turn."""
 
 _EXAMPLES: Final = 10
 """Points that are shown of a curve or surface of them."""
@@ -105,19 +120,36 @@ def newton_ends(flow: Flow, box: Box, starts: FloatArray) -> FloatArray:
         damping = np.clip(damping * np.where(is_better, 0.1, 8.0), 1e-14, 1e8)
     with np.errstate(all="ignore"):
         size = np.abs(values).max(axis=1)
-        is_root = (size < 1e-10) & ((last < TOLERANCE) | (size < 1e-13) | (damping < 1e8))
-    return _polished(flow, points[is_root], box)
+        is_root = (size < 1e-10) & ((last < TOLERANCE) | (size < _EXACT) | (damping < 1e8))
+    points, values = points[is_root], values[is_root]
+    return _polished(flow, points[_are_roots(flow, points, values, box, scale)], box, scale)
 
 
-def _polished(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
-    """Return `points` after two plain Newton steps where these make the rates smaller; whole numbers come out whole."""
+def _are_roots(flow: Flow, points: FloatArray, values: FloatArray, box: Box, scale: FloatArray) -> np.ndarray:
+    """Tell which of `points` (N, D) with small rates, `values` (N, D) over their `scale`, have a root beside them.
+
+    Where rates only become smaller, as those of exp(-x), a Newton step is long; where they come near to 0 and go away
+    again, the Jacobian is singular and rounding is not all that is left of them.
+    """
+    matrix = _finite(flow.jacobian(points) / scale[:, None] * box.widths)
+    singular = np.linalg.svd(matrix, compute_uv=False) if len(points) else np.zeros((0, 1))
+    step = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, rcond=1e-10), values)
+    is_regular = singular[:, -1] > _SINGULAR * singular[:, 0]
+    return np.asarray((np.abs(step).max(axis=1) < _BESIDE) & (is_regular | (np.abs(values).max(axis=1) < _EXACT)))
+
+
+def _polished(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
+    """Return `points` after two plain Newton steps where these make the rates smaller; whole numbers come out whole.
+
+    `scale` (D,) is the size of the rates.
+    """
     for _ in range(2):
         if len(points):
             values = flow.rates(points)
-            inverses = np.linalg.pinv(_finite(flow.jacobian(points)), rcond=1e-10)
-            tried = points - np.einsum("nij,nj->ni", inverses, values)
+            inverses = np.linalg.pinv(_finite(flow.jacobian(points) / scale[:, None] * box.widths), rcond=1e-10)
+            tried = points - np.einsum("nij,nj->ni", inverses, values / scale) * box.widths
             with np.errstate(all="ignore"):
-                is_better = np.abs(flow.rates(tried)).max(axis=1) < np.abs(values).max(axis=1)
+                is_better = np.abs(flow.rates(tried) / scale).max(axis=1) < np.abs(values / scale).max(axis=1)
             points = np.where(is_better[:, None], tried, points)
     return np.where(np.abs(points) < 1e-12 * box.widths, 0.0, points)
 
@@ -141,15 +173,28 @@ def _finite(array: FloatArray) -> FloatArray:
 
 
 def rate_scale(flow: Flow, box: Box) -> FloatArray:
-    """Return the typical size (D,) of each rate in the box, 1 where there is none."""
+    """Return the typical size (D,) of each rate in the box.
+
+    A state that does not move there is taken to be as slow as the slowest of the others; where none moves, the time
+    that it takes through the box is 1, which decides nothing.
+    """
     rates = np.abs(flow.rates(box.points(256)))
-    scale = np.array([np.median(its[np.isfinite(its)]) if np.isfinite(its).any() else 1.0 for its in rates.T])
-    return np.where(scale > 0.0, scale, 1.0)
+    known = [its[np.isfinite(its)] for its in rates.T]
+    typical = np.array([np.median(its) or its.max() if len(its) else 0.0 for its in known])
+    moving = typical > 0.0
+    slowest = (typical[moving] / box.widths[moving]).min() if moving.any() else 1.0
+    return np.where(moving, typical, slowest * box.widths)
+
+
+def jacobian_in_widths(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
+    """Return the Jacobian at (D,) or (N, D) of states in widths of the box: similar, but of no unit but time's."""
+    return np.asarray(flow.jacobian(points) / box.widths[:, None] * box.widths)
 
 
 def distinct_points(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
     """Return one of each group of fixed points (n, D) that lie together, in order of their coordinates."""
-    singular = np.linalg.svd(_finite(flow.jacobian(points)) * box.widths, compute_uv=False) if len(points) else points
+    scaled = flow.jacobian(points) / rate_scale(flow, box)[:, None] * box.widths if len(points) else points
+    singular = np.linalg.svd(_finite(scaled), compute_uv=False) if len(points) else points
     apart = np.where(singular[:, -1] < _SINGULAR * singular[:, 0], _APART_DEGENERATE, _APART)
     kept: list[FloatArray] = []
     for point, least in zip(points, apart.tolist(), strict=True):
@@ -164,12 +209,14 @@ def distinct_points(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
 
 def classified(flow: Flow, point: FloatArray, box: Box, *, is_isolated: bool = True) -> FixedPoint:
     """Return a fixed point with its eigenvalues and kind; of one that is not isolated nothing is simulated."""
-    matrix = flow.jacobian(point)
+    matrix = jacobian_in_widths(flow, point, box)
     if not np.isfinite(matrix).all():
         return FixedPoint(point, np.full(flow.size, np.nan + 0j), "not differentiable", False)
     eigenvalues = np.linalg.eigvals(matrix).astype(np.complex128)
-    eigenvalues.real[np.abs(eigenvalues.real) < _ROUNDING * np.abs(eigenvalues).max()] = 0.0
-    eigenvalues = eigenvalues[np.lexsort((eigenvalues.imag, -np.round(eigenvalues.real, 12)))]
+    largest = float(np.abs(eigenvalues).max())
+    eigenvalues.real[np.abs(eigenvalues.real) < _ROUNDING * largest] = 0.0
+    shares = np.round(eigenvalues.real / (largest or 1.0), 12)  # of a pair both real parts are to be one
+    eigenvalues = eigenvalues[np.lexsort((eigenvalues.imag, -shares))]
     kind = kind_of(eigenvalues)
     if is_isolated and kind == "centre" and not _is_centre(flow, point, eigenvalues, box):
         kind = "non-hyperbolic"
@@ -183,8 +230,8 @@ def _attracts(flow: Flow, point: FloatArray, box: Box) -> bool:
     """Tell whether courses from a small box around `point` come nearer to it, and stay."""
     beside = Box(point - 0.05 * box.widths, point + 0.05 * box.widths)
     starts = beside.points(16)
-    ensemble = Ensemble.of(starts, 1e-3)
     slowest = float((box.widths / rate_scale(flow, box)).max())
+    ensemble = Ensemble.of(starts, 1e-3 * slowest)
     ensemble.advance(flow.rates, 2000.0 * slowest, 1e-3 * box.widths, rtol=1e-5, most_steps=1500)
     first = np.abs((starts - point) / box.widths).max(axis=1)
     last = np.abs((ensemble.states - point) / box.widths).max(axis=1)
@@ -210,17 +257,25 @@ def kind_of(eigenvalues: Complexes) -> str:
 
 
 def _is_centre(flow: Flow, point: FloatArray, eigenvalues: Complexes, box: Box) -> bool:
-    """Tell whether an orbit beside `point` closes: it returns to its first side of the point after one turn or two."""
-    start = point + np.array([0.02 * box.widths[0], 0.0])
+    """Tell whether orbits beside `point` close: the nearest comes round, and each that does is where it began.
+
+    Several are looked at, since a damping that grows with the amplitude is not seen near the point.
+    """
+    turns = [_turned(flow, point, share * box.widths[0], eigenvalues, box) for share in _AMPLITUDES]
+    return turns[0] is not None and all(turn is None or abs(turn - 1.0) < _CLOSED for turn in turns)
+
+
+def _turned(flow: Flow, point: FloatArray, radius: float, eigenvalues: Complexes, box: Box) -> float | None:
+    """Return the distance from `point` on its first side after a turn, over the `radius` before; None: it has none."""
     period = 2.0 * np.pi / float(np.abs(eigenvalues.imag).max())
-    times = np.linspace(0.0, 3.0 * period, 3001)
-    turned = follow(flow, start, times)
-    beside = turned - point
-    has_crossed = (beside[:-1, 1] * beside[1:, 1] <= 0.0) & (beside[1:, 0] > 0.0)
-    crossings = np.flatnonzero(has_crossed & (times[1:] > 0.5 * period))
-    if not len(crossings):
-        return False
-    row = crossings[0]
-    share = beside[row, 1] / (beside[row, 1] - beside[row + 1, 1]) if beside[row, 1] != beside[row + 1, 1] else 0.0
-    radius = beside[row, 0] + share * (beside[row + 1, 0] - beside[row, 0])
-    return bool(abs(radius / beside[0, 0] - 1.0) < 1e-4)
+    start = point + np.array([radius, 0.0])
+    for step in steps(flow.rates, start, 3.0 * period, box.widths):
+        before, after = step.start - point, step.end - point
+        if before[1] * after[1] <= 0.0 < after[0] and step.after > 0.5 * period:
+            x = step.at(crossing(step.before, step.after, _height(step, point, math.copysign(1.0, after[1]))))
+            return float((x - point)[0] / radius)
+    return None
+
+
+def _height(step: Step, point: FloatArray, sign: float) -> Callable[[float], float]:
+    return lambda time: sign * float((step.at(time) - point)[1])

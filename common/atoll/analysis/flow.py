@@ -99,16 +99,19 @@ class Step:
 
 
 def steps(
-    rates: Rates, start: FloatArray, duration: float, *, rtol: float = 1e-9, most: int = MOST_STEPS
+    rates: Rates, start: FloatArray, duration: float, sizes: FloatArray, *, rtol: float = 1e-9, most: int = MOST_STEPS
 ) -> Iterator[Step]:
-    """Yield the steps from `start` over `duration`; fewer where a state has no rates or `most` are done."""
+    """Yield the steps from `start` over `duration`; fewer where a state has no rates or `most` are done.
+
+    Errors are `rtol` of a state, and a hundredth of that of its size (D,), such as its extent in a box.
+    """
     from scipy.integrate import LSODA
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if not np.isfinite(rates(start)).all():
             return
-        solver = LSODA(lambda _, x: rates(x), 0.0, start, duration, rtol=rtol, atol=0.01 * rtol)
+        solver = LSODA(lambda _, x: rates(x), 0.0, start, duration, rtol=rtol, atol=0.01 * rtol * sizes)
     for _ in range(most):
         before, state = float(solver.t), solver.y.copy()
         with warnings.catch_warnings():
@@ -121,19 +124,34 @@ def steps(
             return
 
 
-def follow(flow: Flow, start: FloatArray, times: FloatArray) -> FloatArray:
-    """Return the states (n, D) at rising `times` from 0; NaN after the point where the course cannot be followed."""
-    return follow_rates(flow.rates, start, times)
+def crossing(before: float, after: float, side: Callable[[float], float]) -> float:
+    """Return the time between two at which a side is left; as a share of the step: digits of a time have its unit."""
+    from scipy.optimize import brentq
+
+    def at(share: float) -> float:
+        return side(before + share * (after - before))
+
+    low, high = at(0.0), at(1.0)
+    share = float(brentq(at, 0.0, 1.0)) if low < 0.0 < high else float(abs(high) < abs(low))
+    return before + share * (after - before)
 
 
-def follow_rates(rates: Rates, start: FloatArray, times: FloatArray) -> FloatArray:
+def follow(flow: Flow, start: FloatArray, times: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Return the states (n, D) at rising `times` from 0; NaN after the point where the course cannot be followed.
+
+    `sizes` (D,) are those of the states, as of `steps`.
+    """
+    return follow_rates(flow.rates, start, times, sizes)
+
+
+def follow_rates(rates: Rates, start: FloatArray, times: FloatArray, sizes: FloatArray) -> FloatArray:
     """Return the states (n, D) that `rates` make of a start (D,), as `follow` does."""
     found = np.full((len(times), len(start)), np.nan)
     row = 0
     while row < len(times) and times[row] <= 0.0:
         found[row] = start
         row += 1
-    for step in steps(rates, start, float(times[-1]) if len(times) else 0.0):
+    for step in steps(rates, start, float(times[-1]) if len(times) else 0.0, sizes):
         while row < len(times) and times[row] <= step.after:
             found[row] = step.at(float(times[row]))
             row += 1
@@ -163,7 +181,7 @@ class Ensemble:
 
         Starts that take more than `most_steps` for it stay behind.
         """
-        tiny = 1e-12 * max(until, 1e-300)
+        tiny = 1e-12 * until
         for _ in range(most_steps):
             rows = np.flatnonzero(~self.is_lost & (self.times < until - tiny))
             if not len(rows):
@@ -189,4 +207,4 @@ class Ensemble:
         self.times[rows[good]] += size[good]
         proposed = size * factor
         self.sizes[rows] = np.where(good & is_cut, np.maximum(self.sizes[rows], proposed), proposed)
-        self.is_lost[rows] |= self.sizes[rows] < 1e-13 * max(until, 1e-300)
+        self.is_lost[rows] |= self.sizes[rows] < 1e-13 * until

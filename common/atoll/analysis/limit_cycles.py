@@ -19,10 +19,11 @@ from atoll.analysis.fixed_points import (
     FixedPoint,
     classified,
     distinct_points,
+    jacobian_in_widths,
     newton_ends,
     rate_scale,
 )
-from atoll.analysis.flow import SETTLING, UNBOUNDED, Ensemble, Flow, Step, follow, steps
+from atoll.analysis.flow import SETTLING, UNBOUNDED, Ensemble, Flow, Step, crossing, follow, steps
 from atoll.data.dataset import FloatArray
 
 STARTS: Final = 24
@@ -51,6 +52,15 @@ _NEUTRAL: Final = 1e-4
 """A multiplier nearer to 1, or to the unit circle, decides nothing: the root of `_CLOSED`, by which double multipliers
 are off."""
 
+_NEUTRAL_IN_PLANE: Final = 1e-7
+"""The same of two states, where it is an integral: a hundred times the tolerance of the integration."""
+
+_KNOWN: Final = 0.01
+"""Share of its extent to which a cycle must be known: what a course misses itself by, over what it contracts by."""
+
+_SMALL: Final = 0.01
+"""Widths of the box below which orbits are followed with errors of the box, a hundredth of those of a state."""
+
 _MOST_RETURNS: Final = 40
 """Turns of a course in which a return is looked for: cycles of more turns are not told from chaos."""
 
@@ -72,12 +82,16 @@ class LimitCycle:
     @property
     def is_isolated(self) -> bool:
         """Whether no other multiplier is 1."""
-        return bool((np.abs(self.multipliers[1:] - 1.0) > _NEUTRAL).all())
+        return bool((np.abs(self.multipliers[1:] - 1.0) > self._neutral).all())
+
+    @property
+    def _neutral(self) -> float:
+        return _NEUTRAL_IN_PLANE if len(self.multipliers) == 2 else _NEUTRAL
 
     @property
     def is_stable(self) -> bool:
         """Whether it attracts: all multipliers beside that of the flow lie within the unit circle."""
-        return bool((np.abs(self.multipliers[1:]) < 1.0 - _NEUTRAL).all())
+        return bool((np.abs(self.multipliers[1:]) < 1.0 - self._neutral).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +141,9 @@ def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycles:
             unsettled.append(end)
             continue
         cycle = cycle_near(flow, end, box, SETTLING * time_scale(flow, box))
+        if cycle is not None and any(distance(each, cycle.point[None], box)[0] < 1e-3 for each in cycles):
+            failures += 1  # courses that approach a known cycle slowly tell nothing new
+            continue
         cycles += [cycle] if cycle is not None else []
         if cycle is None or not cycle.is_stable:
             unsettled += [end] if cycle is None or cycle.is_isolated else []
@@ -193,12 +210,12 @@ def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> fl
 
     returns: list[tuple[float, float]] = []
     farthest = 0.0
-    for step in steps(flow.rates, start, longest, rtol=1e-7, most=5000):
+    for step in steps(flow.rates, start, longest, box.widths, rtol=1e-7, most=5000):
         farthest = max(farthest, float(np.abs((step.end - start) / box.widths).max()))
         if farthest > UNBOUNDED or len(returns) >= _MOST_RETURNS:
             break
         if side(step.start) < 0.0 <= side(step.end):
-            time = _crossing(step.before, step.after, side_at(step))
+            time = crossing(step.before, step.after, side_at(step))
             returns.append((time, float(np.abs((step.at(time) - start) / box.widths).max())))
             if returns[-1][1] < 1e-3 * farthest:
                 break
@@ -208,19 +225,12 @@ def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> fl
     return next(time for time, far in returns if far <= 3.0 * nearest + 1e-5)
 
 
-def _crossing(before: float, after: float, side: Callable[[float], float]) -> float:
-    from scipy.optimize import brentq
-
-    low, high = side(before), side(after)
-    return float(brentq(side, before, after)) if low < 0.0 < high else after if abs(high) < abs(low) else before
-
-
 def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> LimitCycle | None:
     """Return the closed orbit that Newton steps reach from a guess of point and period; None where they do not."""
     point, size = start.copy(), flow.size
-    phase = flow.rates(start) / box.widths
+    phase = period * flow.rates(start) / box.widths
     for round_ in range(12):
-        end, monodromy, divergence = transported(flow, point, period)
+        end, monodromy, divergence = transported(flow, point, period, box)
         missed = (end - point) / box.widths
         if not np.isfinite(monodromy).all() or not np.isfinite(end).all():
             return None
@@ -229,37 +239,40 @@ def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> Lim
         if round_ >= 5 and np.abs(missed).max() > 1e-2:
             return None
         matrix = np.zeros((size + 1, size + 1))
-        matrix[:size, :size] = (monodromy - np.eye(size)) * box.widths / box.widths[:, None]
-        matrix[:size, size] = flow.rates(end) / box.widths
+        matrix[:size, :size] = monodromy - np.eye(size)
+        matrix[:size, size] = period * flow.rates(end) / box.widths
         matrix[size, :size] = phase
         step = np.linalg.lstsq(matrix, np.append(-missed, 0.0), rcond=1e-9)[0]
-        step *= min(
-            1.0, 0.3 / max(float(np.abs(step[:size]).max()), 1e-300), 0.3 * period / max(abs(step[size]), 1e-300)
-        )
-        point, period = point + step[:size] * box.widths, period + float(step[size])
+        step *= min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-300))
+        point, period = point + step[:size] * box.widths, period * (1.0 + float(step[size]))
     else:
         return None
-    points = follow(flow, point, np.linspace(0.0, period, SAMPLES, endpoint=False))
+    points = follow(flow, point, np.linspace(0.0, period, SAMPLES, endpoint=False), box.widths)
     extent = ((points.max(axis=0) - points.min(axis=0)) / box.widths).max()
     if not extent > SMALLEST or not period > 0.0:
         return None
-    return LimitCycle(point, period, multipliers_of(monodromy, divergence), divergence, points)
+    found = LimitCycle(point, period, multipliers_of(monodromy, divergence), divergence, points)
+    miss = float(np.abs(missed).max())
+    if not found.is_isolated:  # of a family each course is one, and a small one that shrinks slowly misses little
+        return found if miss <= _CLOSED * max(extent, _SMALL) else None
+    return found if miss / np.abs(found.multipliers[1:] - 1.0).min() <= _KNOWN * extent else None
 
 
-def transported(flow: Flow, start: FloatArray, duration: float) -> tuple[FloatArray, FloatArray, float]:
+def transported(flow: Flow, start: FloatArray, duration: float, box: Box) -> tuple[FloatArray, FloatArray, float]:
     """Return where `start` (D,) is after `duration`, the derivative of that by `start` (D, D), and the divergence.
 
-    NaN where the course cannot be followed.
+    The derivative is in widths of the box. NaN where the course cannot be followed.
     """
     size = flow.size
 
     def rates(y: FloatArray) -> FloatArray:
-        matrix = flow.jacobian(y[:size])
+        matrix = jacobian_in_widths(flow, y[:size], box)
         return np.concatenate(
             [flow.rates(y[:size]), (matrix @ y[size:-1].reshape(size, size)).ravel(), [np.trace(matrix)]]
         )
 
-    whole = list(steps(rates, np.concatenate([start, np.eye(size).ravel(), [0.0]]), duration))
+    sizes = np.concatenate([box.widths, np.ones(size * size + 1)])
+    whole = list(steps(rates, np.concatenate([start, np.eye(size).ravel(), [0.0]]), duration, sizes))
     if not whole or whole[-1].after < duration * (1.0 - 1e-12):
         return np.full(size, np.nan), np.full((size, size), np.nan), np.nan
     end = whole[-1].end

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from atoll.analysis.box import Box
+from atoll.analysis.fixed_points import jacobian_in_widths
 from atoll.analysis.flow import SETTLING, UNBOUNDED, Ensemble, Flow
 from atoll.analysis.limit_cycles import time_scale
 from atoll.data.dataset import FloatArray
@@ -18,6 +19,9 @@ STARTS: Final = 128
 
 INTERVALS: Final = 400
 """Orthogonalisations that count; a quarter as many before them let the vectors settle."""
+
+_SETTLING_SHARE: Final = 4
+"""Orthogonalisations that count over those before them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +35,14 @@ class LyapunovSpectrum:
 
     @property
     def is_chaotic(self) -> bool:
-        """Whether the largest exponent is positive by more than three standard errors and 1 % of the spectrum."""
+        """Whether the largest exponent is positive by more than three standard errors and 1 % of the spectrum.
+
+        Errors have to grow by more than as the highest power of time that they do without chaos, one below the number
+        of states: on tori they grow like time itself.
+        """
         largest = float(np.abs(self.exponents).max())
-        return bool(self.exponents[0] > max(3.0 * self.standard_errors[0], 0.01 * largest))
+        by_power = (len(self.exponents) - 1) * np.log(1.0 + _SETTLING_SHARE) / self.duration
+        return bool(self.exponents[0] > max(3.0 * self.standard_errors[0], 0.01 * largest, by_power))
 
 
 def lyapunov_spectrum(
@@ -55,17 +64,17 @@ def lyapunov_spectrum(
     states = settled.states[~settled.is_lost & _is_inside(settled.states, box)]
     if not len(states):
         return None
-    norms = np.sqrt((flow.jacobian(states) ** 2).sum(axis=(1, 2)))
+    norms = np.sqrt((jacobian_in_widths(flow, states, box) ** 2).sum(axis=(1, 2)))
     interval = min(scale, 2.0 / max(float(np.median(norms[np.isfinite(norms)])), 1e-300))
 
     def rates(y: FloatArray) -> FloatArray:
-        vectors = flow.jacobian(y[:, :size]) @ y[:, size:].reshape(-1, size, size)
+        vectors = jacobian_in_widths(flow, y[:, :size], box) @ y[:, size:].reshape(-1, size, size)
         return np.concatenate([flow.rates(y[:, :size]), vectors.reshape(len(y), -1)], axis=1)
 
     count = len(states)
     ensemble = Ensemble.of(np.hstack([states, np.tile(np.eye(size).ravel(), (count, 1))]), 0.1 * interval)
     weights = np.concatenate([1e-2 * box.widths, np.full(size * size, 1.0)])
-    growth, skipped = np.zeros((count, size)), intervals // 4
+    growth, skipped = np.zeros((count, size)), intervals // _SETTLING_SHARE
     for number in range(1, intervals + skipped + 1):
         ensemble.advance(rates, number * interval, weights, rtol=1e-5)
         vectors, sizes = np.linalg.qr(np.nan_to_num(ensemble.states[:, size:].reshape(count, size, size)))
@@ -77,9 +86,10 @@ def lyapunov_spectrum(
     if not len(kept):
         return None
     duration = intervals * interval
-    exponents = np.sort(kept.mean(axis=0) / duration)[::-1]
+    exponents = kept.mean(axis=0) / duration
     errors = kept.std(axis=0, ddof=1) / duration / np.sqrt(len(kept)) if len(kept) > 1 else np.full(size, np.nan)
-    return LyapunovSpectrum(exponents, errors, len(kept), duration)
+    falling = np.argsort(-exponents, kind="stable")
+    return LyapunovSpectrum(exponents[falling], errors[falling], len(kept), duration)
 
 
 def _beside(seeds: FloatArray, box: Box, starts: int) -> FloatArray:

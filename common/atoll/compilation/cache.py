@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.compilation.sources import packages_compiled_into, source_digest
+from atoll.machine.folders import user_folder
 
 _CPU_INFO: Final = Path("/proc/cpuinfo")
 _SETTINGS: Final = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCHECK")
@@ -23,7 +24,7 @@ _SETTINGS: Final = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_
 def cache_directory(package: str) -> Path:
     """Return where the compiled kernels of a package lie: ``ATOLL_KERNEL_CACHE``, else the user's cache directory."""
     chosen = os.environ.get("ATOLL_KERNEL_CACHE")
-    base = Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "atoll"
+    base = Path(chosen) if chosen else user_folder("XDG_CACHE_HOME", ".cache") / "atoll"
     return base / f"{package}-{_digest(package)}"
 
 

@@ -5,6 +5,7 @@ Letters: C columns, N rows.
 
 import datetime
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,10 +16,11 @@ import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
 from atoll.errors import DataError, RemoteProtocolError
-from atoll.wire.codec import decode_arrays, encode_arrays
+from atoll.wire.codec import BROKEN, decode_arrays, encode_arrays
 
 IntArray = npt.NDArray[np.int64]
 S = TypeVar("S", bound=np.generic)
+C = TypeVar("C", list[Any], dict[str, Any])
 MANY = 5
 """So many rows are named in a message before it says how many there are in all."""
 
@@ -79,7 +81,11 @@ class Table:
         if origin is None:
             return repr(time)
         start = "1970-01-01" if origin.since == MIDNIGHT else origin.since.removesuffix(" UTC")
-        moment = datetime.datetime.fromisoformat(start) + datetime.timedelta(seconds=round(time * origin.seconds, 6))
+        try:
+            since = datetime.timedelta(seconds=round(time * origin.seconds, 6))
+            moment = datetime.datetime.fromisoformat(start) + since
+        except (OverflowError, ValueError):  # no calendar goes so far
+            return repr(time)
         return str(moment.time() if origin.since == MIDNIGHT else moment)
 
     @property
@@ -135,16 +141,16 @@ class Table:
                 _texts(header["names"]),
                 _texts(header["units"]),
                 _numbers(arrays["columns"], np.float64, 2),
-                tuple(int(start) for start in header["starts"]),
+                tuple(_whole(start) for start in _items(header["starts"], list)),
                 _texts(header["files"]),
                 _numbers(arrays["file_of_row"], np.int64, 1),
                 _numbers(arrays["line_of_row"], np.int64, 1),
                 _texts(header["skipped"]),
                 _texts([header.get("read_as", "")])[0],
-                {name: _texts(texts) for name, texts in header.get("labels", {}).items()},
-                {name: _origin(*its) for name, its in header.get("origins", {}).items()},
+                {name: _texts(texts) for name, texts in _items(header.get("labels", {}), dict).items()},
+                {name: _origin(*its) for name, its in _items(header.get("origins", {}), dict).items()},
             )
-        except (KeyError, TypeError, ValueError, DataError) as error:
+        except (*BROKEN, DataError) as error:
             raise RemoteProtocolError(f"the bytes of a table do not fit: {error}") from error
 
     @cached_property
@@ -157,6 +163,18 @@ def _plural(noun: str, items: Sequence[object]) -> str:
     return noun if len(items) == 1 else noun + "s"
 
 
+def _items(value: object, kind: type[C]) -> C:
+    if not isinstance(value, kind):
+        raise TypeError(f"a {kind.__name__} was expected")
+    return value
+
+
+def _whole(value: object) -> int:
+    if type(value) is not int:
+        raise TypeError("a whole number was expected")
+    return value
+
+
 def _texts(values: object) -> tuple[str, ...]:
     if not isinstance(values, (list, tuple)) or not all(isinstance(value, str) for value in values):
         raise TypeError("a list of texts was expected")
@@ -166,7 +184,9 @@ def _texts(values: object) -> tuple[str, ...]:
 def _origin(since: object, seconds: object) -> Origin:
     if since != MIDNIGHT:
         datetime.datetime.fromisoformat(str(since).removesuffix(" UTC"))
-    return Origin(_texts([since])[0], float(str(seconds)))
+    if not isinstance(seconds, int | float) or not 0.0 < seconds < math.inf:
+        raise ValueError("the unit of times is no positive number of seconds")
+    return Origin(_texts([since])[0], float(seconds))
 
 
 def _numbers(array: npt.NDArray[Any], kind: type[S], dimensions: int) -> npt.NDArray[S]:

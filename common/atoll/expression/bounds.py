@@ -9,7 +9,8 @@ terms that an equation does not have. Ends of ranges belong to them: a constant 
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -129,7 +130,6 @@ class EquationBounds:
     """All bounds on the constants of one equation. Programs are laid out so that each bound is about one constant."""
 
     bounds: tuple[Bound, ...]
-    _roles: dict[bytes, tuple[Role, ...] | None] = field(default_factory=dict, repr=False)
 
     def range_of(self, shape: Shape, *, is_inner: bool) -> tuple[float, float]:
         """Return the least and the largest number that may stand there; the first is the larger one if none may."""
@@ -160,14 +160,9 @@ class EquationBounds:
 
         That is told by its structure alone: one that is opened to itself when its constants are any small numbers.
         """
-        key = structure(program)
-        if key not in self._roles:
-            places = constant_places(program)
-            numbers = {place: _FIRST + _STEP * number for number, place in enumerate(places)}
-            opened = open_terms(with_constants(program, numbers), self._is_written)
-            is_same = opened is not None and structure(opened.program) == key
-            self._roles[key] = opened.roles if opened is not None and is_same else None
-        return self._roles[key]
+        places = constant_places(program)
+        numbers = {place: _FIRST + _STEP * number for number, place in enumerate(places)}
+        return _roles(self.bounds, with_constants(program, numbers))
 
     def _are_possible(self, roles: Sequence[Role]) -> bool:
         """Tell whether some number may stand at each constant."""
@@ -239,6 +234,13 @@ class EquationBounds:
             )
             found.append(Governed(bound, tuple(values), is_active))
         return tuple(found)
+
+
+@lru_cache(maxsize=8192)
+def _roles(bounds: tuple[Bound, ...], program: Program) -> tuple[Role, ...] | None:
+    """Return the roles of the constants of a program that is opened to itself, None of any other."""
+    opened = open_terms(program, EquationBounds(bounds)._is_written)
+    return opened.roles if opened is not None and structure(opened.program) == structure(program) else None
 
 
 def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Sequence[str]) -> EquationBounds | None:

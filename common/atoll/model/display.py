@@ -75,7 +75,7 @@ def html(model: "Model") -> str:
         parts.append(f"<p>{escaping.escape(model.remark)}</p>")
     verdicts = [each for each in model.equations if each.verdict is not None]
     parts += [
-        f"<p><b>{escaping.escape(each.lhs)}: {each.verdict}.</b> {escaping.escape(each.reason or '')}</p>"
+        f"<p><b>{escaping.escape(f'{each.lhs}: {each.verdict}')}.</b> {escaping.escape(each.reason or '')}</p>"
         for each in verdicts
     ]
     if model.params:

@@ -5,7 +5,8 @@ Letters: D states, U inputs, N rows or times.
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,7 +33,7 @@ from atoll.model.parameters import (
     remark_on_groups,
 )
 from atoll.model.saved import check_result, read_result, write_text
-from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
+from atoll.model.simulation import EarlyEndWarning, Inputs, Simulation, interpolated, simulate, together
 from atoll.model.vector_field import VectorField
 from atoll.stochastic.densities import StationaryDensity
 from atoll.stochastic.moments import Pair
@@ -374,6 +375,8 @@ class Model(Exports):
     ) -> Simulation | Ensemble:
         """Integrate from an initial state. How it ends is its `status`: a blow-up is a result, not an error.
 
+        One that ends early has the times that were reached alone; an `EarlyEndWarning` says so.
+
         Args:
             x0: the initial state, by name or in order; None: that of the first measured trajectory, with its inputs
                 where `u` names none.
@@ -402,7 +405,10 @@ class Model(Exports):
         if paths is not None:
             return ensemble_of(model, start, times, inputs, (paths, seed))
         bands = (model._errors, model._quantile) if has_bands and model._errors is not None else None
-        return replace(simulate(field, start, times, inputs, bands), time=model.time)
+        found = replace(simulate(field, start, times, inputs, bands), time=model.time)
+        if len(found.t) < len(times):
+            warnings.warn(found.message, EarlyEndWarning, stacklevel=2)
+        return found
 
     def stationary_density(
         self,
@@ -427,10 +433,8 @@ class Model(Exports):
         """
         require_process(self)
         given = {name: number(its, f"the input {name!r}") for name, its in by_name(inputs, "inputs").items()}
+        self.require_inputs(given)
         held = {self._result["symbols"].get(name, name): its for name, its in given.items()}
-        unknown = next((name for name in held if name not in self.inputs), None)
-        if unknown is not None:
-            raise UsageError(f"there is no input {unknown!r}; the inputs are {', '.join(self.inputs) or 'none'}")
         return density_of_process(self, self.start_of(x0), [held.get(name, 0.0) for name in self.inputs], (paths, seed))
 
     @cached_property
@@ -516,8 +520,13 @@ class Model(Exports):
             return _r2(*np.concatenate(both, axis=1))
         found, measured_parts = [], []
         states = [name for name in self.states if all(_has(part, self._columns[name]) for part in parts)]
+        if not states:
+            columns = ", ".join(self._columns[name] for name in self.states)
+            raise UsageError(f"the data have none of the columns {columns} in every part; give a measured state")
         for part in parts:
-            its = self._simulated(part)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", EarlyEndWarning)
+                its = self._simulated(part)
             if its.status != "finished":
                 return -np.inf
             found.append(_stacked([its[name] for name in states]))
@@ -539,12 +548,13 @@ class Model(Exports):
         Raises:
             UsageError: a column is missing, or a state of the first row is.
         """
-        times, values, start = _column(part, self.time), {}, {}
-        positions = self._positions
+        times, positions, start = _column(part, self.time), self._positions, {}
+        measured = [name for name in self.states if name not in positions or _has(part, self._columns[name])]
+        values = {name: _column(part, self._columns[name]) for name in measured}
+        _stacked([times, *values.values()])
         for name in self.states:
-            if name not in positions or _has(part, self._columns[name]):
-                values[name] = _column(part, self._columns[name])
-                start[name] = float(values[name][0]) if len(values[name]) else np.nan
+            if name in values:
+                start[name] = float(values[name][0]) if len(times) else np.nan
             else:
                 start[name] = _slope(times, _column(part, self._columns[positions[name]]), positions[name])
         unknown = next((name for name, value in start.items() if not np.isfinite(value)), None)
@@ -558,6 +568,13 @@ class Model(Exports):
         half = len(self.states) // 2
         is_second = all(each["lhs"].startswith(f"d2{each['variable']}/") for each in self._result["equations"])
         return dict(zip(self.states[half:], self.states[:half], strict=True)) if is_second else {}
+
+    def require_inputs(self, names: Iterable[str]) -> None:
+        """Raise UsageError where one of `names`, symbols or columns, is no input."""
+        unknown = next((name for name in names if self._result["symbols"].get(name, name) not in self.inputs), None)
+        if unknown is not None:
+            hint = did_you_mean(str(unknown), self.inputs)
+            raise UsageError(f"there is no input {unknown!r}; the inputs are {', '.join(self.inputs) or 'none'}{hint}")
 
     def inputs_of(self, part: Mapping[str, Any]) -> dict[str, FloatArray]:
         """Return those inputs (N,) of measured rows that have a column, by name."""
@@ -782,6 +799,8 @@ class Model(Exports):
         times: FloatArray,
         recorded: Mapping[str, tuple[FloatArray, FloatArray]],
     ) -> Inputs | None:
+        if isinstance(u, Mapping):
+            self.require_inputs(u)
         if not self.inputs:
             return None
         if callable(u):

@@ -45,6 +45,7 @@ _EQUATION: Final = {
     "reason": str, "complexity": int, "epoch": int, "generation": int, "error": float, "normalized_error": float,
     "r2": float, "converged": bool, "target_error": float, "point_evaluations": int, "seconds": float, "nats": float,
     "constants": [_CONSTANT], "implied": [_CONSTANT], "groups": [_GROUP], "candidates": [_MEMBER], "front": [_MEMBER],
+    "simple_together": {"constants": [int], "values": _NUMBERS, "odds": float, "chi_square": float},
     "units": {"implied": [], "faults": [str]}, "bounds": [{}], "prediction": {"measure_from": _VALUES},
     "convergence": [{"island": int, "generations": _NUMBERS, "errors": _NUMBERS}],
 }  # fmt: skip

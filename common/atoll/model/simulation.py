@@ -32,17 +32,26 @@ MOST_EVALUATIONS: Final = 200_000
 """Evaluations of the rates: some seconds. A longer simulation is begun again from where this one ended."""
 MOST_NUMBERS: Final = 10_000_000
 """Largest number of values, times by states: 80 MB."""
+_COARSE: Final = 1e-3
+"""Of the size of a state: below it errors are allowed that are `TOLERANCE` of so much, and no longer of the state."""
+_LOOKS: Final = 50
+"""Rows of a simulation at which is seen how strongly errors of constants drive it."""
 _LARGEST: Final = 1e150
 """The square of a larger number is no finite one."""
+
+
+class EarlyEndWarning(UserWarning):
+    """A simulation has ended before the last time that was asked for; its times and states are those reached."""
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
     """What a model does from an initial state.
 
-    `t` (N,) are the times that were reached and `x` (N, D) the `states` there; `stderr` (N, D) are the standard errors
-    that those of the constants give them (first order), and `lower`, `upper` their 95 % band; None where the errors of
-    the constants are not known. `status` says how it ended, `message` in a sentence.
+    `t` (N,) are the times that were reached, fewer than were asked for where it ended early, and `x` (N, D) the
+    `states` there; `stderr` (N, D) are the standard errors that those of the constants give them (first order), and
+    `lower`, `upper` their 95 % band; None where the errors of the constants are not known. `status` says how it ended,
+    `message` in a sentence.
     """
 
     states: tuple[str, ...]
@@ -102,10 +111,12 @@ def simulate(
     check_times(field, x0, t)
     task = _Task(field, inputs, most)
     states, reached, last = _integrated(task, x0, t)
-    status: Status = "finished" if last is None else _ending(task, x0, reached, last, float(t[-1] - t[0]))
-    sentence = _sentence(status, reached, most)
+    status: Status = (
+        "finished" if last is None else _ending(task, _sizes(task, x0, t), reached, last, float(t[-1] - t[0]))
+    )
     count = len(states)
-    if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], x0, t)) is None:
+    sentence = _sentence(status, reached, most) + ("" if last is None else f"; {count} of {len(t)} times were reached")
+    if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], states, t)) is None:
         return Simulation(field.states, t[:count], states, status, sentence)
     half = bands[1] * spread
     return Simulation(field.states, t, states, status, sentence, spread, states - half, states + half)
@@ -165,17 +176,29 @@ def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> tuple[FloatArray,
 
     Also the last state (D,) where the integration ended early; None where it did not.
     """
+    begin, sizes = float(t[0]), _sizes(task, x0, t)
+    if len(t) == 1 or not np.isfinite(task.field.values(x0, task.inputs_at(begin))).all():
+        return np.array([x0]), begin, None if len(t) == 1 else x0
+    found = _attempt(task, x0, t, sizes)
+    reached = np.abs(found[0]).max(axis=0)
+    if found[2] is not None or not ((reached > 0.0) & (reached < _COARSE * sizes)).any():
+        return found
+    task.begin_again()  # what the size was taken to be was too large
+    finer = _attempt(task, x0, t, np.where(reached > 0.0, np.minimum(reached, sizes), sizes))
+    return finer if finer[2] is None else found
+
+
+def _attempt(
+    task: _Task, x0: FloatArray, t: FloatArray, sizes: FloatArray
+) -> tuple[FloatArray, float, FloatArray | None]:
+    """Return what `_integrated` does, each state with errors that are small beside its own size (D,)."""
     from scipy.integrate import LSODA
 
-    rows = [x0.copy()]
-    begin, end = float(t[0]), float(t[-1])
-    if len(t) == 1 or not np.isfinite(task.field.values(x0, task.inputs_at(begin))).all():
-        return np.array(rows), begin, None if len(t) == 1 else x0
-    reached, last = begin, x0
+    rows, reached, last = [x0.copy()], float(t[0]), x0
     with contextlib.suppress(_SpentError), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        least = TOLERANCE * 1e-3 * _scale(task, x0, t)
-        solver = LSODA(task.rates, begin, x0, end, rtol=TOLERANCE, atol=least, jac=task.jacobian)
+        least = TOLERANCE * _COARSE * sizes
+        solver = LSODA(task.rates, reached, x0, float(t[-1]), rtol=TOLERANCE, atol=least, jac=task.jacobian)
         while solver.status == "running":
             solver.step()
             if solver.status == "failed" or not np.isfinite(solver.y).all():
@@ -187,10 +210,22 @@ def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> tuple[FloatArray,
     return np.array(rows), reached, None if len(rows) == len(t) else last
 
 
-def _scale(task: _Task, x0: FloatArray, t: FloatArray) -> float:
-    """Return how large states are: the largest at first, where all are 0 what they become by the second time."""
-    moved = np.nan_to_num(task.field.values(x0, task.inputs_at(float(t[0])))) * float(t[1] - t[0])
-    return next((size for size in (float(np.abs(x0).max()), float(np.abs(moved).max())) if size > 0.0), 1.0)
+def _sizes(task: _Task, x0: FloatArray, t: FloatArray) -> FloatArray:
+    """Return how large each state is, (D,), all above 0: its initial value, which is what a course can grow from.
+
+    Where that is 0, the largest one measured; of a model without data what the first steps of Euler's method make of
+    it, as many as there are states, since each passes on what it has to others; else, of what stays 0 until an input
+    comes, 1, until the simulation tells.
+    """
+    sizes = np.abs(x0)
+    if task.field.sizes:
+        sizes = np.where(sizes > 0.0, sizes, task.field.sizes)
+    x, step = x0, float(t[1] - t[0]) if len(t) > 1 else 0.0
+    for _ in x0 if (sizes == 0.0).any() else ():
+        with np.errstate(all="ignore"):
+            x = x + step * np.nan_to_num(task.field.values(x, task.inputs_at(float(t[0]))))
+        sizes = np.where((sizes == 0.0) & np.isfinite(x), np.abs(x), sizes)
+    return _positive(sizes)
 
 
 def _take_rows(rows: list[FloatArray], t: FloatArray, solver: Any) -> None:
@@ -201,11 +236,11 @@ def _take_rows(rows: list[FloatArray], t: FloatArray, solver: Any) -> None:
         rows += [np.asarray(dense(at)) for at in t[len(rows) : end].tolist()]
 
 
-def _ending(task: _Task, x0: FloatArray, reached: float, last: FloatArray, span: float) -> Status:
-    """Return why a simulation ended early, from the last state that was reached."""
+def _ending(task: _Task, sizes: FloatArray, reached: float, last: FloatArray, span: float) -> Status:
+    """Return why a simulation ended early, from the last state that was reached; `sizes` (D,) are those at first."""
     rates = task.field.values(last, task.inputs_at(reached))
     with np.errstate(all="ignore"):  # the time in which a state that grows gets twice as large
-        is_growing = (last * rates > 0.0) & (np.abs(last) > np.abs(x0).max())
+        is_growing = (last * rates > 0.0) & (np.abs(last) > sizes)
         doubling = float(np.where(is_growing, np.abs(last / rates), np.inf).min())
     if np.abs(last).max() > _LARGEST or doubling < math.sqrt(TOLERANCE) * span:
         return "blow-up"
@@ -222,19 +257,27 @@ def _sentence(status: Status, reached: float, most: int) -> str:
     }[status]
 
 
-def _standard_errors(task: _Task, errors: JointErrors, x0: FloatArray, t: FloatArray) -> FloatArray | None:
-    """Return the standard errors (N, D) of the states, by the sensitivities S' = J S + df/dc; None where they fail."""
-    size, count = len(x0), len(errors.columns)
+def _standard_errors(task: _Task, errors: JointErrors, states: FloatArray, t: FloatArray) -> FloatArray | None:
+    """Return the standard errors (N, D) of simulated `states` (N, D), by the sensitivities S' = J S + df/dc.
+
+    None where they cannot be followed.
+    """
+    x0, (rows, size) = states[0], states.shape
     values, vectors = np.linalg.eigh(errors.covariance)
     kept = values > 0.0
     root = vectors[:, kept] * np.sqrt(values[kept])  # (K, M): sensitivities to directions of unit variance
     number = root.shape[1]
-    if not count or not number or len(t) == 1:
+    if not len(errors.columns) or not number or len(t) == 1:
         return np.zeros((len(t), size))
+    sizes = _positive(np.abs(states).max(axis=0))
+    some = np.unique(np.linspace(0, rows - 1, _LOOKS).astype(int))
+    driven = np.array([errors.rates(states[row], task.inputs_at(float(t[row]))) @ root for row in some])
+    # sensitivities are linear in a direction: each is followed at the size at which states move by about their own
+    shares = _positive(np.nan_to_num((np.abs(driven) / sizes[:, None]).max(axis=(0, 1)) * float(t[-1] - t[0])))
 
     def rates(at: float, y: FloatArray) -> FloatArray:
         x, s = y[:size], y[size:].reshape(size, number)
-        slope = task.jacobian(at, x) @ s + errors.rates(x, task.inputs_at(at)) @ root
+        slope = task.jacobian(at, x) @ s + errors.rates(x, task.inputs_at(at)) @ (root / shares)
         return np.concatenate([task.rates(at, x), slope.ravel()])
 
     from scipy.integrate import solve_ivp
@@ -244,14 +287,19 @@ def _standard_errors(task: _Task, errors: JointErrors, x0: FloatArray, t: FloatA
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            least = 1e-9 * _scale(task, x0, t)
+            least = 1e-9 * np.concatenate([sizes, np.repeat(sizes, number)])
             found = solve_ivp(rates, (float(t[0]), float(t[-1])), start, "LSODA", t, rtol=1e-6, atol=least)
     except _SpentError:
         return None
     if found.status != 0:
         return None
-    sensitivities = found.y[size:].reshape(size, number, len(t))
+    sensitivities = found.y[size:].reshape(size, number, len(t)) * shares[:, None]
     return np.asarray(np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities)))
+
+
+def _positive(sizes: FloatArray) -> FloatArray:
+    """Return sizes, 1 in the place of 0: what is always 0 has none, and errors of it are none."""
+    return np.where(sizes > 0.0, sizes, 1.0)
 
 
 def interpolated(times: FloatArray, values: FloatArray) -> Inputs:

@@ -18,6 +18,7 @@ from atoll.errors import UsageError
 from atoll.expression.operators import ARITY, CONSTANT, VARIABLE, Definition, Functions, Slope, definitions
 from atoll.expression.program import Program
 from atoll.expression.text.parsing import from_infix
+from atoll.model.scales import measured_sizes
 
 if TYPE_CHECKING:
     import sympy
@@ -43,11 +44,13 @@ class VectorField:
 
     `states` are the names of x in order, `inputs` those of u, which have no equation; `expressions` are the D
     right-hand sides as infix text. Of equations of second order, the velocities are states after all positions.
+    `sizes` are the largest absolute values measured of the states, 0 where none is known; empty: of no state.
     """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     expressions: tuple[str, ...]
+    sizes: tuple[float, ...] = ()
     programs: tuple[Program, ...] = field(init=False, repr=False)
     parameters: tuple[Parameter, ...] = field(init=False, repr=False)
 
@@ -69,9 +72,9 @@ class VectorField:
         object.__setattr__(self, "parameters", parameters)
 
     @classmethod
-    def of(cls, equations: Mapping[str, str], inputs: Sequence[str] = ()) -> "VectorField":
-        """Return the field of ``{state: right-hand side}``, with these `inputs`; raises UsageError."""
-        return cls(tuple(equations), tuple(inputs), tuple(equations.values()))
+    def of(cls, equations: Mapping[str, str], inputs: Sequence[str] = (), sizes: Sequence[float] = ()) -> "VectorField":
+        """Return the field of ``{state: right-hand side}``, with these `inputs` and `sizes`; raises UsageError."""
+        return cls(tuple(equations), tuple(inputs), tuple(equations.values()), tuple(sizes))
 
     @classmethod
     def from_result(cls, found: Mapping[str, Any]) -> "VectorField":
@@ -90,12 +93,14 @@ class VectorField:
             raise UsageError(f"the result has no equation for {missing}; a model needs one for each state")
         positions = {symbols[each["variable"]]: str(each["expression"]) for each in equations}
         if order == 1:
-            return cls.of(positions, [name for name in symbols.values() if name not in positions])
+            names = [name for name in symbols.values() if name not in positions]
+            return cls.of(positions, names, measured_sizes(found, [*positions]))
         velocities = {_velocity_of(each["variable"], symbols): symbols[each["variable"]] for each in equations}
         moving = {name: velocity for velocity, name in velocities.items()}
         accelerations = {moving[name]: text for name, text in positions.items()}
         taken = {*moving, *accelerations}
-        return cls.of({**moving, **accelerations}, [name for name in symbols.values() if name not in taken])
+        names, states = [name for name in symbols.values() if name not in taken], {**moving, **accelerations}
+        return cls.of(states, names, measured_sizes(found, [*states]))
 
     @property
     def values_of_parameters(self) -> FloatArray:
@@ -267,7 +272,9 @@ class _Function:
     def _lambdified(self, module: str) -> Callable[..., Any]:
         import sympy
 
-        function: Callable[..., Any] = sympy.lambdify(self._arguments, self._formulas, modules=module, cse=True)
+        # Such as 1/(x - x), which has no value anywhere: neither module has a number for it.
+        known = [sympy.nan if sympy.sympify(each).has(sympy.zoo) else each for each in self._formulas]
+        function: Callable[..., Any] = sympy.lambdify(self._arguments, known, modules=module, cse=True)
         return function
 
     def at_point(self, numbers: Sequence[float]) -> FloatArray:

@@ -28,7 +28,8 @@ def constants(its: Findings) -> list[Element]:
         "simple number near it",
         "determined",
     ]
-    notes = [paragraph(_correlation(each, names)) for each in its.result.get("correlations") or ()]
+    notes = [paragraph(text) for each in its.result["equations"] for text in _together(each, names[each["variable"]])]
+    notes += [paragraph(_correlation(each, names)) for each in its.result.get("correlations") or ()]
     profiles = [] if its.identifiability is None else _profiles(its.identifiability)
     if count_constants(its.result) > MOST_PROFILES:
         profiles.append(paragraph("coordinator analyse --identifiability says what the data determine of so many."))
@@ -119,6 +120,19 @@ def _simple(its: Mapping[str, Any] | None) -> str:
     if not its or its.get("odds") is None:
         return ""
     return f"{number(its['value'], 6)}, odds {number(its['odds'], 2)}, {number(its['standard_errors'], 2)} se off"
+
+
+def _together(equation: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    """Return a sentence on simple numbers of several constants together; nothing where others are likelier."""
+    its = equation.get("simple_together")
+    if not its or its.get("odds") is None:
+        return []
+    pairs = zip(its["constants"], its["values"], strict=True)
+    simple = " and ".join(f"{names[place]} = {number(value, 6)}" for place, value in pairs)
+    return [
+        f"{simple}, judged together: odds {number(its['odds'], 2)} against all other numbers "
+        f"(chi-square {number(its['chi_square'], 2)})."
+    ]
 
 
 def _correlation(its: Mapping[str, Any], names: Mapping[str, Sequence[str]]) -> str:

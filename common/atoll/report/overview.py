@@ -27,7 +27,9 @@ def overview(its: Findings) -> Element:
     if found.get("process"):
         said.append("Of a state x, d[x]/dt is the variance that noise adds in a unit of time.")
     verdicts = dict.fromkeys(each["verdict"] for each in found["equations"] if each.get("verdict") is not None)
-    meanings = element("small", " ".join(f"{each.capitalize()}: {MEANINGS[each]}." for each in verdicts))
+    meanings = element(
+        "small", " ".join(f"{each.capitalize()}: {MEANINGS[each]}." for each in verdicts if each in MEANINGS)
+    )
     said_of_all = [paragraph(meanings), *map(paragraph, said)]
     return section("found", "Found", *equations, *said_of_all, facts(_facts(its)), *noted)
 

@@ -1,11 +1,16 @@
-"""Addresses such as ``tcp/HOST:PORT`` or ``tls/HOST:PORT``: reading them, and finding out what is there.
+"""Addresses such as ``tcp/HOST:PORT``, ``tls/HOST:PORT`` or ``unixsock-stream/PATH``: reading them, and what is there.
 
 With credentials an address is a destination: where to listen or dial, and with which certificate.
 """
 
+import contextlib
 import errno
+import os
 import socket
+import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 from atoll.command_line import TLS_OPTIONS
@@ -13,19 +18,34 @@ from atoll.errors import RefusedError, UsageError
 from atoll.wire.security.credentials import Credentials, check_welcome, speaks_tls
 
 _PROTOCOLS: Final = ("tcp", "tls", "quic")
+_SOCKET: Final = "unixsock-stream"
+_LONGEST_PATH: Final = 103
+"""Bytes of a socket's path, which fit everywhere (macOS has 104 with the zero at their end, Linux 108)."""
+_NOT_IN_PATHS: Final = "?#\0\n"
+"""What ends the path of an address, for zenoh."""
 _ENCRYPTED: Final = ("tls", "quic")
 _PROBE_LIMIT_S: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a router listens. Port 0 stands for any free port."""
+    """Where a router listens. Port 0 stands for any free port.
+
+    Of a socket of this machine, whose users are those who may use its folder, `host` is the path and `port` 0.
+    """
 
     protocol: str
     host: str
     port: int
 
+    @property
+    def is_socket(self) -> bool:
+        """Whether it is a socket of this machine, not one of a network."""
+        return self.protocol == _SOCKET
+
     def __str__(self) -> str:
+        if self.is_socket:
+            return f"{self.protocol}/{self.host}"
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.protocol}/{host}:{self.port}"
 
@@ -63,6 +83,8 @@ def destination(text: str, credentials: Credentials | None = None) -> Destinatio
 def parse_address(text: str) -> Address:
     """Return the address that `text` names; raises UsageError."""
     protocol, _, place = text.strip().partition("/")
+    if protocol == _SOCKET:
+        return _socket_address(text, place)
     host, _, port = place.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     good_port = port.isascii() and port.isdigit() and int(port) < 65536
@@ -71,12 +93,39 @@ def parse_address(text: str) -> Address:
     return Address(protocol, host, int(port))
 
 
+def _socket_address(text: str, path: str) -> Address:
+    if not path:
+        raise UsageError(f"address {text!r} was found where a path was expected, such as {_SOCKET}//tmp/mine/bus")
+    if any(c in path for c in _NOT_IN_PATHS):
+        raise UsageError(f"the path of {text!r} has one of ? # and line breaks; name a socket in another folder")
+    if len(os.fsencode(path)) > _LONGEST_PATH:
+        raise UsageError(f"the path of {text!r} is longer than {_LONGEST_PATH} bytes; name a socket in another folder")
+    return Address(_SOCKET, path, 0)
+
+
+@contextlib.contextmanager
+def own_address() -> Iterator[Address]:
+    """Yield an address that only this user can reach, on this machine, while the block lasts: a socket in a folder."""
+    with contextlib.ExitStack() as stack:
+        try:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="atoll-", ignore_cleanup_errors=True))
+            if len(os.fsencode(folder)) > _LONGEST_PATH - len("/bus") or any(c in folder for c in _NOT_IN_PATHS):
+                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="atoll-", dir="/tmp"))
+        except OSError as error:
+            raise UsageError(
+                f"no folder for what is temporary can be made ({error.strerror}); name another with TMPDIR"
+            ) from error
+        yield Address(_SOCKET, f"{folder}/bus", 0)
+
+
 def bindable(address: Address) -> Address:
     """Return `address` with port 0 replaced by a free one, after checking that a router could listen there.
 
     Raises:
         UsageError: the port is in use or may not be used, or the host is not one of this machine's.
     """
+    if address.is_socket:
+        return _bindable_socket(address)
     kind = socket.SOCK_DGRAM if address.protocol == "quic" else socket.SOCK_STREAM
     try:
         family, _, _, _, place = socket.getaddrinfo(address.host, address.port, type=kind, flags=socket.AI_PASSIVE)[0]
@@ -89,12 +138,27 @@ def bindable(address: Address) -> Address:
         raise UsageError(_cannot_listen(address, error)) from error
 
 
+def _bindable_socket(address: Address) -> Address:
+    address = parse_address(f"{_SOCKET}/{Path(address.host).absolute()}")  # as others may dial it, wherever they are
+    folder = Path(address.host).parent
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise UsageError(f"cannot listen on {address}: the folder {folder} is not there or cannot be written")
+    if why_unreachable(address) is None:
+        raise UsageError(f"cannot listen on {address}: another program listens there; choose another with --listen")
+    return address
+
+
 def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | None:
     """Return why nothing can be reached at `address` right now, or None when something accepts connections there."""
     if address.protocol == "quic":
         return None
     try:
-        socket.create_connection((address.host, address.port), timeout=limit_s).close()
+        if address.is_socket:
+            with socket.socket(socket.AF_UNIX) as probe:
+                probe.settimeout(limit_s)
+                probe.connect(address.host)
+        else:
+            socket.create_connection((address.host, address.port), timeout=limit_s).close()
     except socket.gaierror:
         return f"the host {address.host!r} is not known"
     except TimeoutError:
@@ -115,7 +179,7 @@ def check_certificates(to: Destination, listen_s: float) -> str | None:
         RefusedError: certificates do not fit, or are asked for and not given.
     """
     address = to.address
-    if address.protocol == "quic":
+    if address.protocol == "quic" or address.is_socket:
         return None
     try:
         if to.credentials is not None:

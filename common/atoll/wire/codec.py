@@ -38,7 +38,7 @@ DTYPES: Final = ("f8", "i8", "i4", "i2", "i1", "u1", "u8")
 _SMALL: Final = 64 * 1024  # so many bytes cannot make enough items to be worth counting
 _MAGIC: Final = b"atollar1"
 _ALIGNMENT: Final = 64
-_BROKEN: Final = (
+BROKEN: Final = (
     ValueError,
     TypeError,
     KeyError,
@@ -47,6 +47,7 @@ _BROKEN: Final = (
     MemoryError,
     msgpack.exceptions.UnpackException,
 )
+"""What taking apart foreign bytes, or what was built of them, may raise."""
 
 
 def encode(model: Model) -> bytes:
@@ -69,7 +70,7 @@ def decode(data: bytes, kind: type[M] | TypeAdapter[M], max_bytes: int = MAX_PAY
         return _validated(tree, kind)
     except ValidationError as error:
         raise RemoteProtocolError(f"a message does not fit {_name(kind)}: {_first(error)}") from error
-    except _BROKEN as error:
+    except BROKEN as error:
         raise RemoteProtocolError(f"a message does not fit {_name(kind)}: {_brief(error)}") from error
 
 
@@ -102,7 +103,7 @@ def decode_arrays(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> tuple[dict[
         raise RemoteProtocolError(f"a block of arrays has {len(data)} bytes, more than the {max_bytes} allowed")
     try:
         return _decode_arrays(data)
-    except _BROKEN as error:
+    except BROKEN as error:
         raise RemoteProtocolError(f"a block of arrays is malformed: {_brief(error)}") from error
 
 
@@ -142,7 +143,7 @@ def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Datase
             warnings=_texts(header["warnings"]),
             groups=_groups(arrays["groups"], inputs) if "groups" in arrays else None,
         )
-    except _BROKEN as error:
+    except BROKEN as error:
         raise RemoteProtocolError(f"a dataset is malformed: {_brief(error)}") from error
 
 
@@ -150,7 +151,7 @@ def _pack(tree: object) -> bytes:
     try:
         _check_tree(tree)
         data = cast(bytes, msgpack.packb(tree, default=_plain))
-    except _BROKEN as error:
+    except BROKEN as error:
         raise LocalProtocolError(f"a message cannot be encoded: {_brief(error)}") from error
     return data
 
@@ -168,7 +169,7 @@ def _unpack(data: bytes, max_bytes: int) -> object:
         _walk(data)
         tree = _built(data)
         _check_tree(tree)
-    except _BROKEN as error:
+    except BROKEN as error:
         raise RemoteProtocolError(f"a message is not well-formed msgpack: {_brief(error)}") from error
     return tree
 

@@ -40,3 +40,29 @@ def test_an_interrupt_at_any_moment_is_exit_code_130_without_a_traceback(words: 
         codes.add(process.returncode)
     assert 130 in codes
     assert codes <= {0, 2, 130}
+
+
+def test_how_children_end_is_known_although_a_parent_ignores_it() -> None:
+    """An ignored SIGCHLD is inherited; the system then forgets how children ended, and that they were there."""
+    program = (
+        "import signal, subprocess, sys\n"
+        "signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n"
+        "code = 'import subprocess, sys; from atoll.program import reap_children; reap_children(); '\n"
+        'code += \'print(subprocess.run([sys.executable, "-c", "raise SystemExit(7)"]).returncode)\'\n'
+        "sys.stdout.write(subprocess.run([sys.executable, '-c', code], stdout=subprocess.PIPE, text=True).stdout)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "7", done.stderr
+
+
+def test_a_worker_goes_on_when_a_child_dies_although_a_parent_ignores_that() -> None:
+    """The supervisor of two workers waits for a coordinator, and for a child whose death nobody told the system of."""
+    program = (
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n"
+        "words = ['--connect', 'tcp/127.0.0.1:1', '--processes', '2', '--wait', '0.1']\n"
+        "os.execv(sys.executable, [sys.executable, '-m', 'atoll_island_worker', *words])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3, done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,8 +1,11 @@
 """Units as products of powers: read, written, and by those of the SI."""
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from atoll.errors import UsageError
+from atoll.model.export.sbml_units import factors_of
 from atoll.units import NO_UNIT, expanded, parse_unit
 
 
@@ -27,11 +30,16 @@ def test_a_unit_is_a_product_of_powers(text, written):
     assert str(parse_unit(text)) == written
 
 
-@pytest.mark.parametrize("text", ["m/", "m+", "(m", "3.7 m", "^2", "/", "m^^2", "m)", "m^x", "11 m", "m//s"])
+BROKEN = ["m/", "m+", "(m", "3.7 m", "^2", "/", "m^^2", "m)", "m^x", "11 m", "m//s", "m^(1/0)", "m^(1/(0))", "0 m"]
+LONG = ["(" * 3000 + "m", "m^" + "-" * 3000 + "1", "1" * 5000, "(" * 299]
+
+
+@pytest.mark.parametrize("text", BROKEN + LONG)
 def test_what_is_no_unit_is_one_sentence(text):
     with pytest.raises(UsageError, match="is no unit; write a product of powers") as caught:
         parse_unit(text)
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
 
 
 @pytest.mark.parametrize(
@@ -58,3 +66,32 @@ def test_pure_numbers_have_no_unit():
     assert parse_unit("m/m").is_none
     assert NO_UNIT.is_none
     assert not parse_unit("%").is_none, "a hundredth is a factor"
+
+
+ALONE = ["pH", "ppm", "ppb", "psi", "ft", "mmHg", "dBm", "mph", "cells", "EUR", "°C", "au", "①", "½", "eV", "Hg", "dB"]
+
+
+@pytest.mark.parametrize("word", ALONE)
+def test_words_that_are_no_multiples_stand_for_themselves(word):
+    assert expanded(parse_unit(word)) == {word: 1}
+
+
+def test_acidity_is_no_inductance():
+    assert expanded(parse_unit("nH/1000")) == expanded(parse_unit("H/1000000000000"))
+    assert factors_of("pH") == ()
+    assert factors_of("nH")
+
+
+WORDS = ["**", "mol", "pH", "10", "1.5", "cells", "^(1/2)"]
+PARTS = st.sampled_from([*"mskgHLh0123456789", *"^*/.·()+-− ⁻²³°%①½", *WORDS])
+
+
+@settings(max_examples=1000, deadline=None, derandomize=True, database=None)
+@given(st.one_of(st.lists(PARTS, max_size=12).map("".join), st.text(max_size=20)))
+def test_any_text_is_a_unit_or_refused_and_a_unit_is_read_as_it_is_written(text):
+    try:
+        unit = parse_unit(text)
+    except UsageError:
+        return
+    assert expanded(parse_unit(str(unit))) == expanded(unit)
+    factors_of(text)

@@ -1,29 +1,16 @@
 """Print programs as infix text that our parser (`atoll.expression.text.parsing`) and sympy read alike.
 
-Two manners. *Exact* (the default): parsing the text gives the same bits on every row, because only rewritings are used
-that IEEE 754 keeps: the operands of + and * swapped, signs moved, a*a as a**2, a + a as 2.0*a, sin(a)/cos(a) as
-tan(a). *Display* (``digits``): the shortest writing (`atoll.expression.writing`) with rounded constants.
+Two manners. *Exact* (the default): parsing the text gives the same bits on every row, because the form that is written
+(`atoll.expression.text.form`) keeps them. *Display* (``digits``): the shortest writing (`atoll.expression.writing`)
+with rounded constants.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Final
 
-from atoll.expression.operators import (
-    ADD,
-    ARITY,
-    CONSTANT,
-    DIVIDE,
-    INVERSE,
-    MULTIPLY,
-    NEGATE,
-    SQUARE,
-    SUBTRACT,
-    VARIABLE,
-)
+from atoll.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY
 from atoll.expression.program import Program, constant_places, with_constants
+from atoll.expression.text.form import Form, Kind, Renderer, Signed, Written, form_of
 from atoll.expression.text.notation import INFIX, Notation
 
 PRINTABLE_SIZE: Final = 5_000
@@ -41,16 +28,30 @@ def to_infix(program: Program, names: Sequence[str], *, digits: int | None = Non
     Raises:
         ValueError: the text would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
     """
-    _check_size(program)
     if digits is None:
-        return _exact(program, names, repr)
+        return _text(exact_form(program), names, repr)
+    return _text(displayed_form(program, digits), names, lambda value: f"{value:.{digits}g}")
+
+
+def exact_form(program: Program) -> Written:
+    """Return how `program` is written to the bit; raises ValueError when it is too large."""
+    _check_size(program)
+    return form_of(program)
+
+
+def displayed_form(program: Program, digits: int) -> Written:
+    """Return how `program` is shown with constants of so many significant digits, whatever it is shown in.
+
+    Raises:
+        ValueError: it is too large.
+    """
+    _check_size(program)
     # Imported here: what is printed to the bit needs none of it.
     from atoll.expression.writing.shortest import shortest
 
     found = shortest(program)
     values = {place: float(f"{found.constants[place]:.{digits}g}") for place in constant_places(found)}
-    rounded = with_constants(found, values)
-    return _exact(shortest(rounded), names, lambda value: f"{value:.{digits}g}")
+    return form_of(shortest(with_constants(found, values)))
 
 
 def to_code(program: Program, names: Sequence[str], notation: Notation, constants: Mapping[int, str]) -> str:
@@ -66,7 +67,7 @@ def to_code(program: Program, names: Sequence[str], notation: Notation, constant
         ValueError: the text would have more than `PRINTABLE_SIZE` operations.
     """
     _check_size(program)
-    return _exact(program, names, repr, notation, constants)
+    return _text(form_of(program, constants, quotients=notation.quotients), names, repr, notation)
 
 
 def _check_size(program: Program) -> None:
@@ -89,153 +90,54 @@ def tree_size(program: Program) -> int:
     return sizes[-1]
 
 
-@dataclass(frozen=True, slots=True)
-class _Piece:
-    """A printed part; its value is ``-text`` when `negative`.
-
-    A sum has `terms`, each with its sign, and no text of its own. `base` and `exponent` say that the text is a natural
-    power, which means repeated multiplication from the left.
-    """
-
-    kind: int
-    text: str = ""
-    negative: bool = False
-    terms: "tuple[_Piece, ...]" = ()
-    base: str = ""
-    exponent: int = 0
+def _text(written: Written, names: Sequence[str], number: Callable[[float], str], notation: Notation = INFIX) -> str:
+    return _Text(names, number, notation).render(written)
 
 
-_SUM, _PRODUCT, _POWER, _CONSTANT, _ATOM = range(5)
-_ONE: Final = _Piece(_CONSTANT, "1")
-_TWO: Final = _Piece(_CONSTANT, "2.0")
+class _Text(Renderer[str]):
+    """Writes forms as text of one notation."""
 
+    def __init__(self, names: Sequence[str], number: Callable[[float], str], notation: Notation) -> None:
+        super().__init__()
+        self._names, self._number, self._notation = names, number, notation
 
-def _exact(
-    program: Program,
-    names: Sequence[str],
-    number: Callable[[float], str],
-    notation: Notation = INFIX,
-    constants: Mapping[int, str] = MappingProxyType({}),
-) -> str:
-    pieces: list[_Piece] = []
-    for place, (code, left, right, value) in enumerate(program.nodes()):
-        if code == VARIABLE:
-            pieces.append(_Piece(_ATOM, names[left]))
-        elif code == CONSTANT:
-            pieces.append(_constant(constants.get(place), value, number))
-        elif ARITY[code] == 2:
-            pieces.append(_binary(code, pieces[left], pieces[right], notation))
-        else:
-            pieces.append(_unary(code, pieces[left], notation))
-    return _signed(pieces[-1])
+    def negative(self, its: str) -> str:
+        return f"-{its}"
 
+    def of(self, form: Form) -> str:
+        match form.kind:
+            case Kind.NAME:
+                return str(self._names[form.content])
+            case Kind.NUMBER:
+                value, name = form.content
+                return str(name) or self._number(value)
+            case Kind.CALL:
+                return f"{self._notation.call(form.content)}({self.signed(form.parts[0])})"
+            case Kind.GROUP:
+                return f"({self.signed(form.parts[0])})"
+            case Kind.SUM:
+                first, *rest = form.terms
+                signs = (f" {'-' if each.negative else '+'} {self.plain(each)}" for each in rest)
+                return "".join([self.signed(first), *signs])
+            case Kind.PRODUCT | Kind.QUOTIENT:
+                sign = "*" if form.kind is Kind.PRODUCT else "/"
+                return f"{self.plain(form.parts[0])}{sign}{self._factor(form.parts[1])}"
+            case Kind.NATURAL:
+                return self._notation.natural.format(self._base(form.parts[0]), form.content)
+            case Kind.POWER:
+                write = self.signed if self._notation.is_call else self._closed
+                return self._notation.power.format(*map(write, form.parts))
 
-def _constant(name: str | None, value: float, number: Callable[[float], str]) -> _Piece:
-    if name is not None:
-        return _Piece(_CONSTANT, name)
-    return _Piece(_CONSTANT, number(abs(value)), negative=math.copysign(1.0, value) < 0.0)
+    def _factor(self, its: Signed) -> str:
+        """Return the text of the right operand of * or /."""
+        return f"({self.plain(its)})" if its.is_product else self.plain(its)
 
+    def _base(self, its: Signed) -> str:
+        """Return the text of the base of a natural power."""
+        is_closed = its.is_atom or (its.form.kind is Kind.POWER and self._notation.is_call)
+        return self.plain(its) if is_closed else f"({self.plain(its)})"
 
-def _binary(code: int, left: _Piece, right: _Piece, notation: Notation) -> _Piece:
-    if code == ADD:
-        return _multiply(_TWO, left, notation) if left == right else _add(left, right)
-    if code == SUBTRACT:
-        return _add(left, _negated(right))
-    if code == MULTIPLY:
-        return _multiply(left, right, notation)
-    if code == DIVIDE:
-        return _divide(left, right, notation)
-    operand = _signed if notation.is_call else _closed
-    return _Piece(_ATOM if notation.is_call else _POWER, notation.power.format(operand(left), operand(right)))
-
-
-def _unary(code: int, piece: _Piece, notation: Notation) -> _Piece:
-    if code == NEGATE:
-        return _negated(piece)
-    if code == SQUARE:
-        return _multiply(piece, piece, notation)
-    if code == INVERSE:
-        return _divide(_ONE, piece, notation)
-    return _Piece(_ATOM, f"{notation.call(code)}({_signed(piece)})")
-
-
-def _negated(piece: _Piece) -> _Piece:
-    # Not term by term: -(a - b) and b - a differ in the sign of zero.
-    piece = _grouped(piece)
-    return replace(piece, negative=not piece.negative)
-
-
-def _add(left: _Piece, right: _Piece) -> _Piece:
-    if right.terms and not left.terms:
-        left, right = right, left
-    return _Piece(_SUM, terms=(*(left.terms or (left,)), _grouped(right)))
-
-
-def _multiply(left: _Piece, right: _Piece, notation: Notation) -> _Piece:
-    left, right, negative = _operands(left, right)
-    power = _power(left, right, notation)
-    if power is not None:
-        return replace(power, negative=negative)
-    if left.kind != _CONSTANT and (right.kind == _CONSTANT or (right.kind == _PRODUCT and left.kind != _PRODUCT)):
-        left, right = right, left
-    return _Piece(_PRODUCT, f"{left.text}*{_factor(right)}", negative)
-
-
-def _divide(left: _Piece, right: _Piece, notation: Notation) -> _Piece:
-    left, right, negative = _operands(left, right)
-    for above, below, name in notation.quotients():
-        argument = left.text.removeprefix(above)
-        if left.kind == right.kind == _ATOM and left.text == above + argument and right.text == below + argument:
-            return _Piece(_ATOM, name + argument, negative)
-    return _Piece(_PRODUCT, f"{left.text}/{_factor(right)}", negative)
-
-
-def _operands(left: _Piece, right: _Piece) -> tuple[_Piece, _Piece, bool]:
-    """Return both without their signs, and the sign of their product or quotient."""
-    left, right = _grouped(left), _grouped(right)
-    return replace(left, negative=False), replace(right, negative=False), left.negative != right.negative
-
-
-def _power(left: _Piece, right: _Piece, notation: Notation) -> _Piece | None:
-    if _CONSTANT in (left.kind, right.kind):
-        return None
-    if left.text == right.text:
-        return _natural_power(left.text if left.kind == _ATOM else f"({left.text})", 2, notation)
-    for power, factor in ((left, right), (right, left)):
-        if power.base == factor.text and factor.kind == _ATOM:
-            return _natural_power(power.base, power.exponent + 1, notation)
-    return None
-
-
-def _natural_power(base: str, exponent: int, notation: Notation) -> _Piece:
-    return _Piece(_POWER, notation.natural.format(base, exponent), base=base, exponent=exponent)
-
-
-def _grouped(piece: _Piece) -> _Piece:
-    """Return a sum in brackets, anything else as it is."""
-    return _Piece(_ATOM, f"({_signed(piece)})") if piece.terms else piece
-
-
-def _signed(piece: _Piece) -> str:
-    """Return the whole text of a piece, sign included."""
-    first, *rest = _leading_positive(piece.terms or (piece,))
-    text = f"-{first.text}" if first.negative else first.text
-    return "".join([text, *(f" {'-' if term.negative else '+'} {term.text}" for term in rest)])
-
-
-def _leading_positive(terms: tuple[_Piece, ...]) -> tuple[_Piece, ...]:
-    """Swap the first two terms where that makes the first one positive: the one reordering that keeps every bit."""
-    if len(terms) > 1 and terms[0].negative and not terms[1].negative:
-        return (terms[1], terms[0], *terms[2:])
-    return terms
-
-
-def _factor(piece: _Piece) -> str:
-    """Return the text of the right operand of * or /."""
-    return f"({piece.text})" if piece.kind == _PRODUCT else piece.text
-
-
-def _closed(piece: _Piece) -> str:
-    """Return the text of an operand of ``**``."""
-    is_closed = piece.kind in (_ATOM, _CONSTANT) and not piece.negative
-    return piece.text if is_closed else f"({_signed(piece)})"
+    def _closed(self, its: Signed) -> str:
+        """Return the text of an operand of ``**``."""
+        is_closed = (its.is_atom or its.is_constant) and not its.negative
+        return self.signed(its) if is_closed else f"({self.signed(its)})"

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from atoll.expression.operators import ABS, COS, FUNCTIONS, LOG, SIN, SQRT
+from atoll.expression.operators import ABS, FUNCTIONS, LOG, SQRT
+from atoll.expression.text.form import COTANGENT, TANGENT
 
 
 @dataclass(frozen=True)
@@ -30,14 +31,17 @@ class Notation:
     cotangent: str = ""
 
     def call(self, code: int) -> str:
-        """Return the name of the function of an operator."""
-        return self.functions.get(code) or self.prefix + FUNCTIONS[code]
+        """Return the name of the function of an operator, or of a quotient of sine and cosine."""
+        return self.functions.get(code) or self.prefix + (self._names.get(code) or FUNCTIONS[code])
 
-    def quotients(self) -> list[tuple[str, str, str]]:
-        """Return how a function over another one is called: name above, name below, name of the quotient."""
-        sine, cosine = self.call(SIN), self.call(COS)
-        found = ((sine, cosine, self.tangent), (cosine, sine, self.cotangent))
-        return [(above, below, self.prefix + name) for above, below, name in found if name]
+    @property
+    def _names(self) -> dict[int, str]:
+        return {TANGENT: self.tangent, COTANGENT: self.cotangent}
+
+    @property
+    def quotients(self) -> frozenset[int]:
+        """The codes of the quotients of sine and cosine that have a name."""
+        return frozenset(code for code in (TANGENT, COTANGENT) if self._names[code])
 
 
 INFIX: Final = Notation(power="{0}**{1}", natural="{0}**{1}", cotangent="cot")

@@ -26,7 +26,7 @@ def agree(before: Program, after: Program, points: FloatArray) -> bool:
     defined = np.isfinite(old)
     if not defined.any():
         return True
-    size = _TOLERANCE * float(np.median(np.abs(old[defined])))
+    size = float(np.median(_TOLERANCE * np.abs(old[defined])))  # the mean of two values may be beyond all numbers
     return bool(np.allclose(new[defined], old[defined], rtol=_TOLERANCE, atol=size))
 
 

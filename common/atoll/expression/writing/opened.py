@@ -8,6 +8,7 @@ term with a variable, so that ``x/(4 + 2*y)`` is ``0.5*x/(2 + y)``.
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
@@ -26,7 +27,7 @@ from atoll.expression.operators import (
 from atoll.expression.program import MAX_NODES, Program
 from atoll.expression.writing.layout import in_order
 from atoll.expression.writing.shortest import sum_of
-from atoll.expression.writing.sums import ONE, Atom, Monomial, Sum, UndefinedError, add, distribute, merged
+from atoll.expression.writing.sums import ONE, Atom, Monomial, Sum, UndefinedError, add, contained, distribute, merged
 
 MOST_TERMS: Final = 40
 """Sums of more terms are not opened."""
@@ -72,6 +73,7 @@ def terms_of(program: Program) -> Sum:
     return opened_sum(sum_of(program))
 
 
+@contained
 def opened_sum(its: Sum) -> Sum:
     """Return a sum whose terms have no bracket above the line; raises UndefinedError beyond `MOST_TERMS` terms."""
     while True:
@@ -144,10 +146,11 @@ def raised_quotients(its: Sum) -> Iterator[tuple[Shape, Sum]]:
             rest = merged(each for each in monomial if each[0] != atom)
             if constant and rest in factors:
                 ((lead, number),) = below.items()
-                raised = merged([*rest, *lead, (atom, -1)])
                 others = tuple(term for term in its if term[0] != monomial)
-                instead = ((rest, factor / constant), (raised, -factor * number / constant))
-                yield shape_of(raised), add((1.0, others), (1.0, instead))
+                with suppress(UndefinedError):
+                    raised = merged([*rest, *lead, (atom, -1)])
+                    instead = ((rest, factor / constant), (raised, -factor * number / constant))
+                    yield shape_of(raised), add((1.0, others), (1.0, instead))
 
 
 def open_terms(program: Program, is_written: IsWritten = lambda *_: False) -> Opened | None:
@@ -165,6 +168,14 @@ def open_terms(program: Program, is_written: IsWritten = lambda *_: False) -> Op
 
 def open_sum(its: Sum, is_written: IsWritten = lambda *_: False) -> Opened | None:
     """Return the program of an opened sum, as `open_terms` does."""
+    try:
+        return _built(its, is_written)
+    except UndefinedError:
+        return None
+
+
+@contained
+def _built(its: Sum, is_written: IsWritten) -> Opened | None:
     builder = _Builder(is_written)
     output = builder.sum_of_terms(its)
     if len(builder.nodes) > MAX_NODES:
@@ -242,6 +253,8 @@ class _Builder(ProgramBuilder):
         if kind == ADD:
             return self._added(rest[0], shape, path)
         if kind == POW:
+            if not rest[0]:
+                raise UndefinedError
             base = self._added(rest[0], shape, (*path, ("base", 0)))
             return self.operate(POW, base, self._added(rest[1], shape, (*path, ("exponent", 0))))
         return self.operate(kind, self._added(rest[0], shape, path))
@@ -259,10 +272,16 @@ def factored_forms(program: Program) -> Iterator[Program]:
         its = terms_of(program)
     except UndefinedError:
         return
-    for lead, (_, factor) in enumerate(its if len(its) > 1 else ()):
-        builder = _Builder(lambda *_: False)
-        scale = builder.append(CONSTANT, value=factor)
-        inner = tuple(
-            (monomial, 1.0 if place == lead else number / factor) for place, (monomial, number) in enumerate(its)
-        )
-        yield builder.program(builder.operate(MULTIPLY, scale, builder.sum_of_terms(inner)))
+    for lead in range(len(its) if len(its) > 1 else 0):
+        with suppress(UndefinedError):
+            yield _factored(its, lead)
+
+
+@contained
+def _factored(its: Sum, lead: int) -> Program:
+    """Return a sum with the coefficient of one of its terms in front of a bracket."""
+    factor = its[lead][1]
+    builder = _Builder(lambda *_: False)
+    scale = builder.append(CONSTANT, value=factor)
+    inner = tuple((monomial, 1.0 if place == lead else number / factor) for place, (monomial, number) in enumerate(its))
+    return builder.program(builder.operate(MULTIPLY, scale, builder.sum_of_terms(inner)))

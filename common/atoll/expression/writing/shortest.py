@@ -28,6 +28,7 @@ from atoll.expression.writing.sums import (
     UndefinedError,
     add,
     constant,
+    contained,
     function,
     multiply,
     power,
@@ -50,12 +51,16 @@ def _shortest_of(program: Program, depth: int) -> Program:
     if tree_size(program) > _LARGEST:
         return simplify_program(program)
     try:
-        found = best_of(sum_of(program, depth), depth)
+        made = _rewritten(program, depth)
     except UndefinedError:
         return simplify_program(program)
-    builder = ProgramBuilder()
-    made = builder.program(builder.build(written(found)[1]))
     return made if len(made) <= MAX_NODES else simplify_program(program)
+
+
+@contained
+def _rewritten(program: Program, depth: int) -> Program:
+    builder = ProgramBuilder()
+    return builder.program(builder.build(written(best_of(sum_of(program, depth), depth))[1]))
 
 
 def shortest(program: Program) -> Program:
@@ -68,6 +73,7 @@ def collected(program: Program) -> Program:
     return _shortest_of(program, 0)
 
 
+@contained
 def sum_of(program: Program, depth: int = 0) -> Sum:
     """Return the sum that a program is; brackets and arguments in their best form to that depth."""
     sums: list[Sum] = []

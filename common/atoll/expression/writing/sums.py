@@ -9,9 +9,12 @@ product.
 Values may differ where the given expression has none: ``x/x`` is 1.
 """
 
+import logging
 import math
-from collections.abc import Iterable
-from typing import Any, Final, TypeAlias
+from collections import Counter
+from collections.abc import Callable, Iterable
+from functools import wraps
+from typing import Any, Final, ParamSpec, TypeAlias, TypeVar
 
 from atoll.expression.evaluation import value_of
 from atoll.expression.operators import ABS, ADD, COS, EXP, LOG, POW, SIN, SQRT, TANH, VARIABLE
@@ -34,6 +37,36 @@ _QUARTER: Final = math.pi / 2
 
 class UndefinedError(Exception):
     """Raised where a part has no finite value, as in a division by zero, or a power is too large."""
+
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+FAILURES: Final[Counter[str]] = Counter()
+"""How often a rewriting failed in a way that nobody thought of, by function and kind: a mistake here, which is logged
+once of each."""
+
+
+def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Make any mistake in rewriting an `UndefinedError`, which leaves an expression as it was.
+
+    Writing decides how an equation is shown, and not what it is: no mistake in it may cost an island or a job. What
+    fails, fails at the same program always, so that the same seed still gives the same bits.
+    """
+
+    @wraps(function)
+    def guarded(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+        try:
+            return function(*arguments, **named)
+        except UndefinedError:
+            raise
+        except Exception as error:
+            kind = f"{function.__name__}: {type(error).__name__}"
+            FAILURES[kind] += 1
+            if FAILURES[kind] == 1:
+                logging.getLogger(__name__).warning("an expression stays as it was, rewriting failed: %s", kind)
+            raise UndefinedError from error
+
+    return guarded
 
 
 def constant(value: float) -> Sum:
@@ -96,8 +129,21 @@ def multiply(left: Sum, right: Sum) -> Sum:
 
 
 def scaled(its: Sum, factor: float) -> Sum:
-    """Return a multiple of a sum; the factor is not 0."""
-    return its if factor == 1.0 else tuple((monomial, cleaned(factor * coefficient)) for monomial, coefficient in its)
+    """Return a multiple of a sum; the factor is not 0. Raises UndefinedError where a term would vanish."""
+    if factor == 1.0:
+        return its
+    found = tuple((monomial, cleaned(factor * coefficient)) for monomial, coefficient in its)
+    if not all(coefficient for _, coefficient in found):
+        raise UndefinedError
+    return found
+
+
+def raised_number(value: float, exponent: int) -> float:
+    """Return a whole power of a number; raises UndefinedError when it is not finite."""
+    try:
+        return float(value**exponent)
+    except (OverflowError, ZeroDivisionError):
+        raise UndefinedError from None
 
 
 def power(base: Sum, exponent: int) -> Sum:
@@ -123,11 +169,7 @@ def distribute(left: Sum, right: Sum) -> Sum:
 def _factors(its: Sum, exponent: int) -> list[tuple[Atom, int] | float]:
     """Return the factors of a power of a sum: a number, and atoms with their exponents."""
     coefficient, monomial = bracket_or_term(its)
-    try:
-        number = coefficient**exponent
-    except (OverflowError, ZeroDivisionError):
-        raise UndefinedError from None
-    return [number, *((atom, count * exponent) for atom, count in monomial)]
+    return [raised_number(coefficient, exponent), *((atom, count * exponent) for atom, count in monomial)]
 
 
 def bracket(its: Sum) -> tuple[float, Monomial]:
@@ -238,7 +280,7 @@ def _multiplied(factors: dict[Atom, int], its: Sum, exponent: int) -> float:
     number, monomial = bracket_or_term(its)
     for atom, count in monomial:
         factors[atom] = factors.get(atom, 0) + count * exponent
-    return float(number**exponent)
+    return raised_number(number, exponent)
 
 
 def _lone_atom(its: Sum) -> Atom:
@@ -248,7 +290,9 @@ def _lone_atom(its: Sum) -> Atom:
 
 
 def bracket_or_term(its: Sum) -> tuple[float, Monomial]:
-    """Return a sum as a number times a monomial."""
+    """Return a sum as a number times a monomial; raises UndefinedError of zero."""
+    if not its:
+        raise UndefinedError
     return bracket(its) if len(its) > 1 else (its[0][1], its[0][0])
 
 
@@ -314,7 +358,7 @@ def _exponential(argument: Sum) -> Sum:
         is_log = len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == LOG
         if is_log and coefficient.is_integer() and abs(coefficient) <= LARGEST_POWER:
             scale, its = bracket_or_term(monomial[0][0][1])
-            number *= scale ** int(coefficient)
+            number *= raised_number(scale, int(coefficient))
             whole += [(atom, exponent * int(coefficient)) for atom, exponent in its]
         else:
             kept.append((monomial, coefficient))

@@ -11,12 +11,21 @@ _WORDS: Final = (
     "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
     "bool true false asm typeof nullptr constexpr main errno stdin stdout stderr NULL EOF INFINITY NAN HUGE_VAL "
     "isnan isfinite sin cos tan exp log sqrt fabs tanh pow fmin fmax exit printf fprintf strtod strtol t state rate "
-    "rates simulate along parameters value"
+    "rates simulate along parameters value SIZE"
 )
+_MACROS: Final = (
+    "BIG_ENDIAN BUFSIZ BYTE_ORDER EXIT_FAILURE EXIT_SUCCESS FD_SETSIZE FILENAME_MAX FOPEN_MAX FP_ILOGB0 FP_ILOGBNAN "
+    "FP_INFINITE FP_NAN FP_NORMAL FP_SUBNORMAL FP_ZERO HUGE HUGE_VALF HUGE_VALL LITTLE_ENDIAN L_ctermid L_cuserid "
+    "L_tmpnam MATH_ERREXCEPT MATH_ERRNO MAXFLOAT MB_CUR_MAX M_1_PI M_2_PI M_2_SQRTPI M_E M_LN10 M_LN2 M_LOG10E "
+    "M_LOG2E M_PI M_PI_2 M_PI_4 M_SQRT1_2 M_SQRT2 NFDBITS PDP_ENDIAN P_tmpdir RAND_MAX SEEK_CUR SEEK_END SEEK_SET "
+    "TMP_MAX WCONTINUED WEXITED WNOHANG WNOWAIT WSTOPPED WUNTRACED math_errhandling linux unix DOMAIN OVERFLOW PLOSS "
+    "SING TLOSS UNDERFLOW X_TLOSS"
+)
+"""Of the headers that the program includes, in the usual dialects: a column called so would be something else."""
 
 LANGUAGE: Final = Language(
     C,
-    Naming(frozenset(_WORDS.split()), ("table_",)),
+    Naming(frozenset([*_WORDS.split(), *_MACROS.split()]), ("table_",)),
     "t",
     "//",
     "numbers are inf or nan, and the simulation ends with a message and exit code 1",

@@ -131,6 +131,7 @@ def content_of(
             between groups of trajectories.
     """
     model.require_one_group()
+    model.require_inputs(u or {})
     result = model.result
     names = tuple(result["symbols"].values())
     formulas = _formulas(model, names)
@@ -161,8 +162,7 @@ def held_at_zero(model: "Model", x0: Any, u: Mapping[str, Any] | None, without_t
     """Return sentences on the inputs that an export holds at 0, by arguments of `content_of`."""
     if model.is_regression:
         return ()
-    columns = {name: _column(model, name) for name in model.inputs}
-    left = {name: its for name, its in columns.items() if its != model.time and not {name, its} & set(u or {})}
+    left = {name: its for name, its in inputs_beside_time(model).items() if not {name, its} & set(u or {})}
     known, kept = _recorded(model, x0), _recorded(model, x0, without_tables)
     lost = ", ".join(its for name, its in left.items() if name in known and name not in kept)
     unknown = ", ".join(its for name, its in left.items() if name not in known)
@@ -170,6 +170,12 @@ def held_at_zero(model: "Model", x0: Any, u: Mapping[str, Any] | None, without_t
         *((f"inputs held at 0, not as recorded, since {without_tables} has no tables: {lost}",) if lost else ()),
         *((f"inputs held at 0, since nothing is given of them: {unknown}",) if unknown else ()),
     )
+
+
+def inputs_beside_time(model: "Model") -> dict[str, str]:
+    """Return the columns of the inputs that are not the time itself, by symbol."""
+    columns = {name: _column(model, name) for name in model.inputs}
+    return {name: column for name, column in columns.items() if column != model.time}
 
 
 def _recorded(model: "Model", x0: Any, without_tables: str = "") -> dict[str, tuple[FloatArray, FloatArray]]:

@@ -11,7 +11,9 @@ _WORDS: Final = (
     "global if import in isa let local macro module mutable new nothing outer primitive quote return struct true "
     "try tuple type undef using where while ans missing pi im Inf NaN sin cos tan cot exp log sqrt abs tanh t D W "
     "time along value model equations problem solution system Base Core Main row table until range solve println "
-    "print zip e"
+    "print zip e ModelingToolkit OrdinaryDiffEq StochasticDiffEq t_nounits D_nounits parameters variables brownians "
+    "named register_symbolic System mtkcompile ODEProblem SDEProblem Vern9 EM abstol reltol saveat dt length eachindex "
+    "as join Real clamp searchsortedlast view println"
 )
 
 LANGUAGE: Final = Language(
@@ -52,9 +54,9 @@ def _motion(words: Wording) -> list[str]:
         lines.append(f"@variables {words[state.name]}(t) = {begin!r}  # {words.about(state)}")
     lines += [*_equations(words), "@named system = System(equations, t)", "model = mtkcompile(system)", ""]
     lines += _solution(words)
-    row = ", ".join(f"solution[{name}][k]" for name in words.states)
-    lines += ["", f'println("{",".join([words.time, *words.states])}")', "for k in eachindex(solution.t)"]
-    return [*lines, f'    println(join((solution.t[k], {row}), ","))', "end"]
+    row = ", ".join(f"solution[{name}][row]" for name in words.states)
+    lines += ["", f'println("{",".join([words.time, *words.states])}")', "for row in eachindex(solution.t)"]
+    return [*lines, f'    println(join((solution.t[row], {row}), ","))', "end"]
 
 
 def _tables(words: Wording) -> list[str]:

@@ -11,7 +11,7 @@ _WORDS: Final = (
     "spmd switch try while do until endif endfor endfunction endwhile unwind_protect end_try_catch properties "
     "methods events enumeration arguments ans pi eps inf Inf nan NaN i j e nargin nargout varargin varargout true "
     "false sin cos tan cot exp reallog realsqrt realpow abs tanh atoll_model last rates along t state rate "
-    "options table times ppval mkpp linspace ode45 odeset fprintf numel min max value"
+    "options table times ppval mkpp linspace ode45 odeset fprintf numel min max value isempty clear"
 )
 
 LANGUAGE: Final = Language(

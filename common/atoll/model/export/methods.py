@@ -79,9 +79,9 @@ class Exports:
             UsageError: the model has no time, is a process or has no measurements; the folder cannot be written.
         """
         from atoll.model.export import petab
-        from atoll.model.export.content import content_of
+        from atoll.model.export.content import content_of, inputs_beside_time
 
         model = cast("Model", self)
         start, times = (None, None) if data is None else petab.beginning(model, data)
-        placeholders = dict.fromkeys((name for name in model.inputs if name != model.time), 0.0)
+        placeholders = dict.fromkeys(inputs_beside_time(model), 0.0)
         petab.save(petab.write(model, content_of(model, start, times, placeholders), data), folder)

@@ -13,7 +13,7 @@ _WORDS: Final = (
     "partial protected public pure record redeclare replaceable return stream then true type when while within "
     "time Real Integer Boolean String abs sign sqrt div mod rem ceil floor integer sin cos tan asin acos atan "
     "sinh cosh tanh exp log log10 pre edge change reinit sample smooth noEvent semiLinear delay cardinality "
-    "homotopy terminate AtollModel along table"
+    "homotopy terminate AtollModel along table start fixed annotation experiment"
 )
 
 LANGUAGE: Final = Language(

@@ -7,7 +7,7 @@ from atoll.expression.text.notation import PYTHON
 from atoll.model.export.content import Content, Language, Wording
 from atoll.model.export.naming import Naming
 
-_OWN: Final = {"np", "sys", "t", "along", "parameters", "rates", "noise", "simulate", "main", "value"}
+_OWN: Final = {"np", "sys", "t", "along", "parameters", "rates", "noise", "simulate", "main", "value", "PARAMETERS"}
 
 LANGUAGE: Final = Language(
     PYTHON,

@@ -34,7 +34,7 @@ from atoll.model.export.sbml_units import Units
 _WORDS: Final = (
     "time avogadro delay rateOf pi exponentiale infinity notanumber inf nan true false and or not xor if "
     "piecewise lambda model end at in is has var species compartment function event sin cos tan exp ln log log10 "
-    "sqrt abs tanh pow power root floor ceil factorial begin_time substance volume area length extent"
+    "sqrt abs tanh pow power root floor ceil factorial begin_time substance volume area length extent atoll_model"
 )
 LANGUAGE: Final = Language(
     INFIX,

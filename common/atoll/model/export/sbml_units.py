@@ -1,10 +1,11 @@
 """Units of columns and constants as unit definitions of SBML: products of powers of the SI's base units."""
 
+import math
 from collections.abc import Iterable
 from typing import Final
 
 from atoll.errors import UsageError
-from atoll.units import expanded, parse_unit
+from atoll.units import expanded, is_factor, parse_unit
 
 _KINDS: Final = {
     "m": "metre",
@@ -48,19 +49,23 @@ class Units:
 
 
 def factors_of(text: str) -> tuple[Factor, ...]:
-    """Return the factors of a unit; none where there is no unit, or one that the SI does not know, such as cells."""
+    """Return the factors of a unit; none of what the SI does not know, and of too large a factor."""
     if not text.strip():
         return ()
     try:
         powers = expanded(parse_unit(text))
     except UsageError:
         return ()
-    if any(not symbol.isdigit() and symbol not in _KINDS for symbol in powers):
+    if any(not is_factor(symbol) and symbol not in _KINDS for symbol in powers):
         return ()
-    size = 1.0
-    for symbol, power in powers.items():
-        size *= float(symbol) ** float(power) if symbol.isdigit() else 1.0
     kinds = [(_KINDS[symbol], float(power)) for symbol, power in powers.items() if symbol in _KINDS]
     kind, exponent = kinds[0] if kinds else ("dimensionless", 1.0)
-    first = (kind, exponent, float(f"{size ** (1.0 / exponent):.15g}"))  # (m u)^e: the first kind takes the size
+    try:
+        size = math.prod(float(symbol) ** float(power) for symbol, power in powers.items() if is_factor(symbol))
+        multiplier = float(f"{size ** (1.0 / exponent):.15g}")  # (m u)^e: the first kind takes the size
+    except (OverflowError, ZeroDivisionError):
+        return ()
+    if not 0.0 < multiplier < math.inf:
+        return ()
+    first = (kind, exponent, multiplier)
     return (first, *((kind, exponent, 1.0) for kind, exponent in kinds[1:]))

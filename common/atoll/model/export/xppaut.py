@@ -13,7 +13,8 @@ _WORDS: Final = (
     "normal besselj bessely besseli erf erfc arg poisson lgamma hom_bcs sqrt mod not if then else sum of shift "
     "del_shft int t pi i j e par param number init table wiener markov global aux bndry bdry done set volterra "
     "option options special solve only export vector block order x0 arg1 arg2 arg3 arg4 arg5 arg6 arg7 arg8 arg9 "
-    "ishift isdel rate"
+    "ishift isdel rate arg10 arg11 arg12 arg13 arg14 arg15 arg16 arg17 arg18 arg19 arg20 mouse_x mouse_y mouse_vx "
+    "mouse_vy nxxqq"
 )
 _LONGEST: Final = 900
 """Characters of a line: XPPAUT reads 1024."""

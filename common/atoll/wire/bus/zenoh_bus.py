@@ -75,7 +75,7 @@ def open_router(
             session = zenoh.open(_config("router", [str(address)], [], {**guards, **(settings or {})}))
             return ZenohBus(session, str(address), is_router=True)
         except zenoh.ZError as error:  # between finding a free port and listening on it, somebody may have taken it
-            if wanted.address.port or attempt == _FREE_PORT_ATTEMPTS:
+            if wanted.address.port or wanted.address.is_socket or attempt == _FREE_PORT_ATTEMPTS:
                 raise UsageError(f"cannot listen on {address}: {_reason(error)}") from error
     raise AssertionError
 

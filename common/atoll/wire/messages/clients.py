@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from atoll.config import JobConfig, Model
-from atoll.wire.messages.limits import CHUNK_SIZE, MAX_UPLOAD, Count, Digest, Id, Priority, Sentence
+from atoll.wire.messages.limits import CHUNK_SIZE, MAX_PAGE_JOBS, MAX_UPLOAD, Count, Digest, Id, Priority, Sentence
 from atoll.wire.messages.views import CoordinatorView, EventView, JobView, WorkerView
 
 
@@ -36,9 +36,23 @@ class Submit(Model):
 
 
 class Jobs(Model):
-    """List all jobs."""
+    """List jobs whose ids begin with `prefix`, and with `is_open` only those that have not ended: the last that came.
+
+    `before` is the cursor that the list of those behind them gave; at most `limit` are listed.
+    """
 
     kind: Literal["jobs"] = "jobs"
+    prefix: Id | Literal[""] = ""
+    is_open: bool = False
+    before: Count | None = None
+    limit: Annotated[int, Field(ge=1, le=MAX_PAGE_JOBS)] = MAX_PAGE_JOBS
+
+
+class FindJob(Model):
+    """Tell the id of the one job whose id is `prefix` or begins with it."""
+
+    kind: Literal["find-job"] = "find-job"
+    prefix: Id
 
 
 class Status(Model):
@@ -91,7 +105,8 @@ class Ask(Model):
     """Question of a client."""
 
     body: Annotated[
-        Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | Delete | GetEvents, Field(discriminator="kind")
+        Upload | Submit | Jobs | FindJob | Status | Workers | GetResult | Cancel | Delete | GetEvents,
+        Field(discriminator="kind"),
     ]
 
 
@@ -104,10 +119,18 @@ class Uploaded(Model):
 
 
 class JobList(Model):
-    """All jobs, newest last."""
+    """Jobs, newest last; `before` is the cursor for those that came before them, None when there are none."""
 
     kind: Literal["job-list"] = "job-list"
     jobs: tuple[JobView, ...]
+    before: Count | None = None
+
+
+class JobFound(Model):
+    """The id that was asked for."""
+
+    kind: Literal["job-found"] = "job-found"
+    job: Id
 
 
 class JobStatus(Model):
@@ -146,7 +169,7 @@ class Deleted(Model):
     job: Id
 
 
-FailureKind = Literal["unknown-job", "refused", "data", "too-early", "protocol", "internal"]
+FailureKind = Literal["unknown-job", "no-table", "refused", "data", "too-early", "protocol", "internal"]
 
 
 class Failure(Model):
@@ -161,6 +184,6 @@ class Answer(Model):
     """Answer to a client."""
 
     body: Annotated[
-        Uploaded | JobList | JobStatus | WorkerList | Result | Deleted | EventList | Failure,
+        Uploaded | JobList | JobFound | JobStatus | WorkerList | Result | Deleted | EventList | Failure,
         Field(discriminator="kind"),
     ]

@@ -10,6 +10,12 @@ CHUNK_SIZE: Final = 4 * 1024 * 1024
 MAX_UPLOAD: Final = 1024 * 1024 * 1024
 """Largest table a client may upload, in bytes."""
 
+MAX_PAGE_JOBS: Final = 100
+"""Most jobs in one list of them."""
+
+CHUNK_LIMIT_S: Final = 120.0
+"""How long a client tries to have one chunk of an upload taken, on a slow line, in seconds."""
+
 MAX_MESSAGE: Final = 16 * 1024 * 1024
 """Largest encoded message; anything larger is refused unread."""
 
@@ -19,11 +25,18 @@ MAX_STATE: Final = 256 * 1024 * 1024
 MAX_RUNNERS_UP: Final = 20_000
 """Most runners-up that an island may report of one epoch; an epoch has room for a few hundred."""
 
+MAX_ISLANDS: Final = 1024
+"""Most islands of one archipelago."""
+
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Variable = Annotated[str, Field(min_length=1, max_length=256)]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
-IslandIndex = Annotated[int, Field(ge=0, lt=1024)]
+Summand = Annotated[int, Field(ge=0, lt=2**63 // MAX_ISLANDS)]
+"""A count whose sum over all islands is a `Count`."""
+
+IslandIndex = Annotated[int, Field(ge=0, lt=MAX_ISLANDS)]
+IslandCount = Annotated[int, Field(ge=0, le=MAX_ISLANDS)]
 Term = Annotated[int, Field(ge=1, lt=2**63)]
 Sentence = Annotated[str, Field(max_length=4000)]
 Seconds = Annotated[float, Field(ge=0.0, lt=1e12)]

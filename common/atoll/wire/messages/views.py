@@ -12,7 +12,7 @@ WorkerState = Literal["compiling", "ready", "computing", "waiting", "leaving", "
 EventKind = Literal[
     "submitted", "prepared", "placed", "unplaced", "isolated", "pardoned", "commit", "cut", "refining",
     "done", "failed", "cancelled", "stalled", "moving", "worker-joined", "worker-lost", "worker-back",
-    "refused", "started", "deleted",
+    "refused", "started", "deleted", "broken",
 ]  # fmt: skip
 
 
@@ -30,13 +30,15 @@ class Counters(Model):
     """What a process has done since its start, and what it takes.
 
     `dropped`: messages lost because they came faster than they were taken; `refused`: malformed or foreign ones;
-    `duplicates`: what came again and changed nothing; `waited_s`: seconds that islands waited for migrants, summed
-    over islands; `memory_bytes`: memory occupied now; `cpu_s`: processor time taken.
+    `broken`: events over which something of ours broke; `duplicates`: what came again and changed nothing; `waited_s`:
+    seconds that islands waited for migrants, summed over islands; `memory_bytes`: memory occupied now; `cpu_s`:
+    processor time taken.
     """
 
     traffic: Annotated[tuple[Traffic, ...], Field(max_length=32)] = ()
     dropped: Annotated[int, Field(ge=0)] = 0
     refused: Annotated[int, Field(ge=0)] = 0
+    broken: Annotated[int, Field(ge=0)] = 0
     duplicates: Annotated[int, Field(ge=0)] = 0
     waited_s: Annotated[float, Field(ge=0.0)] = 0.0
     memory_bytes: Annotated[int, Field(ge=0)] = 0

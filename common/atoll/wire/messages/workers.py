@@ -17,15 +17,18 @@ from atoll.config import JobConfig, Model
 from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.limits import (
     CHUNK_SIZE,
+    MAX_ISLANDS,
     MAX_RUNNERS_UP,
     MAX_STATE,
     Count,
     Digest,
     Id,
+    IslandCount,
     IslandIndex,
     Priority,
     Seconds,
     Sentence,
+    Summand,
     Term,
     Variable,
 )
@@ -79,7 +82,7 @@ class Placement(Model):
     term: Term
     job: Id
     variable: Variable
-    workers: Annotated[tuple[Id, ...], Field(min_length=1, max_length=1024)]
+    workers: Annotated[tuple[Id, ...], Field(min_length=1, max_length=MAX_ISLANDS)]
     epoch: Count = 0
     epochs: Annotated[int, Field(ge=1)]
     interval: Annotated[int, Field(ge=1, lt=2**31)]
@@ -170,7 +173,7 @@ class Holding(Model):
     job: Id
     variable: Variable
     term: Term
-    islands: Count
+    islands: IslandCount
     reported: Count
     commit: Count
     snapshots: Annotated[tuple[Count, ...], Field(max_length=8)] = ()
@@ -239,7 +242,7 @@ class SliceCounters(Model):
     """Point evaluations of an island by part, cumulative since epoch 0, at the end of the slice at `generation`."""
 
     generation: Count
-    evaluations: dict[Annotated[str, Field(max_length=64)], Count]
+    evaluations: dict[Annotated[str, Field(max_length=64)], Summand]
 
 
 class IslandReport(Model):

@@ -65,6 +65,36 @@ def test_lorenz_exponents_are_those_of_the_literature() -> None:
     assert found.exponents.sum() == pytest.approx(-41.0 / 3.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("more", [{}, {"z": "-z"}])
+def test_a_damping_that_grows_with_the_amplitude_leaves_no_closed_orbits(more: dict[str, str]) -> None:
+    its, where = flow(x="y", y="-x - 0.1*y**3", **more), box(*[(-2.0, 2.0)] * (2 + len(more)))
+    found = limit_cycles(its, where, fixed_points(its, where).points)
+    assert (found.cycles, found.has_family) == ((), False)
+
+
+def test_a_cycle_that_is_approached_slowly_is_one() -> None:
+    its = flow(x="y", y="0.01*(1.0 - x**2)*y - x")
+    found = limit_cycles(its, SQUARE, fixed_points(its, SQUARE).points)
+    (cycle,) = found.cycles
+    assert (round(cycle.period, 3), found.has_family) == (6.283, False)
+
+
+def test_what_goes_round_with_two_periods_is_no_chaos() -> None:
+    two = flow(a="b", b="-a - 0.5*a**3", c="d", d="-2.0*c - 0.3*c**3")
+    found = lyapunov_spectrum(two, box(*[(-2.0, 2.0)] * 4), starts=8, intervals=100)
+    assert found is not None
+    assert not found.is_chaotic
+    assert (np.diff(found.exponents) <= 0.0).all()
+
+
+def test_errors_of_exponents_stay_with_them() -> None:
+    two_wells = "2.0*z*(1.0 - z)*(z + 1.5)"  # with slopes of -5 and -7.5
+    found = lyapunov_spectrum(flow(x="-9.0*x", y="-y", z=two_wells), box(*[(-2.0, 2.0)] * 3), starts=16, intervals=20)
+    assert found is not None
+    assert found.exponents[[0, 2]] == pytest.approx([-1.0, -9.0], abs=0.05)
+    assert found.standard_errors[1] > 0.1 > found.standard_errors[[0, 2]].max()
+
+
 def test_both_basins_of_the_competition_end_at_the_separatrix() -> None:
     where = box((0.0, 4.0), (0.0, 4.0))
     attractors = [each for each in fixed_points(COMPETITION, where).points if each.is_stable]

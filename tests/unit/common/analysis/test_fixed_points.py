@@ -120,3 +120,23 @@ def test_a_real_part_of_rounding_is_none() -> None:
     its = flow(theta="cot(phi)*cos(theta)", phi="(cos(phi)**2 + 0.1*sin(phi)**2)*sin(theta)")
     (found,) = fixed_points(its, box((2.0, 4.0), (0.5, 2.5))).points
     np.testing.assert_array_equal(found.eigenvalues.real, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("equations", "sides"),
+    [
+        ({"x": "exp(-x)"}, [(0.0, 600.0)]),
+        ({"x": "exp(-x**2)"}, [(-10.0, 10.0)]),
+        ({"x": "1.0/(1.0 + x**6)"}, [(-1e3, 1e4)]),
+        ({"x": "x**2 + 1e-12"}, [(-1.0, 1.0)]),
+        ({"x": "-x*exp(-y)", "y": "exp(-y)"}, [(0.0, 100.0), (0.0, 100.0)]),
+    ],
+)
+def test_where_rates_only_become_small_is_no_fixed_point(equations: dict[str, str], sides: list[tuple]) -> None:
+    assert fixed_points(flow(**equations), box(*sides)).points == ()
+
+
+@pytest.mark.parametrize("damping", [0.1, 0.001])
+def test_a_damping_that_grows_with_the_amplitude_makes_no_centre(damping: float) -> None:
+    (its,) = fixed_points(flow(x="y", y=f"-x - {damping}*y**3"), box((-2.0, 2.0), (-2.0, 2.0))).points
+    assert its.kind == "non-hyperbolic"

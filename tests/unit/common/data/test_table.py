@@ -1,5 +1,8 @@
 """Tables: their bytes, their digest, and how they say where a row stands."""
 
+import copy
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -126,3 +129,59 @@ def test_names_must_be_unique():
 def test_foreign_bytes_are_refused(data):
     with pytest.raises(RemoteProtocolError):
         Table.from_bytes(data)
+
+
+HOSTILE = (
+    None, True, -1, 0.5, 1e300, math.inf, math.nan, 2**63, "", "x", "midnight", "9999-12-31", b"\xff", [], {}, [[]],
+    {"x": 1}, {"x": ["a", 2]}, {"x": ["midnight", "nan"]}, {"x": ["0001-01-01", 1e300]}, [0, 2**62],
+)  # fmt: skip
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.data())
+def test_whatever_a_header_says_there_is_a_table_or_a_refusal(data):
+    """A table that is taken says all it can be asked, too."""
+    header = {
+        "names": ["t", "x"], "units": ["", "m"], "starts": [0, 2], "files": ["a"], "skipped": [], "read_as": "",
+        "labels": {"x": ["a", "b"]}, "origins": {"t": ["2024-01-01", 86400.0]},
+    }  # fmt: skip
+    parts = {
+        "columns": np.array([[0.0, 1.0, math.nan], [1.0, 1e300, math.inf]]),
+        "file_of_row": np.zeros(3, np.int64),
+        "line_of_row": np.array([-5, 0, 2**62]),
+    }
+    for name in data.draw(st.lists(st.sampled_from(sorted(header)), max_size=2)):
+        whole = header[name]
+        holder = data.draw(
+            st.sampled_from([each for each in (header, whole) if isinstance(each, dict | list) and each])
+        )
+        place = data.draw(st.sampled_from([*holder])) if isinstance(holder, dict) else 0
+        holder[name if holder is header else place] = copy.deepcopy(data.draw(st.sampled_from(HOSTILE)))
+    name = data.draw(st.sampled_from([None, *parts]))
+    if name is not None:
+        kind = data.draw(st.sampled_from(["f8", "i8", "u1"]))
+        parts[name] = np.zeros(data.draw(st.sampled_from([(), (0,), (3,), (2, 3), (3, 2), (2, 0)])), kind)
+    try:
+        table = Table.from_bytes(encode_arrays(header, parts))
+    except RemoteProtocolError:
+        return
+    assert Table.from_bytes(table.to_bytes()).digest == table.digest
+    assert table.places(range(table.rows))
+    for name in table.names:
+        for value in (*table.column(name).tolist(), -1.0, 2.5):
+            assert table.moment(name, value)
+            assert table.label(name, value) is None or table.labels
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("labels", ["x"]), ("labels", 3), ("origins", "t"), ("starts", [math.inf]), ("starts", [0.5]), ("starts", "0"),
+        ("origins", {"t": ["midnight", math.nan]}), ("origins", {"t": ["midnight", "1"]}), ("labels", {"x": "ab"}),
+    ],
+)  # fmt: skip
+def test_hostile_headers_are_refused(key, value):
+    header = {"names": ["x"], "units": [""], "starts": [0], "files": ["a"], "skipped": [], key: value}
+    parts = {"columns": np.zeros((1, 3)), "file_of_row": np.zeros(3, np.int64), "line_of_row": np.zeros(3, np.int64)}
+    with pytest.raises(RemoteProtocolError, match="the bytes of a table do not fit"):
+        Table.from_bytes(encode_arrays(header, parts))

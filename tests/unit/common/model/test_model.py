@@ -2,7 +2,9 @@
 
 import json
 import pickle
+import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import atoll
 from atoll.errors import UsageError
 from atoll.expression.text.parsing import from_infix
 from atoll.model.model import Model
+from atoll.model.simulation import EarlyEndWarning
 from tests.unit.common.model.results import constant, result
 
 TIMES = np.linspace(0.0, 1.0, 11)
@@ -332,3 +335,29 @@ def test_constants_have_their_units() -> None:
     model = Model(found)
     assert model.params["c1"].unit == "1/h"
     assert "-2 1/h" in model.summary()
+
+
+def test_names_that_are_no_inputs_are_refused() -> None:
+    model = Model(result({"x": "u - x"}, ("u",)))
+    for ask in (lambda: model.simulate([1.0], TIMES, {"U": 0}), lambda: model.export("c", [1.0], TIMES, {"U": 0})):
+        with pytest.raises(UsageError, match="there is no input 'U'; the inputs are u"):
+            ask()
+    with pytest.raises(UsageError, match="there is no input 'v'; the inputs are none"):
+        Model(result({"x": "-x"})).simulate([1.0], TIMES, {"v": 1.0})
+
+
+def test_a_simulation_that_ends_early_is_warned_of_and_a_score_of_it_is_none() -> None:
+    model = Model(result({"x": "x**2"}))
+    with pytest.warns(EarlyEndWarning, match="times were reached"):
+        assert len(model.simulate([1.0], [0.0, 0.5, 2.0]).t) == 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert model.score({"t": [0.0, 0.5, 2.0], "x": [1.0, 2.0, 3.0]}) == -np.inf
+
+
+@pytest.mark.parametrize(
+    "data", [[{"t": [0.0], "x": [1.0]}, {"t": [0.0], "y": [1.0]}], {"t": [0.0, 1.0], "x": [[1.0], [2.0]]}]
+)
+def test_a_score_says_what_it_lacks(data: Any) -> None:
+    with pytest.raises(UsageError, match=r"give|is expected"):
+        Model(result({"x": "-x"})).score(data)

@@ -63,3 +63,23 @@ def test_one_time_has_a_band_without_width() -> None:
 def test_what_does_not_fit_is_refused(start: list[float], times: np.ndarray) -> None:
     with pytest.raises(UsageError):
         simulate(VectorField.of({"x": "x"}), np.array(start), times)
+
+
+def test_each_state_is_followed_with_errors_of_its_own_size() -> None:
+    field = VectorField.of({"x": "-0.1*x", "y": "-y"})
+    its = simulate(field, np.array([300.0, 1e-12]), np.linspace(0.0, 10.0, 11))
+    np.testing.assert_allclose(its["y"], 1e-12 * np.exp(-its.t), rtol=1e-8)
+
+
+def test_a_state_that_begins_at_0_has_the_size_that_was_measured_or_that_it_comes_to() -> None:
+    times = np.linspace(0.0, 10.0, 11)
+    rates = {"x": "1e-12*u - x"}
+    unknown = simulate(VectorField.of(rates, "u"), np.zeros(1), times, lambda t: np.array([float(t > 5.0)]))
+    measured = simulate(VectorField.of(rates, "u", (1e-12,)), np.zeros(1), times, lambda t: np.array([float(t > 5.0)]))
+    for its in (unknown, measured):
+        np.testing.assert_allclose(its["x"][6:], 1e-12 * (1.0 - np.exp(5.0 - its.t[6:])), rtol=1e-8)
+
+
+def test_an_early_end_says_how_many_times_were_reached() -> None:
+    its = simulate(VectorField.of({"x": "x**2"}), np.array([1.0]), TIMES)
+    assert its.message == "a state grows beyond all bounds near time 1; 2 of 11 times were reached"

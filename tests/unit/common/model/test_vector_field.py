@@ -100,3 +100,11 @@ def test_sympy_waits_until_a_value_is_asked_for() -> None:
         "VectorField.of({'x': '-x'}); assert 'sympy' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize("rate", ["1/(x - x)", "u*x + 1/(x - x)", "sqrt(-2.0)*x", "x + log(-2.0)"])
+def test_rates_without_a_value_anywhere_are_nan(rate: str) -> None:
+    field = VectorField.of({"x": rate, "y": "-y"}, ("u",))
+    found = field.values(np.array([[1.0, 2.0], [0.5, 3.0]]), np.array([0.3]), field.values_of_parameters)
+    assert np.isnan(found[:, 0]).all()
+    assert found[:, 1].tolist() == [-2.0, -3.0]

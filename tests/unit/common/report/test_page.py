@@ -248,3 +248,55 @@ def test_constants_are_stacked_on_narrow_pages() -> None:
     text = to_text(constants(Findings(dynamics(), None))[0])
     assert '<table class="stacked">' in text
     assert 'data-head="standard error"' in text
+
+
+HOSTILE = (
+    "'\"><script>alert(1)</script><img src=x onerror=alert(1)></title></style>&<![CDATA[\\href{javascript:alert(1)}{x}"
+)
+KEPT = {"expression", "program", "kind", "discretisation", "group", "variable"}
+"""What is read again, not shown: formulas, kinds, and names by which parts of a result find each other."""
+
+
+def hostile(value: Any, key: str = "") -> Any:
+    """Return a part of a result with that text in every text that it may be in, and in names of columns."""
+    if isinstance(value, dict):
+        return {HOSTILE + name if name in {"x", "y"} else name: hostile(its, name) for name, its in value.items()}
+    if isinstance(value, list):
+        return [hostile(each, key) for each in value]
+    if key in {"variable", "lhs", "states", "time", "inputs", "target"} and isinstance(value, str):
+        return value.replace("x", HOSTILE + "x").replace("y", HOSTILE + "y") if key != "time" else HOSTILE
+    return HOSTILE if isinstance(value, str) and key not in KEPT | {"x", "y"} else value
+
+
+def dangers(text: str) -> list[str]:
+    """Return what of markup would run or load something."""
+    found = []
+
+    class Watch(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            its = [name for name, value in attrs if name.startswith("on") or "javascript:" in str(value).split("=")[0]]
+            if tag in {"script", "img", "iframe", "object", "embed"} or its:
+                found.append(f"{tag} {its}")
+
+    Watch().feed(text)
+    return found
+
+
+@pytest.mark.parametrize("kind", [dynamics, regression, process])
+def test_no_text_of_a_result_is_taken_for_markup(kind: Any) -> None:
+    assert dangers(HOSTILE)
+    found = hostile(kind())
+    model = Model(found)
+    page = as_html(found)
+    for text in (model._repr_html_(), model.mathml(), page):
+        assert dangers(text) == []
+    assert page.count("&lt;script&gt;") > 20
+    assert r"\href" not in model.latex()
+
+
+def test_simple_numbers_together_have_a_sentence_below_the_constants() -> None:
+    found = dynamics()
+    together = {"constants": [0], "values": [3.0], "odds": 14.7, "chi_square": 0.61}
+    found["equations"][0]["simple_together"] = together
+    page = read(constants(Findings(found, None)))
+    assert "c1 = 3, judged together: odds 15 against all other numbers (chi-square 0.61)." in page.texts

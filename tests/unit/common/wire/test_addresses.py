@@ -1,15 +1,24 @@
 """Addresses are read strictly, and what is wrong with one is said in words."""
 
 import socket
+from pathlib import Path
 
 import pytest
 
 from atoll.errors import UsageError
-from atoll.wire.addresses import Address, bindable, parse_address, why_unreachable
+from atoll.wire.addresses import Address, bindable, own_address, parse_address, why_unreachable
 
 
 @pytest.mark.parametrize(
-    "text", ["tcp/127.0.0.1:7447", "tls/host.example:1", "tcp/[::1]:0", "quic/localhost:65535", "tcp/0.0.0.0:7447"]
+    "text",
+    [
+        "tcp/127.0.0.1:7447",
+        "tls/host.example:1",
+        "tcp/[::1]:0",
+        "quic/localhost:65535",
+        "tcp/0.0.0.0:7447",
+        "unixsock-stream//tmp/mine/bus",
+    ],
 )
 def test_an_address_is_read_and_written_back(text: str) -> None:
     assert str(parse_address(text)) == text
@@ -22,6 +31,39 @@ def test_an_address_is_read_and_written_back(text: str) -> None:
 def test_what_is_no_address_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(UsageError, match="tcp/HOST:PORT was expected"):
         parse_address(text)
+
+
+@pytest.mark.parametrize("text", ["unixsock-stream/", "unixsock-stream//tmp/a?b", "unixsock-stream//" + 30 * "long"])
+def test_what_is_no_socket_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match=r"such as unixsock-stream//tmp/mine/bus|has one of|longer than 103 bytes"):
+        parse_address(text)
+
+
+@pytest.mark.parametrize("deep", ["", 20 * "deep/", "what?/"])
+def test_only_this_user_reaches_its_own_address_and_nothing_is_left_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, deep: str
+) -> None:
+    (tmp_path / deep).mkdir(parents=True, exist_ok=True)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / deep))
+    with own_address() as address:
+        folder = Path(address.host).parent
+        assert parse_address(str(address)) == bindable(address) == address
+        assert folder.stat().st_mode & 0o077 == 0
+        assert why_unreachable(address) == "no such file or directory"
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(address.host)
+            server.listen()
+            assert why_unreachable(address) is None
+            with pytest.raises(UsageError, match="another program listens there"):
+                bindable(address)
+    assert not folder.exists()
+    with pytest.raises(UsageError, match="not there or cannot be written"):
+        bindable(address)
+
+
+def test_a_socket_is_dialled_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert str(bindable(parse_address("unixsock-stream/bus"))) == f"unixsock-stream/{tmp_path}/bus"
 
 
 def test_port_zero_becomes_a_free_port() -> None:

@@ -1,8 +1,16 @@
-"""Names in LaTeX: identifiers as mathematics, others as text that LaTeX prints as it stands."""
+"""LaTeX, MathML and sympy: names as mathematics or as they stand, expressions as the terminal shows them."""
+
+from xml.etree import ElementTree
 
 import pytest
+import sympy
+from hypothesis import assume, given
 
-from atoll.expression.text.export import left_side_to_latex
+from atoll.expression.text.export import left_side_to_latex, left_side_to_mathml, to_latex, to_mathml, to_sympy
+from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll.expression.text.parsing import from_infix
+from tests.property.programs import HOSTILE_NAMES, NAMES, programs
+from tests.property.test_expressions import QUICK
 
 
 @pytest.mark.parametrize(
@@ -16,3 +24,55 @@ from atoll.expression.text.export import left_side_to_latex
 )
 def test_names_are_mathematics_or_text(lhs: str, latex: str) -> None:
     assert left_side_to_latex(lhs) == latex
+
+
+@pytest.mark.parametrize(
+    ("text", "shown", "latex"),
+    [
+        ("3.0*x - x**2 - 2.0*(x*y)", "x*(3 - x - 2*y)", r"x \left(3 - x - 2 y\right)"),
+        ("x/(2.0*y)", "0.5*x/y", r"\frac{0.5 x}{y}"),
+        ("1/(x*(1.5 + y))", "1/(x*(1.5 + y))", r"\frac{1}{x \left(1.5 + y\right)}"),
+        ("-x/y + sin(x)**2", "sin(x)**2 - x/y", r"\sin\left(x\right)^{2} - \frac{x}{y}"),
+        ("1e-9*exp(-x)*2.0**y", "1e-09*exp(-x)*2**y", r"1 \cdot 10^{-9} \exp\left(- x\right) \cdot 2^{y}"),
+        ("abs(x)**1.5*sqrt(y)", "sqrt(y)*abs(x)**1.5", r"\sqrt{y} \left|x\right|^{1.5}"),
+        ("(x + y)**2.5", "(x + y)**2.5", r"\left(x + y\right)^{2.5}"),
+        ("tan(x)*theta_1", "theta_1*tan(x)", r"\theta_{1} \tan\left(x\right)"),
+    ],
+)
+def test_latex_and_mathml_have_the_writing_of_the_text(text: str, shown: str, latex: str) -> None:
+    names = ("x", "y", "theta_1")
+    program = from_infix(text, names)
+    assert to_infix(program, names, digits=6) == shown
+    assert to_latex(program, names) == latex
+    told = "".join(ElementTree.fromstring(to_mathml(program, names)).itertext())
+    for sign in "+-":
+        assert told.replace("-9", "").count(sign) == shown.replace("e-", "e").count(sign)
+    numbers = [each.text for each in ElementTree.fromstring(to_mathml(program, names)).iter("mn")]
+    assert [each for each in ("3", "0.5", "1.5", "2.5") if each in shown and each not in numbers] == []
+
+
+def test_mathml_separates_factors_by_dots_where_names_have_several_letters() -> None:
+    program = from_infix("x*y*2.5", ("x", "y"))
+    assert to_mathml(program, ("x", "y")).count("\u2062") == 2
+    assert to_mathml(program, ("x", "prey")).count("\u00b7") == 2
+
+
+@QUICK
+@given(programs(), HOSTILE_NAMES)
+def test_whatever_variables_are_called_all_writings_are_made(program, names) -> None:
+    assume(tree_size(program) <= 100 <= PRINTABLE_SIZE)
+    plain, hostile = (to_mathml(program, each) for each in (NAMES, names))
+    tags = [[each.tag for each in ElementTree.fromstring(text).iter("mfrac")] for text in (plain, hostile)]
+    assert tags[0] == tags[1]
+    assert to_latex(program, names).count(r"\frac") == to_latex(program, NAMES).count(r"\frac")
+
+
+@pytest.mark.parametrize("name", ["sin", "lambda", "Symbol", "50% a", "None", "x + y", "e5"])
+def test_sympy_takes_any_name_for_a_symbol(name: str) -> None:
+    its = to_sympy(from_infix("sin(x)*y**2 - x/2.5", ("x", "y")), (name, "y"))
+    symbol = sympy.Symbol(name)
+    assert its == sympy.sin(symbol) * sympy.Symbol("y") ** 2 - symbol / sympy.Float("2.5")
+
+
+def test_a_name_is_the_same_on_both_sides_of_an_equation() -> None:
+    assert to_mathml(from_infix("x_1", ("x_1",)), ("x_1",)) in left_side_to_mathml("dx_1/dt")

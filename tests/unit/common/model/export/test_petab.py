@@ -51,6 +51,16 @@ def test_measurements_of_a_result_that_was_not_simulated_begin_at_their_first_wh
     assert rows((tmp_path / "parameters.tsv").read_text())[1]["nominalValue"] == "1.25"
 
 
+def test_a_time_column_of_two_words_is_the_time_of_the_model(tmp_path: Path) -> None:
+    its = alone().result
+    its["system"]["time"], its["symbols"]["elapsed time"] = "elapsed time", "elapsed_time"
+    its["equations"][0]["expression"] = "-0.3*x + 0.1*elapsed_time"
+    data = [{"elapsed time": np.array([2.0, 3.0]), "x": np.array([1.0, 0.5])}]
+    Model({**its, "data": {}}).to_petab(tmp_path, data)
+    (condition,) = rows((tmp_path / "conditions.tsv").read_text())
+    assert condition["begin_time"] == "2.0"
+
+
 def test_constants_starts_and_noise_are_estimated_within_bounds(tmp_path: Path) -> None:
     measured().to_petab(tmp_path)
     found = {each["parameterId"]: each for each in rows((tmp_path / "parameters.tsv").read_text())}

@@ -1,18 +1,21 @@
 """What only a real network can show: opening, refusing, waiting, ending. A bus's promises are in tests/contract."""
 
+import os
 import signal
 import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
 from atoll.errors import UnreachableError, UsageError
-from atoll.wire.addresses import bindable, parse_address
+from atoll.wire.addresses import bindable, own_address, parse_address
 from atoll.wire.bus import zenoh_bus
-from atoll.wire.bus.interface import MAX_PAYLOAD, Event, Message, Presence, Reply
+from atoll.wire.bus.interface import MAX_PAYLOAD, Event, Message, Presence, Query, Reply
 from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 
 LIMIT_S = 30.0
@@ -142,6 +145,7 @@ def started(script: str, *arguments: str) -> subprocess.Popen[str]:
 
 
 RECEIVING = """
+import os
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # who runs the tests in the background ignores it
 with open_router("tcp/127.0.0.1:0") as bus:
@@ -214,3 +218,35 @@ def test_a_bus_may_be_closed_while_another_thread_puts(router: ZenohBus) -> None
     stop.set()
     thread.join(LIMIT_S)
     assert errors == []
+
+
+def network_listeners() -> set[str]:
+    """Return the sockets of this process that listen to a network."""
+    mine = set()
+    for each in list(Path("/proc/self/fd").iterdir()):
+        with suppress(OSError):  # that of the folder itself is closed by now
+            mine.add(str(each.readlink()))
+    tables = [Path(f"/proc/self/net/{name}").read_text() for name in ("tcp", "tcp6", "udp", "udp6")]
+    rows = [row.split() for table in tables for row in table.splitlines()]
+    return {row[1] for row in rows if row[3] in ("0A", "07") and f"socket:[{row[9]}]" in mine}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc tells who listens")
+def test_a_router_at_an_address_of_its_own_listens_to_no_network_and_answers() -> None:
+    before = network_listeners()
+    with own_address() as address, open_router(str(address)) as router:
+        assert network_listeners() == before
+        router.serve("atoll/hello")
+        with open_client(str(address), wait_s=LIMIT_S) as client:
+            client.get("atoll/hello")
+            assert first(router, Query)
+    assert not Path(address.host).parent.exists()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_another_user_reaches_no_router_at_an_address_of_its_own() -> None:
+    with own_address() as address, open_router(str(address)):
+        be_somebody = "import os, socket; os.setgroups([]); os.setgid(65534); os.setuid(65534)"
+        program = f"{be_somebody}; socket.socket(socket.AF_UNIX).connect({address.host!r})"
+        done = subprocess.run([sys.executable, "-S", "-c", program], capture_output=True, text=True)
+    assert "PermissionError" in done.stderr

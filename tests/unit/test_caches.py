@@ -1,0 +1,32 @@
+"""No process that lives long keeps what it was asked once: caches have a bound, by number or by what there is."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+UNBOUNDED = {
+    "_digest": "of the packages whose kernels are compiled",
+    "_style": "of the style sheets that come with the package",
+    "_version": "of the packages that results name",
+}
+
+
+def without_bound() -> set[str]:
+    """Return names of functions all of whose values are kept."""
+    found = set()
+    for folder in ("common", "coordinator", "island_worker"):
+        for path in (ROOT / folder).rglob("*.py"):
+            for its in ast.walk(ast.parse(path.read_text("utf-8"))):
+                if isinstance(its, ast.FunctionDef):
+                    found |= {its.name for each in its.decorator_list if _keeps_all(ast.unparse(each), its)}
+    return found
+
+
+def _keeps_all(decorator: str, function: ast.FunctionDef) -> bool:
+    name, _, bound = decorator.removeprefix("functools.").partition("(")
+    has_arguments = bool(function.args.args or function.args.kwonlyargs or function.args.vararg)
+    return has_arguments and (name == "cache" or (name == "lru_cache" and "None" in bound))
+
+
+def test_caches_have_a_bound() -> None:
+    assert without_bound() == set(UNBOUNDED)

@@ -1,0 +1,126 @@
+"""What feeds the search or decides when it ends adds in a fixed order, and no sort leaves ties to the processor.
+
+Numpy's reductions, its transcendental functions, BLAS and LAPACK take what the processor has, and so give other last
+bits on another one; sorts that are not stable put equal values in another order. Sums here are those of `math.fsum`, of
+loops in kernels, or of whole numbers.
+"""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+COORDINATOR = ROOT / "coordinator/atoll_coordinator"
+SPARSE = COORDINATOR / "model/sparse"
+FEEDS_THE_SEARCH = [
+    COORDINATOR / "data",
+    COORDINATOR / "service/jobs",
+    COORDINATOR / "model/cholesky.py",
+    *(SPARSE / name for name in ("laws.py", "regression.py", "weak_form.py", "products.py", "kernels")),
+    *(SPARSE / "rates" / name for name in ("rows.py", "screening.py")),
+    ROOT / "common/atoll/data",
+    ROOT / "common/atoll/search",
+    ROOT / "common/atoll/expression/kernels",
+    ROOT / "island_worker/atoll_island_worker",
+]
+"""Among many variables, laws by `rates` and `windows` decide which searches end soon, and are not among these; see
+docs/reproducibility.md."""
+
+REDUCTIONS = {
+    "sum", "mean", "std", "var", "dot", "prod", "cumsum", "cumprod", "average", "cov", "corrcoef", "einsum", "inner",
+    "vdot", "matmul", "tensordot", "trapezoid", "convolve", "correlate", "nansum", "nanmean", "median", "nanmedian",
+    "quantile", "percentile",
+}  # fmt: skip
+FUNCTIONS = {
+    "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "sin", "cos", "tan", "tanh", "sinh", "cosh", "arctan",
+    "arctan2", "arcsin", "arccos", "power", "float_power", "hypot", "cbrt", "interp", "polyfit", "linalg", "fft",
+    "random",
+}  # fmt: skip
+ALLOWED = {
+    ("inputs.py", "scipy"): "slopes of inputs are for simulations; the search sees inputs at rows only",
+    ("inputs.py", "np.sum"): "the same",
+    ("matlab_child.py", "scipy"): "reads files",
+    ("roughness.py", "np.median"): "one or two values of those that are there, added and halved",
+    ("steps.py", "np.median"): "the same",
+    ("thinning.py", "np.cumsum"): "adds one after another",
+    ("gaps.py", "np.cumsum"): "of whole numbers",
+    ("weak_form.py", "np.cumsum"): "of whole numbers",
+    ("checks.py", ".sum"): "counts",
+    ("migration.py", ".sum"): "counts",
+    ("laws.py", "np.prod"): "of factors, row by row, one after another",
+    ("laws.py", ".sum"): "a method of ours",
+    ("regression.py", ".sum"): "a method of ours",
+    ("regression.py", "scipy"): "a probability, which is compared with a level; no sum of ours depends on it",
+}
+
+
+def modules(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*.py")) if folder.is_dir() else [folder]
+
+
+def is_numpy(node: ast.expr) -> bool:
+    return isinstance(node, ast.Name) and node.id in {"np", "numpy"}
+
+
+def of_its_own_order(source: str) -> Iterator[str]:
+    """Yield what takes sums or functions from numpy, BLAS, LAPACK or scipy."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
+            yield "@"
+        elif isinstance(node, ast.Attribute) and is_numpy(node.value):
+            if node.attr in REDUCTIONS | FUNCTIONS:
+                yield f"np.{node.attr}"
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and not is_numpy(node.func.value):
+            if node.func.attr in REDUCTIONS:
+                yield f".{node.func.attr}"
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            names = [getattr(node, "module", None) or "", *(each.name for each in node.names)]
+            if any(name.split(".")[0] == "scipy" for name in names):
+                yield "scipy"
+
+
+def unstable_sorts(source: str) -> Iterator[str]:
+    """Yield sorts of places whose ties come in the order that the processor's instructions leave them in."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            kinds = [
+                each.value.value
+                for each in node.keywords
+                if each.arg == "kind" and isinstance(each.value, ast.Constant)
+            ]
+            if node.func.attr == "argpartition" or (node.func.attr == "argsort" and kinds != ["stable"]):
+                yield f"{node.func.attr} in line {node.lineno}"
+
+
+def found_in(folder: Path) -> set[tuple[str, str]]:
+    return {(path.name, what) for path in modules(folder) for what in of_its_own_order(path.read_text("utf-8"))}
+
+
+@pytest.mark.parametrize("folder", FEEDS_THE_SEARCH, ids=lambda each: str(each.relative_to(ROOT)))
+def test_what_feeds_the_search_adds_in_a_fixed_order(folder: Path) -> None:
+    assert modules(folder)
+    assert found_in(folder) - ALLOWED.keys() == set()
+
+
+def test_no_exception_has_become_needless() -> None:
+    assert ALLOWED.keys() - set[tuple[str, str]]().union(*map(found_in, FEEDS_THE_SEARCH)) == set()
+
+
+@pytest.mark.parametrize(
+    "package", ["common/atoll", "coordinator/atoll_coordinator", "island_worker/atoll_island_worker"]
+)
+def test_every_sort_of_places_is_stable(package: str) -> None:
+    found = {
+        str(path.relative_to(ROOT)): sorts
+        for path in modules(ROOT / package)
+        if (sorts := list(unstable_sorts(path.read_text("utf-8"))))
+    }
+    assert found == {}
+
+
+def test_what_is_looked_for_is_found() -> None:
+    source = "import numpy as np\nfrom scipy import special\na = b @ c\nd = np.log(e).mean() + np.sqrt(f)\n"
+    assert sorted(of_its_own_order(source)) == [".mean", "@", "np.log", "scipy"]
+    assert list(unstable_sorts("np.argsort(a)\na.argsort(kind='stable')\n")) == ["argsort in line 1"]
