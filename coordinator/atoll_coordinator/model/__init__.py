@@ -5,6 +5,7 @@
 - `refinement`: what comes in (`Pool`: the front of a variable) and what goes out (`Refinement`). Pure data
 - `criteria`: the description lengths, side by side
 - `deadline`: the end that ``--max-time`` sets
+- `thinning`: which of many rows stand for all
 - `damping`, `cholesky`: numerics of least-squares steps
 - `structure`: programs rewritten, changed in one place, made of libraries of terms. Algebra without data
 - `regression`: the equation of one variable fitted to its target

@@ -94,6 +94,22 @@ class SimpleNumber:
 
 
 @dataclass(frozen=True)
+class SimpleTogether:
+    """Simple numbers of two and more constants of an equation, judged together.
+
+    `constants` are their places among those of the equation, `values` the numbers, which are shown where each of them
+    is singled out. `odds` are those of all of them against everything else, one at least. `chi_square` is by how much
+    the squared residuals over their variance grow when the constants move from the best fit to these numbers, and the
+    others follow.
+    """
+
+    constants: tuple[int, ...]
+    values: tuple[float, ...]
+    odds: float
+    chi_square: float
+
+
+@dataclass(frozen=True)
 class Constant:
     """One constant of an equation as it is shown.
 
@@ -185,9 +201,10 @@ class SharedTerm:
 class Prediction:
     """How far a state can be foretold from `starts` other initial states within the measured range.
 
-    `followed` is from how many of them the model could be simulated, `probability` the share of the odds of models that
-    foretell what the model does (R2 above 0.9), `novelty` how far the simulated rows lie from the measured ones: the
-    median, over the widths of the range. `reached` is the value farthest beyond the measured range that the state
+    `followed` is from how many of them the model could be simulated, `unfinished` from how many that would take more
+    integration steps than are allowed; from the others it runs away. `probability` is the share of the odds of models
+    that foretell what the model does (R2 above 0.9), `novelty` how far the simulated rows lie from the measured ones:
+    the median, over the widths of the range. `reached` is the value farthest beyond the measured range that the state
     takes there, None where it stays within. `measure_from` is the initial state from which a measurement would tell
     most, by state: the one from which rivals differ most, if any do, or else the one farthest from what was measured;
     `is_disputed` tells that rivals differ.
@@ -200,6 +217,7 @@ class Prediction:
     reached: float | None = None
     measure_from: Mapping[str, float] | None = None
     is_disputed: bool = False
+    unfinished: int = 0
 
 
 @dataclass(frozen=True)
@@ -208,12 +226,14 @@ class Chaos:
 
     Errors grow e-fold in `lyapunov_time` (unit of time). `is_kept` tells whether a long simulation stays on what was
     measured: it does not run away, and its means and variances are those of the measurements, `probability` being that
-    of differences as large as the largest one (None: it runs away).
+    of differences as large as the largest one (None: it runs away, or it `is_unfinished`: there are not enough
+    integration steps to tell).
     """
 
     lyapunov_time: float
     is_kept: bool
     probability: float | None
+    is_unfinished: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +262,7 @@ class Refined:
     node order (empty before refinement); `unit_coefficients` has the factors of one that are not written. Where groups
     of trajectories have constants of their own, `by_group` has the equation of each, and `shared` says which constants
     all groups have in common; the other ones of `program` are means. `units` are those of the constants, None where no
-    unit is known.
+    unit is known. `simple_together` are simple numbers of two and more constants, None where none are likely.
     """
 
     member: int | None
@@ -259,6 +279,7 @@ class Refined:
     by_group: tuple[GroupEquation, ...] = ()
     shared: tuple[bool, ...] = ()
     units: EquationUnits | None = None
+    simple_together: SimpleTogether | None = None
 
 
 @dataclass(frozen=True, eq=False)

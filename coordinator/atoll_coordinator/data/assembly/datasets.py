@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import Dataset, FloatArray, Target
+from atoll.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, Target
 from atoll.errors import DataError
 from atoll_coordinator.data.assembly.recordings import build_recording
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
@@ -112,13 +112,19 @@ def _take_rows(dataset: Dataset, rows: list[int]) -> Dataset:
 
 
 def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Target:
-    """Return the target over all rows, with the uncertainty and the standard deviation of those selected."""
+    """Return the target over all rows, with the uncertainty and the standard deviation of those selected.
+
+    A derivative without noise that differs from row to row by no more than its uncertainty is constant as far as can be
+    told, and is judged by its size: by so small a deviation any equation would seem uncertain, and no search would end.
+    """
     values = np.ascontiguousarray(estimate.derivative[rows])
     scale = derivative_standard_deviation(name, values)
     uncertainty, _ = moments(np.ascontiguousarray(estimate.uncertainty[rows] / scale))
     if not math.isfinite(uncertainty):
         raise DataError(f"the uncertainty of the derivative of '{name}' cannot be told; sample more often")
-    _, deviation = moments(values)
+    mean, deviation = moments(values)
+    if not estimate.target_noise and uncertainty >= 1.0 and uncertainty * scale < CLEAN_UNCERTAINTY * abs(mean):
+        uncertainty, scale = uncertainty * scale / abs(mean), abs(mean)
     if deviation < scale:  # constant but for rounding, of which a comparison of two orders sees only a part
         uncertainty = max(uncertainty, deviation / scale)
     return Target(name, lhs, estimate.derivative, uncertainty, scale, estimate.target_noise)

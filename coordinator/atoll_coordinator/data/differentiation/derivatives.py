@@ -23,7 +23,7 @@ from atoll_coordinator.data.differentiation.interpolation import (
 )
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.differentiation.missing_values import fill, fill_holes, make_signal
-from atoll_coordinator.data.differentiation.quantisation import find_quantisation
+from atoll_coordinator.data.differentiation.quantisation import find_quantisation, is_refuted
 from atoll_coordinator.data.differentiation.robust import fit_robustly, has_heavy_tails, weigh_by
 from atoll_coordinator.data.differentiation.smoothing import (
     Signal,
@@ -143,6 +143,8 @@ def estimate_states(
             few = SETTINGS.checks.min_rows
             raise DataError(f"state '{state}' has fewer than {few} values along every trajectory; sample more of them")
         quantisation = find_quantisation(along)
+        if quantisation is not None and is_refuted(quantisation, list(filter(_is_long_enough, signals))):
+            quantisation = None
         least = 0.0 if quantisation is None else quantisation.error
         estimate = estimate_derivatives(signals, options, measurements.held_out, least)
         estimates.append(replace(estimate, quantisation=quantisation))

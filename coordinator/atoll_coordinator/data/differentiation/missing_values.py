@@ -7,10 +7,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
 from atoll_coordinator.data.differentiation.smoothing import Signal
+
+Rows = npt.NDArray[np.intp]
+"""Indices of rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,38 +56,47 @@ def fill(
     smaller one is least. Elsewhere the nearest known value is held, 0 where there is none.
     """
     filled, steps, gains = values.copy(), np.zeros(len(times)), np.zeros(len(times))
-    known = np.flatnonzero(is_known).tolist()
-    at, of = times.tolist(), values.tolist()
-    for row in np.flatnonzero(~is_known).tolist():
-        following = int(np.searchsorted(known, row))
-        before, after = known[:following][::-1][:pairs], known[following:][:pairs]
-        if before and after:
-            nodes = [node for pair in zip(before, after, strict=False) for node in pair]
-            filled[row], steps[row], gains[row] = _interpolate(at, of, row, nodes)
-        else:
-            filled[row] = of[(before or after)[0]] if known else 0.0
-            steps[row] = math.inf
+    known, missing = np.flatnonzero(is_known), np.flatnonzero(~is_known)
+    following = np.searchsorted(known, missing)
+    counts = np.minimum(np.minimum(following, len(known) - following), pairs)
+    for count in range(1, pairs + 1):
+        rows, after = missing[counts == count], following[counts == count, None] + np.arange(count)
+        before = following[counts == count, None] - 1 - np.arange(count)
+        nodes = known[np.stack([before, after], axis=2).reshape(len(rows), 2 * count)]
+        filled[rows], steps[rows], gains[rows] = _interpolate(times, values, rows, nodes)
+    beyond = missing[counts == 0]
+    steps[beyond] = math.inf
+    filled[beyond] = values[known[np.maximum(following[counts == 0] - 1, 0)]] if len(known) else 0.0
     return filled, steps, gains
 
 
-def _interpolate(times: list[float], values: list[float], row: int, nodes: list[int]) -> tuple[float, float, float]:
-    """Return value, step and gain at `row` by the best of the polynomials through the first 2, 4, … `nodes`."""
-    best, last = (values[nodes[0]], math.inf, 1.0), values[nodes[0]]
-    for count in range(2, len(nodes) + 1, 2):
-        weights = [_lagrange_weight(times, row, node, nodes[:count]) for node in nodes[:count]]
-        value, square = values[nodes[0]], 0.0
-        for weight, node in zip(weights, nodes, strict=False):
-            value += weight * (values[node] - values[nodes[0]])
+def _interpolate(
+    times: FloatArray, values: FloatArray, rows: Rows, nodes: Rows
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return values, steps and gains (M,) at `rows` (M,) by the best of the polynomials through 2, 4, … `nodes` (M, P).
+
+    One number after another, in the order of the nodes: the same bits everywhere.
+    """
+    nearest = values[nodes[:, 0]]
+    best, least, gains, last = nearest, np.full(len(rows), math.inf), np.ones(len(rows)), nearest
+    for count in range(2, nodes.shape[1] + 1, 2):
+        value, square = nearest, np.zeros(len(rows))
+        for place in range(count):
+            weight = _lagrange_weights(times, rows, nodes[:, :count], place)
+            value = value + weight * (values[nodes[:, place]] - nearest)
             square += weight * weight
-        step = abs(value - last)
-        best = min(best, (value, step, math.sqrt(square)), key=lambda each: each[1])
+        step = np.abs(value - last)
+        is_better = step < least
+        best, least = np.where(is_better, value, best), np.where(is_better, step, least)
+        gains = np.where(is_better, np.sqrt(square), gains)
         last = value
-    return best
+    return best, least, gains
 
 
-def _lagrange_weight(times: list[float], row: int, node: int, nodes: list[int]) -> float:
-    weight = 1.0
-    for other in nodes:
-        if other != node:
-            weight *= (times[row] - times[other]) / (times[node] - times[other])
-    return weight
+def _lagrange_weights(times: FloatArray, rows: Rows, nodes: Rows, place: int) -> FloatArray:
+    weights, own = np.ones(len(rows)), times[nodes[:, place]]
+    for other in range(nodes.shape[1]):
+        if other != place:
+            beside = times[nodes[:, other]]
+            weights *= (times[rows] - beside) / (own - beside)
+    return weights

@@ -11,6 +11,8 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll_coordinator.data.differentiation.interpolation import predict_left_out
+from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Quantisation
 from atoll_coordinator.settings import SETTINGS
 
@@ -39,6 +41,21 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     )
 
 
+def is_refuted(found: Quantisation, signals: Sequence[Signal]) -> bool:
+    """Say whether a state follows a smooth curve more closely, in every row, than rounded values could: it is exact.
+
+    Whole numbers that are squares, or a line in even steps, show a step and have no error. Where values were rounded,
+    the curve misses some row by about the error of rounding, however slowly the state moves.
+
+    Args:
+        found: what the digits say.
+        signals: the state along each trajectory that is long enough to be differentiated.
+    """
+    errors, gains = predict_left_out([signal.measured for signal in signals])
+    largest = np.max(np.abs(errors) / gains, axis=0)
+    return bool(np.any(largest < SETTINGS.common.negligible * found.error))
+
+
 def _decimal_rounding(values: FloatArray) -> Quantisation:
     """Return the rounding of decimals: to a place, or to significant digits where that is coarser."""
     numbers = [Decimal(repr(value)).normalize() for value in values.tolist() if value != 0.0]
@@ -58,7 +75,8 @@ def _binary_rounding(values: FloatArray) -> Quantisation | None:
     if not (np.abs(values) < largest).all() or not (values.astype(np.float32).astype(np.float64) == values).all():
         return None
     steps = np.spacing(np.abs(values).astype(np.float32)).astype(np.float64)
-    return Quantisation("single precision", float(steps.max()), float(np.sqrt((steps * steps).mean())) / _ROOT_12)
+    square = math.fsum((steps * steps).tolist()) / len(steps)
+    return Quantisation("single precision", float(steps.max()), math.sqrt(square) / _ROOT_12)
 
 
 def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
@@ -74,7 +92,8 @@ def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
     """
     written = finest + 4.0 * float(np.spacing(np.abs(values).max()))
     offsets = values - values[0]
-    offsets = offsets[np.concatenate([[True], np.diff(values) > LIMITS.written_steps * finest])]
+    nearest = max(LIMITS.written_steps * finest, written)  # nearer ones are one value, rounded in two ways
+    offsets = offsets[np.concatenate([[True], np.diff(values) > nearest])]
     if len(offsets) < LIMITS.fewest_values:
         return None
     least = float(np.diff(offsets).min())

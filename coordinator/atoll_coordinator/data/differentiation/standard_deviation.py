@@ -5,11 +5,11 @@ from typing import Final
 from atoll.data.dataset import FloatArray
 from atoll.errors import DataError
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
+from atoll_coordinator.data.trajectories.checks import check_size
+from atoll_coordinator.settings import SETTINGS
 
 ROUNDING: Final = 1e-12
 """Guard: a column that varies less than this share of its mean is judged by the mean, for it may well be constant."""
-_SMALLEST: Final = 1e-150
-"""Guard: numbers below this, or above its inverse, have no square that can be told from zero or infinity."""
 NORMAL_DEVIATION: Final = 1.4826
 """Standard deviation of normal errors over the median of their size: 1 / 0.6745."""
 
@@ -17,14 +17,13 @@ NORMAL_DEVIATION: Final = 1.4826
 def bounded_standard_deviation(values: FloatArray, least: float = ROUNDING) -> float:
     """Return the standard deviation, or `least` times the mean's size where the values hardly vary."""
     mean, deviation = moments(values)
-    return max(deviation, least * abs(mean), _SMALLEST)
+    return max(deviation, least * abs(mean), SETTINGS.checks.smallest)
 
 
 def representable_standard_deviation(name: str, values: FloatArray) -> float:
     """Return the standard deviation; raises DataError when it is beyond the range of numbers."""
     deviation = bounded_standard_deviation(values)
-    if not _SMALLEST < deviation < 1.0 / _SMALLEST:
-        raise DataError(f"the values of '{name}' are too large or too small to compute with; choose another unit")
+    check_size(name, deviation)
     return deviation
 
 

@@ -18,7 +18,8 @@ from atoll_coordinator.settings import SETTINGS
 BoolArray = npt.NDArray[np.bool_]
 MIN_ROWS = SETTINGS.checks.min_rows
 _JUMP: Final = 3.0
-"""A jump of a wrapped angle is this many times as large as the steps beside it, and differs from a turn by as many."""
+"""A jump of a wrapped angle is this many times as large as every step that is none, and differs from a turn by as many
+of those beside it."""
 
 _TURNS: Final = ((6.283185307179586, "2 pi", ""), (360.0, "360", ":deg"))
 """A full turn, how it is called, and what `--angle` appends for its unit."""
@@ -55,6 +56,20 @@ def check_searched_rows(table: Table, roles: Roles, columns: Mapping[str, FloatA
     for name in roles.derivatives or roles.equations:
         role = "state" if name in roles.states else "derivative" if roles.derivatives else "target"
         check_varies(table, name, columns[name][rows], role)
+
+
+def check_sizes(columns: Mapping[str, FloatArray]) -> None:
+    """Raise DataError when a column (by name) that equations may use has no squares; one of zeros alone may be used."""
+    for name, column in columns.items():
+        values = column[np.isfinite(column)]
+        if values.any():
+            check_size(name, float(np.abs(values).max()))
+
+
+def check_size(name: str, size: float) -> None:
+    """Raise DataError unless the square of `size`, the size of the values of `name`, is a number above zero."""
+    if not SETTINGS.checks.smallest < size < 1.0 / SETTINGS.checks.smallest:
+        raise DataError(f"the values of '{name}' are too large or too small to compute with; choose another unit")
 
 
 def check_varies(table: Table, name: str, values: FloatArray, role: str) -> None:
@@ -101,7 +116,8 @@ def check_trajectory(table: Table, name: str, times: FloatArray, rows: Sequence[
 def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
     """Raise DataError when a state jumps by a full turn, as a wrapped angle does.
 
-    A wrapped angle stays within one turn, and where it jumps it moves on smoothly once the turn is taken out.
+    A wrapped angle stays within one turn, and where it jumps it moves on smoothly once the turn is taken out. Noise is
+    none: it makes steps of all sizes up to the largest, whereas a jump stands out from all others.
     """
     parts = [part[np.isfinite(part)] for part in parts]
     parts = [part for part in parts if len(part)]
@@ -110,7 +126,9 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
     for turn, called, suffix in _TURNS:
         if not 0.5 * turn < high - low <= (1.0 + SETTINGS.common.negligible) * turn:
             continue
-        jumps = sum(_count_turns(part, turn) for part in parts)
+        steps = [np.abs(np.diff(part)) for part in parts]
+        usual = max(float(np.max(each[each < 0.5 * turn], initial=0.0)) for each in steps)
+        jumps = sum(_count_turns(each, usual, turn) for each in steps)
         if jumps:
             count = f"{jumps} time{'s' if jumps > 1 else ''}"
             raise DataError(
@@ -119,16 +137,13 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
             )
 
 
-def _count_turns(values: FloatArray, turn: float) -> int:
-    """Count isolated steps that are small only modulo `turn`: of more than half a turn, and of far more than beside."""
-    steps = np.abs(np.diff(values))
-    ratio, count = _JUMP, 0
-    for index, step in enumerate(steps.tolist()):
+def _count_turns(steps: FloatArray, usual: float, turn: float) -> int:
+    """Count sizes of steps that stand out from `usual` ones and differ from `turn` by little more than those beside."""
+    count = 0
+    for index in np.flatnonzero(steps > max(0.5 * turn, _JUMP * usual)).tolist():
         near = [float(steps[other]) for other in (index - 1, index + 1) if 0 <= other < len(steps)]
         around = max((each for each in near if each < 0.5 * turn), default=0.0)
-        is_alone = step > max(0.5 * turn, ratio * around)
-        if is_alone and abs(step - turn) <= ratio * around + SETTINGS.common.negligible * turn:
-            count += 1
+        count += abs(float(steps[index]) - turn) <= _JUMP * around + SETTINGS.common.negligible * turn
     return count
 
 

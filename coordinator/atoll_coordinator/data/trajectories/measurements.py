@@ -13,7 +13,7 @@ from atoll.data.dataset import FloatArray, IntArray
 from atoll.data.table import Table
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.trajectories.angles import convert_to_radians, unwrap
-from atoll_coordinator.data.trajectories.checks import check_searched_rows, select_usable_rows
+from atoll_coordinator.data.trajectories.checks import check_searched_rows, check_sizes, select_usable_rows
 from atoll_coordinator.data.trajectories.holdout import select_held_out
 from atoll_coordinator.data.trajectories.trajectories import (
     Range,
@@ -112,6 +112,7 @@ def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measure
     held_out = select_held_out(config.holdout, roles.trajectory, numbers[first_rows].tolist())
     searched = [row for (first, last), out in zip(ranges, held_out, strict=True) if not out for row in rows[first:last]]
     check_searched_rows(table, roles, raw, searched)
+    check_sizes({name: raw[name][rows] for name in (*roles.states, *roles.inputs)})
     angles = {angle.column: angle for angle in roles.angles}
     angles |= {
         name: angles[state] for state, name in zip(roles.states, roles.derivatives, strict=False) if state in angles

@@ -15,14 +15,14 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.refinement import Chaos
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, Unsimulated
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 
 _BLOCKS: Final = 4
 """Blocks that there are at least: the variance of fewer averages is not known."""
 _MOST_ROWS: Final = 4_000
-"""Rows of the long simulation, at most."""
+"""Rows of the long simulation, at most: where it has to be longer, they stand for several measured ones each."""
 
 
 def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
@@ -40,31 +40,35 @@ def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos |
     lengths = np.bincount(measurements.owners_of_rows)
     are_few = len(lengths) < _BLOCKS
     block = int(lengths.max()) // (_BLOCKS if are_few else 2)
-    rows = min(max(measurements.rows, _BLOCKS * block), _MOST_ROWS)
-    simulated = _simulated(fit, rows, step, tolerance)
-    if simulated is None:
-        return Chaos(1.0 / rate, False, None)
+    rows = max(_BLOCKS * block, min(measurements.rows, _MOST_ROWS))
+    stride = -(-rows // _MOST_ROWS)
+    simulated = _simulated(fit, rows, stride, step, tolerance)
+    if isinstance(simulated, str):
+        return Chaos(1.0 / rate, False, None, is_unfinished=simulated == "out of steps")
     measured = [measurements.smoothed[:, measurements.owners_of_rows == owner] for owner in range(len(lengths))]
     measured = measured if are_few else [each[:, each.shape[1] // 2 :] for each in measured]
     centre = np.concatenate(measured, axis=1).mean(axis=1, keepdims=True)
     probability = 1.0
     for power in (1, 2):
-        ours = _block_means((simulated - centre) ** power, block)
+        ours = _block_means((simulated - centre) ** power, block // stride)
         theirs = np.concatenate([_block_means((each - centre) ** power, block) for each in measured], axis=1)
         probability = min(probability, *_welch(ours, theirs))
     is_kept = probability >= SETTINGS.inference.improbable / (2.0 * len(centre))
     return Chaos(1.0 / rate, is_kept, probability)
 
 
-def _simulated(fit: TrajectoryFit, rows: int, step: float, tolerance: float) -> FloatArray | None:
-    """Return the states (D, rows) from the end of the last trajectory on; None where the simulation runs away."""
-    measurements = fit.estimator.measurements
-    estimator = along(measurements, step * np.arange(float(rows)), tolerance)
+def _simulated(fit: TrajectoryFit, rows: int, stride: int, step: float, tolerance: float) -> FloatArray | Unsimulated:
+    """Return every `stride`-th of so many rows of the states from the end of the last trajectory on, or why not."""
+    times = step * np.arange(0.0, rows, stride)
+    estimator = along(fit.estimator.measurements, times, tolerance, rows)
     return estimator.simulate(fit.system, fit.simulated[:, -1])
 
 
-def along(measurements: Measurements, times: FloatArray, tolerance: float) -> MultipleShooting:
-    """Return an estimator that simulates systems without inputs along these `times`, where nothing was measured."""
+def along(measurements: Measurements, times: FloatArray, tolerance: float, measured_rows: int) -> MultipleShooting:
+    """Return an estimator that simulates systems without inputs along these `times`, where nothing was measured.
+
+    So much time has about so many `measured_rows`, each of which is allowed its steps.
+    """
     rows, count = len(times), len(measurements.observed)
     low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
     made = replace(
@@ -82,7 +86,7 @@ def along(measurements: Measurements, times: FloatArray, tolerance: float) -> Mu
         resting=None,
         consistency=None,
     )
-    return MultipleShooting(made, tolerance)
+    return MultipleShooting(made, tolerance, measured_rows=measured_rows)
 
 
 def _block_means(values: FloatArray, block: int) -> FloatArray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
+from atoll.data.dataset import EXACT_ERROR, FloatArray
 from atoll.expression.program import Program, constant_places
 from atoll.expression.text.infix import to_infix
 from atoll.expression.unit_coefficients import (
@@ -59,7 +59,7 @@ from atoll_coordinator.model.selection.joint_search import ModellingTask, Select
 from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem, round_shown, round_system
 from atoll_coordinator.model.selection.shortcut import longest, predictable_rows
-from atoll_coordinator.model.shooting.lyapunov import growth_rate
+from atoll_coordinator.model.shooting.lyapunov import growth_rate, speed_growth
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import SharedNumber
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -450,11 +450,16 @@ def _carried_bands(final: Final, other: ModelComparison, fit: TrajectoryFit, err
 
 
 def _chaos(final: Final) -> Chaos | None:
-    """Return what is known of a model whose initial states are of no use for a whole trajectory, else None."""
+    """Return what is known of a model whose initial states are of no use for a whole trajectory, else None.
+
+    Nor is there chaos where errors grow no faster than the trajectories do: growth has no attractor to stay on.
+    """
     fit, comparison = final.free.fit, final.comparison
-    if predictable_rows(fit, comparison) >= longest(final.task):
-        return None
-    return look_for_chaos(final.seen_fit, growth_rate(fit), final.seen.estimator.tolerance)
+    rate = growth_rate(fit)
+    for each in (rate, rate - speed_growth(fit)):
+        if predictable_rows(fit, comparison, each) >= longest(final.task):
+            return None
+    return look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
 
 
 def _predictions(final: Final, errors: Errors, *, is_near: bool) -> list[Prediction] | None:
@@ -505,14 +510,34 @@ def refined_equation(
         prediction=prediction,
         chaos=chaos,
         alternative=min((each.nats for each in nearest), default=None),
+        passes_pole=_passes_pole(final, program),
+        distinct_rows=_distinct_rows(measurements),
     )
     grade, reason = judge(evidence)
     member = task.candidates[name].member_of(program)
     origin = final.origin(index, final.ranking.selection.model.programs[index])
+    together = final.equations.rounded.together
     return Refined(
         member, program, error, mse, known.written, known.unit_coefficients, alternatives, grade, reason, origin,
-        prediction,
+        prediction, simple_together=together[index] if together else None,
     )  # fmt: skip
+
+
+def _distinct_rows(measurements: Measurements) -> int:
+    """Return how many rows of states and inputs differ by more than rounding; unmeasured states do not count."""
+    values = np.concatenate([measurements.measured, measurements.inputs])
+    scales = np.maximum(np.nanstd(values, axis=1), 1e-300)[:, None]
+    return len(np.unique(np.nan_to_num(np.round(values / (EXACT_ERROR * scales))) + 0.0, axis=1).T)
+
+
+def _passes_pole(final: Final, program: Program) -> bool:
+    """Tell whether the simulation of the model goes from one row to the next through a pole of an equation."""
+    measurements, names = final.seen.estimator.measurements, final.task.dataset.names
+    points = np.concatenate([final.seen_fit.simulated, measurements.inputs])
+    points = points[[measurements.variables.index(name) for name in names]]
+    owners = measurements.owners_of_rows
+    rows = np.flatnonzero(owners[1:] == owners[:-1])
+    return bool(find_poles(program, points[:, rows], points[:, rows + 1]))
 
 
 def _reference_smoother(smoothing: Smoothing, noise: float) -> ReferenceSmoother | None:

@@ -1,4 +1,4 @@
-"""What a model foretells from other initial states inside the measured box, and whether its rivals foretell the same.
+"""What a model foretells from other initial states within the measured cloud, and whether its rivals foretell the same.
 
 Data decide between two equations as far as these describe the measurements unequally well. Where they describe them
 about as well and yet foretell something else from initial states that were not measured, the data do not decide what
@@ -17,9 +17,11 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.inference.attractor import along
 from atoll_coordinator.model.refinement import Prediction
 from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.multiple_shooting import Unsimulated
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.settings import SETTINGS
 
@@ -51,18 +53,18 @@ def foretell(
     if len(measurements.inputs) or measurements.rows < SETTINGS.shooting.lengths[-1] // 4:
         return None
     elsewhere = _Elsewhere(measurements, tolerance, is_near=is_near)
-    own = elsewhere.courses(model, range(len(elsewhere.starts)))
-    followed = [place for place, course in enumerate(own) if course is not None]
+    own = elsewhere.own_courses(model)
+    followed = [place for place, course in enumerate(own) if not isinstance(course, str)]
+    unfinished = sum(isinstance(its, str) and its == "out of steps" for its in own)
     states = range(len(measurements.observed))
     if not followed:
-        return [Prediction(len(own), 0, 0.0, math.inf) for _ in states]
-    horizon = elsewhere.horizon(model, own, followed)
-    courses = [course[:, :horizon] for course in own if course is not None]
+        return [Prediction(len(own), 0, 0.0, math.inf, unfinished=unfinished) for _ in states]
+    horizon = elsewhere.horizon(model, own)
+    courses = [course[:, :horizon] for course in own if not isinstance(course, str)]
     misses = _Misses(courses, len(states))
     for rival in rivals:
-        misses.add(
-            rival, [None if its is None else its[:, :horizon] for its in elsewhere.courses(rival.system, followed)]
-        )
+        theirs = elsewhere.courses(rival.system, followed)
+        misses.add(rival, [its if isinstance(its, str) else its[:, :horizon] for its in theirs])
     distances = elsewhere.distances(courses)
     farthest = int(np.argmax([its.max() for its in distances]))
     novelty = float(np.median(np.concatenate(distances)))
@@ -72,7 +74,8 @@ def foretell(
         start = elsewhere.named(followed[farthest if disputed is None else disputed])
         reached = elsewhere.reached(courses, state)
         probability = misses.agreement(state)
-        return Prediction(len(own), len(followed), probability, novelty, reached, start, disputed is not None)
+        is_disputed = disputed is not None
+        return Prediction(len(own), len(followed), probability, novelty, reached, start, is_disputed, unfinished)
 
     return [predicted(state) for state in states]
 
@@ -82,45 +85,73 @@ _STRIDE: Final = 4
 """Rows whose distances are measured: so many measured ones at most, and every fourth simulated one."""
 
 
+Course = FloatArray | Unsimulated
+"""The measured states (O, N) from an initial state, or why there are none."""
+
+
 class _Elsewhere:
-    """Simulates systems from initial states in the measured box, for as long as the longest trajectory."""
+    """Simulates systems from initial states among measured ones, for as long as the longest trajectory.
+
+    Where measured trajectories end on their way out of the measured range, as those of growth do, nothing says that
+    others stay near it: courses that leave it on the same side are followed for as long as a trajectory that was
+    measured lasts from about there.
+    """
 
     def __init__(self, measurements: Measurements, tolerance: float, *, is_near: bool) -> None:
         self._measurements = measurements
-        rows = SETTINGS.shooting.lengths[-1]
         low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
         self._low, self._width = low, np.maximum(high - low, 1e-300)
-        length = max(
-            float(measurements.times[end - 1] - measurements.times[first]) for first, end in measurements.bounds
+        length, rows = max(
+            (float(measurements.times[end - 1] - measurements.times[first]), end - first)
+            for first, end in measurements.bounds.tolist()
         )
-        self._estimator = along(measurements, np.linspace(0.0, length, rows), tolerance)
+        self._times = np.linspace(0.0, length, SETTINGS.shooting.lengths[-1])
+        self._estimator = along(measurements, self._times, tolerance, rows)
         self._is_near = is_near
+        self._rows: dict[int, int] = {}
+        """Of the courses that are not followed to their end, by initial state."""
 
     @cached_property
     def starts(self) -> FloatArray:
-        """Initial states (G, D), evenly spread over the box (Halton 1960), or near measured ones over all rows."""
+        """Initial states (G, D): between two measured ones, or near measured ones over all rows.
+
+        The two are far out among the measured ones. What holds of all of these, such as a sum that does not change or a
+        sign, holds between them as well, and energies are not as large as in the corners of a box of many states.
+        """
         if self._is_near:
             rows = np.linspace(0, self._measurements.rows - 1, SETTINGS.effort.beam).astype(int)
             moved = SETTINGS.common.negligible * self._measurements.scales
             return np.asarray(self._measurements.smoothed[:, rows].T + moved)
-        count, states = SETTINGS.effort.beam, len(self._low)
-        unit = np.array([[_radical_inverse(index, base) for base in _primes(states)] for index in range(1, count + 1)])
-        return np.asarray(self._low + unit * self._width)
+        count = SETTINGS.effort.beam
+        known = self._measurements.smoothed.T[:: max(1, self._measurements.rows // _MOST_ROWS)]
+        outer = known[_far_apart(known / self._width, 2 * count)]
+        one, other, share = _latin_hypercube(count, 3).T
+        first, second = (outer[(each * len(outer)).astype(int)] for each in (one, other))
+        return np.asarray(first + share[:, None] * (second - first))
 
-    def courses(self, system: System, places: Sequence[int]) -> list[FloatArray | None]:
-        """Return the measured states (O, N) from these of the initial states, None where a simulation fails."""
-        return [self._course(system, self.starts[place]) for place in places]
+    def own_courses(self, model: System) -> list[Course]:
+        """Return the model's courses from all initial states; from now on all are followed for as long as these."""
+        found = []
+        for place, start in enumerate(self.starts):
+            simulated, why = self._estimator.simulate_as_far(model, start)
+            if why == "ran away" and self._leaves_as_measured(simulated[:, np.isfinite(simulated).all(axis=0)]):
+                self._rows[place] = self._rows_measured_from(start)
+            found.append(self._followed(simulated, why, self._rows.get(place)))
+        return found
 
-    def horizon(self, model: System, own: Sequence[FloatArray | None], places: Sequence[int]) -> int:
+    def courses(self, system: System, places: Sequence[int]) -> list[Course]:
+        """Return the courses from these of the initial states."""
+        return [self._course(system, self.starts[place], self._rows.get(place)) for place in places]
+
+    def horizon(self, model: System, own: Sequence[Course]) -> int:
         """Return for how many rows slightly different initial states lead to about the same course: chaos ends it."""
         moved = self.starts + SETTINGS.common.negligible * self._measurements.scales
-        others = [self._course(model, moved[place]) for place in places]
-        pairs = [(own[place], other) for place, other in zip(places, others, strict=True) if other is not None]
+        whole = [place for place, one in enumerate(own) if not isinstance(one, str) and place not in self._rows]
+        others = ((own[place], self._course(model, moved[place])) for place in whole)
+        pairs = [(one, other) for one, other in others if not isinstance(one, str) and not isinstance(other, str)]
         rows = SETTINGS.shooting.lengths[-1]
         least = 1.0 - SETTINGS.inference.part
-        while rows > 8 and not all(
-            (_r2([one[:, :rows]], [other[:, :rows]]) > least).all() for one, other in pairs if one is not None
-        ):
+        while rows > 8 and not all((_r2([one[:, :rows]], [other[:, :rows]]) > least).all() for one, other in pairs):
             rows //= 2
         return rows
 
@@ -150,9 +181,37 @@ class _Elsewhere:
         names = self._measurements.variables[: len(self._low)]
         return dict(zip(names, self.starts[place].tolist(), strict=True))
 
-    def _course(self, system: System, start: FloatArray) -> FloatArray | None:
-        simulated = self._estimator.simulate(system, start)
-        return None if simulated is None else simulated[self._measurements.observed]
+    def _course(self, system: System, start: FloatArray, rows: int | None = None) -> Course:
+        return self._followed(*self._estimator.simulate_as_far(system, start), rows)
+
+    def _followed(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
+        """Return the measured states of so many rows, all unless given, or why a simulation did not come so far."""
+        course = simulated[self._measurements.observed, :rows]
+        return course if why is None or (rows is not None and np.isfinite(course).all()) else why
+
+    def _leaves_as_measured(self, simulated: FloatArray) -> bool:
+        """Tell whether a course (D, K) leaves the measured range where a trajectory that was measured ends."""
+        if not simulated.shape[1]:
+            return False
+        beyond = np.array([self._low - simulated[:, -1], simulated[:, -1] - self._low - self._width]) / self._width
+        side, state = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        ends = self._measurements.smoothed[state, self._last_rows]
+        end = self._low[state] + (self._width[state] if side else 0.0)
+        return bool(beyond[side, state] > 0.0 and np.any(ends >= end if side else ends <= end))
+
+    def _rows_measured_from(self, start: FloatArray) -> int:
+        """Return for how many rows the trajectory was measured that has the state nearest to this one."""
+        its = self._measurements
+        nearest = int(np.argmin(np.abs((its.smoothed.T - start) / self._width).max(axis=1)))
+        last = self._last_rows[np.searchsorted(self._last_rows, nearest)]
+        left = float(its.times[last] - its.times[nearest])
+        return int(np.searchsorted(self._times, left, side="right"))
+
+    @cached_property
+    def _last_rows(self) -> Ints:
+        """The last row of each trajectory."""
+        owners = self._measurements.owners_of_rows
+        return np.flatnonzero(np.append(owners[1:] != owners[:-1], True))
 
 
 class _Misses:
@@ -164,21 +223,28 @@ class _Misses:
         self._against: dict[int, FloatArray] = {}
         self._unlike = [(0.0, -1)] * states
 
-    def add(self, rival: Rival, courses: Sequence[FloatArray | None]) -> None:
-        """Take in what a rival foretells from the same initial states."""
+    def add(self, rival: Rival, courses: Sequence[Course]) -> None:
+        """Take in what a rival foretells from the same initial states.
+
+        One that runs away foretells otherwise; where it takes too many steps, it is not known what it foretells.
+        """
         states = len(self._unlike)
-        is_whole = all(course is not None for course in courses)
-        agrees = (
-            _r2([course for course in courses if course is not None], self._courses) > 1.0 - SETTINGS.inference.part
-            if is_whole
-            else np.zeros(states, np.bool_)
-        )
+        pairs = [(its, own) for its, own in zip(courses, self._courses, strict=True) if not isinstance(its, str)]
+        if any(isinstance(its, str) and its == "ran away" for its in courses):
+            agrees = np.zeros(states, np.bool_)
+        elif pairs:
+            agrees = _r2([its for its, _ in pairs], [own for _, own in pairs]) > 1.0 - SETTINGS.inference.part
+        else:
+            return
         self._odds[rival.group] = self._odds.get(rival.group, 0.0) + rival.odds
         against = self._against.setdefault(rival.group, np.zeros(states))
         against += rival.odds * ~agrees
         for state in np.flatnonzero(~agrees).tolist():
             for place, (course, own) in enumerate(zip(courses, self._courses, strict=True)):
-                size = math.inf if course is None else float(np.abs(course[state] - own[state]).max())
+                if isinstance(course, str):
+                    size = math.inf if course == "ran away" else 0.0
+                else:
+                    size = float(np.abs(course[state] - own[state]).max())
                 if rival.odds * size > self._unlike[state][0]:
                     self._unlike[state] = (rival.odds * size, place)
 
@@ -212,29 +278,36 @@ def draws(system: System, covariance: FloatArray, group: int) -> Iterator[Rival]
     count = SETTINGS.effort.beam
     if not system.count:
         return
-    values, vectors = np.linalg.eigh(covariance)
-    scales = vectors * np.sqrt(np.maximum(values, 0.0))
+    deviations = np.sqrt(np.diag(covariance))
+    deviations = np.where(deviations > 0.0, deviations, 1.0)
+    values, vectors = np.linalg.eigh(covariance / deviations[:, None] / deviations)  # whatever the constants' units
+    scales = deviations[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(0)
     for _ in range(count):
         drawn = system.values + scales @ rng.standard_normal(len(values))
         yield Rival(system.with_values(drawn), group, 1.0)
 
 
-def _radical_inverse(index: int, base: int) -> float:
-    """Return the digits of `index` behind the point, the first digit last."""
-    value, factor = 0.0, 1.0
-    while index:
-        factor /= base
-        index, digit = divmod(index, base)
-        value += factor * digit
-    return value
+def _far_apart(points: FloatArray, count: int) -> list[int]:
+    """Return the places of up to so many of the `points` (N, D), each as far from those before as any (Gonzalez 1985).
 
-
-def _primes(count: int) -> list[int]:
-    found: list[int] = []
-    candidate = 2
-    while len(found) < count:
-        if all(candidate % prime for prime in found):
-            found.append(candidate)
-        candidate += 1
+    However long a process rests, the way there counts as much.
+    """
+    found, nearest = [0], np.full(len(points), math.inf)
+    for _ in range(1, count):
+        nearest = np.minimum(nearest, ((points - points[found[-1]]) ** 2).sum(axis=1))
+        farthest = int(np.argmax(nearest))
+        if not nearest[farthest] > 0.0:
+            break
+        found.append(farthest)
     return found
+
+
+def _latin_hypercube(count: int, dimensions: int) -> FloatArray:
+    """Return points (G, K) of [0, 1): each of `count` equal parts of each dimension has one (McKay et al. 1979).
+
+    As scipy.stats.qmc does it, whose import takes as long as many a search.
+    """
+    rng = np.random.default_rng(0)
+    parts = rng.permuted(np.tile(np.arange(float(count)), (dimensions, 1)), axis=1)
+    return np.asarray((parts + rng.random(parts.shape)).T / count)

@@ -23,9 +23,9 @@ class Evidence:
     and `convergence_threshold` the normalized error at most which an equation has converged when the job asks for none;
     `target_r2` is the share of the target's variance that is explained.
 
-    Of the simulation: `residuals` has (R,) numbers for each trajectory that was fitted and could be simulated to its
-    end, measured minus simulated values of this state; `failed` counts the others. `parameters` is how many numbers
-    were fitted to them: constants and initial values, each shared by as many states as it was fitted to. `noise` is
+    Of the simulation: `residuals` has (R,) numbers for each piece of a trajectory, measured minus simulated values of
+    this state; a model is simulated to the end of all of them or of none. `parameters` is how many numbers were fitted
+    to them: constants and initial values, each shared by as many states as it was fitted to. `noise` is
     the smoother's estimate of the measurement errors (0 for a state that was interpolated) and `standard_deviation`
     that of what was measured, both in the state's unit; `reference` judges the variance of the residuals, None where
     the noise is known; `are_errors_summed` tells that errors add up along trajectories, as those of a solver do, and
@@ -36,7 +36,9 @@ class Evidence:
     `alternative` is how many nats longer the description is with the next best equation that is another function and
     has no more constants; `prediction` is how far the state can be foretold from other initial states, None where that
     is not known; `chaos` is what is known of a model whose courses
-    cannot be foretold for long; `is_known` tells that the equation was given; `is_unsimulated` that there are
+    cannot be foretold for long; `passes_pole` tells that its simulation goes through a point where this equation has no
+    finite value; `distinct_rows` counts rows that differ by more than rounding, None where that is not known;
+    `is_known` tells that the equation was given; `is_unsimulated` that there are
     trajectories, along which it was not simulated.
     """
 
@@ -44,7 +46,6 @@ class Evidence:
     target_uncertainty: float = 0.0
     target_r2: float | None = None
     residuals: Sequence[FloatArray] = ()
-    failed: int = 0
     parameters: float = 0.0
     noise: float = 0.0
     standard_deviation: float = 1.0
@@ -58,6 +59,8 @@ class Evidence:
     alternative: float | None = None
     prediction: Prediction | None = None
     chaos: Chaos | None = None
+    passes_pole: bool = False
+    distinct_rows: int | None = None
     is_known: bool = False
     is_unsimulated: bool = False
     convergence_threshold: float = EXACT_ERROR
@@ -65,7 +68,7 @@ class Evidence:
     @property
     def is_simulated(self) -> bool:
         """Whether the model was fitted to trajectories."""
-        return bool(self.residuals) or self.failed > 0
+        return bool(self.residuals)
 
 
 def judge(evidence: Evidence) -> tuple[Grade, str]:
@@ -76,9 +79,6 @@ def judge(evidence: Evidence) -> tuple[Grade, str]:
 
 
 def _by_simulation(evidence: Evidence) -> tuple[Grade, str]:
-    trajectories = len(evidence.residuals) + evidence.failed
-    if evidence.failed * 2 >= trajectories:
-        return "no model", f"It cannot be simulated to the end of {evidence.failed} of {trajectories} trajectories."
     residuals = check(
         evidence.residuals, evidence.noise, evidence.parameters, evidence.reference, is_robust=evidence.has_outliers
     )
@@ -148,9 +148,6 @@ def _objections_to_simulation(evidence: Evidence, residuals: Check) -> Iterator[
     """Yield what speaks against the simulation, the worst first."""
     left = residuals.standard_deviation / evidence.standard_deviation
     noise = evidence.noise / evidence.standard_deviation
-    if evidence.failed:
-        trajectories = len(evidence.residuals) + evidence.failed
-        yield f"it cannot be simulated to the end of {evidence.failed} of {trajectories} trajectories"
     if evidence.held_out_r2 is not None and evidence.held_out_r2 < 1.0 - noise * noise - SETTINGS.inference.part:
         yield f"{_unseen(evidence)} are simulated with R2 {_r2(evidence.held_out_r2)} only"
     if left <= SETTINGS.common.negligible:
@@ -174,7 +171,9 @@ def _objections_to_attractor(chaos: Chaos | None) -> Iterator[str]:
     """Yield what speaks against a model by a simulation far longer than errors of an initial state can be carried."""
     if chaos is None or chaos.is_kept:
         return
-    if chaos.probability is None:
+    if chaos.is_unfinished:
+        yield "a long simulation takes more steps than are allowed, so that it is not known where it leads"
+    elif chaos.probability is None:
         yield "a long simulation runs away from what was measured"
     else:
         yield f"means or variances of a long simulation are not those measured (p = {chaos.probability:.1g})"
@@ -184,9 +183,14 @@ def _objections_to_prediction(prediction: Prediction | None) -> Iterator[str]:
     """Yield what speaks against relying on the model elsewhere in the measured box, and what to measure."""
     if prediction is None:
         return
-    if prediction.followed < prediction.starts:
-        lost = prediction.starts - prediction.followed
+    lost = prediction.starts - prediction.followed - prediction.unfinished
+    if lost:
         yield f"from {lost} of {prediction.starts} other initial states within the measured range it runs away"
+    if prediction.unfinished:
+        yield (
+            f"from {prediction.unfinished} of {prediction.starts} other initial states within the measured range its "
+            "simulation takes more steps than are allowed, so that it is not known where it leads"
+        )
     if prediction.followed and 1.0 - prediction.probability > math.exp(-SETTINGS.inference.distinct_nats):
         yield (
             "rivals that describe the data about as well foretell something else from other initial states within the "
@@ -229,6 +233,13 @@ def _objections_to_target(evidence: Evidence, *, is_at_floor: bool) -> Iterator[
 
 
 def _objections_to_model(evidence: Evidence) -> Iterator[str]:
+    if evidence.distinct_rows is not None and evidence.distinct_rows < SETTINGS.checks.min_rows:
+        yield (
+            f"the rows repeat {evidence.distinct_rows} measurements, through which many equations lead: measure at "
+            "other times"
+        )
+    if evidence.passes_pole:  # such as 6e-13/(3e-12 - x**3), by which a state seems to be switched
+        yield "its simulation passes a pole, where it has no value: measure there, or leave out divisions"
     if evidence.alternative is not None and evidence.alternative < SETTINGS.inference.distinct_nats:
         nats = (
             f"{evidence.alternative:.2g} nats apart"

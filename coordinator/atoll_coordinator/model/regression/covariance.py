@@ -51,12 +51,18 @@ class Known:
 
 
 def covariance_of(fitted: Fitted, criterion: RegressionCriterion) -> FloatArray:
-    """Return the covariance (K, K) of the constants that were fitted, in node order."""
+    """Return the covariance (K, K) of the constants that were fitted, in node order.
+
+    The variance of the errors is the sum of squared residuals over n - K, as if one were left where none is, or the
+    square of the target's uncertainty if that is larger.
+    """
+    freedom = max(criterion.rows - len(fitted.normal), 1)
     scale = np.sqrt(np.diag(fitted.normal))
     scale[scale < _FLAT] = _FLAT
     unit = fitted.normal / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
     inverse = np.linalg.pinv(unit, hermitian=True)
-    return np.asarray(criterion.variance(fitted.mse) * inverse / np.outer(scale, scale))
+    variance = criterion.variance(fitted.mse * criterion.rows / freedom)
+    return np.asarray(variance * inverse / np.outer(scale, scale))
 
 
 def standard_errors(fitted: Fitted, criterion: RegressionCriterion) -> list[float]:
@@ -104,8 +110,7 @@ def estimate_constants(
         fitted = _with_held(fitted, _on_bounds(values, ranges))
     errors = [math.inf] * len(values)
     if freedom > 0 and math.isfinite(fitted.mse):
-        unbiased = Fitted(fitted.program, fitted.mse * criterion.rows / freedom, fitted.normal)
-        errors = standard_errors(unbiased, criterion)
+        errors = standard_errors(fitted, criterion)
     known = describe(explicit, program, values, errors, student_95(freedom) if has_intervals else None)
     return known if ranges is None else _bounded(known, whole, ranges, criterion, freedom)
 

@@ -21,7 +21,7 @@ from atoll.expression.writing.agreement import shortest_over
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.refinement import Member, Refined, SimpleNumber, may_be_shown
+from atoll_coordinator.model.refinement import Member, Refined, SimpleNumber, SimpleTogether, may_be_shown
 from atoll_coordinator.model.regression.covariance import covariance_of, estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
@@ -86,25 +86,26 @@ def _finished(
         explicit = make_coefficients_explicit(program)
         opened = write_factors(explicit, least_squares.fit(explicit.program).program, refuted)
         program = opened if may_be_shown(opened, config.space.max_size) else program
-    program, simple = _with_estimates(program, criterion, least_squares)
+    program, simple, together = _with_estimates(program, criterion, least_squares)
     error, mse = errors_on(problem, program, config.evolution.loss)
     known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals)
     known = known.with_simple(simple)
-    return Refined(member, program, error, mse, known.written, known.unit_coefficients)
+    return Refined(member, program, error, mse, known.written, known.unit_coefficients, simple_together=together)
 
 
 def _with_estimates(
     program: Program, criterion: RegressionCriterion, least_squares: LeastSquares
-) -> tuple[Program, tuple[SimpleNumber | None, ...]]:
-    """Return a program with constants as they are shown, and the simple numbers near them."""
+) -> tuple[Program, tuple[SimpleNumber | None, ...], SimpleTogether | None]:
+    """Return a program with constants as they are shown, the simple numbers near them, and those shown together."""
     fitted, places = least_squares.fit(program), constant_places(program)
     if not places or not math.isfinite(fitted.mse):
-        return program, (None,) * len(places)
+        return program, (None,) * len(places), None
     many = range(len(places)) if len(places) > SETTINGS.effort.beam else ()
     rounding = round_estimates(fitted.program.constants[places], covariance_of(fitted, criterion), estimates=many)
     made = with_constants(program, dict(zip(places, rounding.values.tolist(), strict=True)))
     bounds = least_squares.restrictions.bounds
-    return made if bounds is None else bounds.clipped(made), rounding.simple
+    together = rounding.together(range(len(places)))
+    return made if bounds is None else bounds.clipped(made), rounding.simple, together
 
 
 def _as_found(refined: Refined, front: Sequence[Member]) -> Refined:

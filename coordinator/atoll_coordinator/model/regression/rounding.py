@@ -6,12 +6,18 @@ the constants, so that what the data say of each of these decisions is known: co
 each by a few simple numbers near where it lies once the earlier ones are fixed, and a beam of the most probable
 decisions is kept (a sequential decoding, as in integer least squares). A simple number takes the place of an estimate
 when its odds, against all other decisions together, are at least those of `InferenceSettings.distinct_nats`.
+
+Constants are judged jointly. What share of them is simple is not known beforehand, and any share is as likely: of K
+constants m certain ones are simple with the probability m! (K - m)!/(K + 1)! (Laplace's rule of succession), so that
+simple numbers speak for each other, and estimates against a simple number that is alone. And what is simple may be the
+product of a constant with one that is decided already: 0.9 (c + f) with c = 0.1111 is 0.1 + 0.9 f with the bracket
+opened.
 """
 
 import math
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -20,7 +26,7 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, with_constants
 from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import RegressionCriterion
-from atoll_coordinator.model.refinement import SimpleNumber
+from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.covariance import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
@@ -58,10 +64,47 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Rounding:
-    """What becomes of constants: their `values` (K,) as they are shown, and the nearest simple number of each."""
+    """What becomes of constants: their `values` (K,) as they are shown, and the nearest simple number of each.
+
+    `means` (K,) and `covariance` are those of the estimates, `considered` the decisions that were weighed.
+    """
 
     values: FloatArray
     simple: tuple[SimpleNumber | None, ...]
+    means: FloatArray
+    covariance: FloatArray
+    considered: Sequence[Decision] = ()
+
+    def together(self, constants: Sequence[int]) -> SimpleTogether | None:
+        """Return simple numbers of two and more of these constants that are right together; None if that is unlikely.
+
+        Of those that the data single out together the most, else of those that are likelier than everything else.
+        Places in it are those in `constants`.
+        """
+        its = dict.fromkeys(tuple(number for number in each.numbers if number[0] in constants)
+                            for each in self.considered)  # fmt: skip
+        odds = {
+            key: _odds(self.considered, [{*key} <= {*each.numbers} for each in self.considered])
+            for key in its
+            if len(key) > 1
+        }
+        for least in (math.exp(SETTINGS.inference.distinct_nats), 1.0):
+            likely = [key for key, its_odds in odds.items() if its_odds >= least]
+            if likely:
+                best = max(likely, key=lambda key: (len(key), odds[key]))
+                return self._together(constants, dict(best), odds[best])
+        return None
+
+    def _together(self, constants: Sequence[int], numbers: Mapping[int, float], odds: float) -> SimpleTogether:
+        places = tuple(place for place, index in enumerate(constants) if index in numbers)
+        chosen = sorted(numbers)
+        away = self.means[chosen] - [numbers[index] for index in chosen]
+        return SimpleTogether(
+            places,
+            tuple(numbers[constants[place]] for place in places),
+            odds,
+            2.0 * quadratic_form(away, self.covariance[np.ix_(chosen, chosen)]),
+        )
 
 
 def round_estimates(
@@ -76,10 +119,11 @@ def round_estimates(
     earlier ones are: so the last of several constants that only together are determined keeps the digits it needs.
     Simple numbers that are singled out take their place, but for those of the `estimates`, by number.
     """
-    is_open = len(estimates) < len(means)
-    numbers, odds = _singled_out(means, covariance) if is_open else ({}, {})
-    numbers = {index: number for index, number in numbers.items() if index not in estimates}
-    decision = _start(means, covariance)
+    start = _start(means, covariance)
+    considered = decisions(means, covariance, has_products=True) if len(estimates) < len(means) else []
+    odds = _marginal_odds(considered)
+    numbers = {index: number for index, number in _singled_out(odds).items() if index not in estimates}
+    decision = start
     for index, number in numbers.items():
         decision = _decided(decision, decision.open.index(index), number, 0.0)
     while decision.open:
@@ -87,12 +131,12 @@ def round_estimates(
         decision = _decided(decision, 0, number, 0.0)
     values = np.array([value for _, value in decision.numbers])
     remarks = [_simple_number(*each, odds) for each in zip(range(len(means)), means, np.diag(covariance), strict=True)]
-    return Rounding(values, tuple(remarks))
+    return Rounding(values, tuple(remarks), means, start.covariance, considered)
 
 
 def find_simple(means: FloatArray, covariance: FloatArray) -> dict[int, float]:
     """Return the simple numbers that the data single out, by the number of the constant."""
-    return _singled_out(means, covariance)[0]
+    return _singled_out(_marginal_odds(decisions(means, covariance, has_products=True)))
 
 
 def round_constants(fitted: Fitted, criterion: RegressionCriterion, least_squares: LeastSquares) -> Model:
@@ -113,30 +157,62 @@ def round_constants(fitted: Fitted, criterion: RegressionCriterion, least_square
     return best
 
 
-def _singled_out(means: FloatArray, covariance: FloatArray) -> tuple[dict[int, float], dict[tuple[int, float], float]]:
-    """Return the simple numbers that are shown, by constant, and the odds of all that were considered."""
-    found = decisions(means, covariance)
-    most = max(each.nats for each in found)
-    weights = [math.exp(each.nats - most) for each in found]
-    shares: dict[tuple[int, float], float] = {}
-    for each, weight in zip(found, weights, strict=True):
-        for number in each.numbers:
-            shares[number] = shares.get(number, 0.0) + weight
-    total = sum(weights)
-    odds = {number: share / max(total - share, 1e-300) for number, share in shares.items()}
-    return {
-        index: value for (index, value), its in odds.items() if its >= math.exp(SETTINGS.inference.distinct_nats)
-    }, odds
+def quadratic_form(away: FloatArray, covariance: FloatArray) -> float:
+    """Return by how many nats the misfit grows when constants move away (K,) from their estimates, near its minimum."""
+    least = np.finfo(np.float64).tiny
+    scale = np.sqrt(np.maximum(np.diag(covariance), least))
+    unit = np.linalg.pinv(covariance / np.outer(scale, scale), hermitian=True)
+    return 0.5 * float((away / scale) @ unit @ (away / scale))
 
 
-def decisions(means: FloatArray, covariance: FloatArray) -> list[Decision]:
-    """Return the most probable decisions on constants with these `means` (K,) and `covariance`, none among them."""
+def _singled_out(odds: Mapping[tuple[int, float], float]) -> dict[int, float]:
+    """Return the simple numbers whose odds suffice, by constant."""
+    least = math.exp(SETTINGS.inference.distinct_nats)
+    return {index: value for (index, value), its in odds.items() if its >= least}
+
+
+def _marginal_odds(considered: Sequence[Decision]) -> dict[tuple[int, float], float]:
+    """Return the odds of each number of each constant against all decisions without it."""
+    numbers = dict.fromkeys(number for each in considered for number in each.numbers)
+    held: dict[tuple[int, float], list[bool]] = {number: [] for number in numbers}
+    for each in considered:
+        its = {*each.numbers}
+        for number, places in held.items():
+            places.append(number in its)
+    return {number: _odds(considered, places) for number, places in held.items()}
+
+
+def _odds(considered: Sequence[Decision], held: Sequence[bool]) -> float:
+    """Return the odds of what is held by some decisions against all others."""
+    most = max(each.nats for each in considered)
+    weights = [math.exp(each.nats - most) for each in considered]
+    share = math.fsum(weight for weight, its in zip(weights, held, strict=True) if its)
+    return share / max(math.fsum(weights) - share, 1e-300)
+
+
+def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool = False) -> list[Decision]:
+    """Return the most probable decisions on constants with these `means` (K,) and `covariance`, none among them.
+
+    With `has_products` a constant may also be what makes its product with one that is decided a simple number.
+    """
     found = beam = [_start(means, covariance)]
     while beam:
-        following = {each.numbers: each for decision in beam for each in _next(decision)}
+        following: dict[tuple[tuple[int, float], ...], Decision] = {}
+        for each in (each for decision in beam for each in _next(decision, has_products=has_products)):
+            known = following.get(each.numbers)
+            if known is None or each.nats > known.nats:
+                following[each.numbers] = each
         beam = sorted(following.values(), key=lambda each: -each.nats)[: SETTINGS.effort.beam]
         found = [*found, *beam]
-    return found
+    return [replace(each, nats=each.nats + _of_share(len(each.numbers), len(means))) for each in found]
+
+
+def _of_share(simple: int, constants: int) -> float:
+    """Return the logarithm of the probability that so many certain ones of all constants, and no others, are simple.
+
+    Any share of simple ones is as likely as any other (Laplace's rule of succession).
+    """
+    return -math.log((constants + 1) * math.comb(constants, simple))
 
 
 def _start(means: FloatArray, covariance: FloatArray) -> Decision:
@@ -146,38 +222,67 @@ def _start(means: FloatArray, covariance: FloatArray) -> Decision:
     return Decision((), 0.0, tuple(range(len(means))), means, spread)
 
 
-def _next(decision: Decision) -> Iterator[Decision]:
+def _next(decision: Decision, *, has_products: bool) -> Iterator[Decision]:
     """Yield `decision` with one more constant decided."""
+    others = [number for _, number in decision.numbers] if has_products else []
     for k in range(len(decision.open)):
-        gains = _gains(float(decision.means[k]), math.sqrt(float(decision.covariance[k, k])))
-        for number in sorted(gains, key=lambda each: -gains[each])[: SETTINGS.effort.beam]:
-            yield _decided(decision, k, number, gains[number])
+        gains = _gains(float(decision.means[k]), math.sqrt(float(decision.covariance[k, k])), others)
+        best = sorted(gains, key=lambda each: -gains[each])[: SETTINGS.effort.beam]
+        yield from _all_decided(decision, k, {number: gains[number] for number in best})
 
 
-def _gains(value: float, error: float) -> dict[float, float]:
-    """Return for the simple numbers near an estimate the nats by which each is more probable than any number."""
+def _gains(value: float, error: float, others: Sequence[float] = ()) -> dict[float, float]:
+    """Return for the simple numbers near an estimate the nats by which each is more probable than any number.
+
+    Among them are those that are simple as factors of one of `others`: they are half as probable as the others
+    together, and only of interest where none of these is more probable than any number.
+    """
     if value == 0.0:
         return {}
     least = math.log(error * math.sqrt(2.0 * math.pi)) + math.log(continuum_density(value))
-    numbers = simple_numbers(value, error, in_any_unit=True)
+    own = _priced(simple_numbers(value, error), value, error, least)
+    factors = {abs(other) for other in others}
+    if not factors:
+        return own
+    of_both = math.log(1.5)
+    found = {number: nats - of_both for number, nats in own.items()}
+    if max(own.values(), default=0.0) > 0.0:
+        return found
+    for factor in factors:
+        numbers = simple_numbers(value * factor, error * factor)
+        price = least + of_both + math.log(2.0 * len(factors))
+        for product, nats in _priced(numbers, value * factor, error * factor, price).items():
+            found[product / factor] = max(nats, found.get(product / factor, -math.inf))
+    return found
+
+
+def _priced(numbers: Mapping[float, float], value: float, error: float, least: float) -> dict[float, float]:
+    """Return the nats of simple numbers of known lengths near an estimate, beyond `least`."""
     return {number: -its - 0.5 * ((number - value) / error) ** 2 - least for number, its in numbers.items()}
 
 
 def _decided(decision: Decision, k: int, number: float, nats: float) -> Decision:
     """Return `decision` with the k-th of the open constants fixed; the others move along."""
-    column = np.delete(decision.covariance[:, k], k)
-    rest = np.delete(np.delete(decision.covariance, k, 0), k, 1)
-    variance = float(decision.covariance[k, k])
-    means = np.delete(decision.means, k) + column * ((number - decision.means[k]) / variance)
+    return next(_all_decided(decision, k, {number: nats}))
+
+
+def _all_decided(decision: Decision, k: int, numbers: Mapping[float, float]) -> Iterator[Decision]:
+    """Yield `decision` with the k-th of the open constants fixed at each of `numbers`, which have these nats."""
+    others = [place for place in range(len(decision.open)) if place != k]
+    column, mean = decision.covariance[others, k], float(decision.means[k])
+    rest, variance = decision.covariance[np.ix_(others, others)], float(decision.covariance[k, k])
     spread = rest - np.outer(column, column) / variance
-    least = np.maximum((_ROUNDING * means) ** 2, np.finfo(np.float64).tiny)
-    return Decision(
-        numbers=tuple(sorted((*decision.numbers, (decision.open[k], number)))),
-        nats=decision.nats + nats,
-        open=(*decision.open[:k], *decision.open[k + 1 :]),
-        means=means,
-        covariance=spread + np.diag(np.maximum(least - np.diag(spread), 0.0)),
-    )
+    diagonal, least = np.diag(spread), np.maximum(_ROUNDING * np.diag(rest), np.finfo(np.float64).tiny)
+    slopes, still_open = column / variance, tuple(decision.open[place] for place in others)
+    for number, nats in numbers.items():
+        means = decision.means[others] + slopes * (number - mean)
+        yield Decision(
+            numbers=tuple(sorted((*decision.numbers, (decision.open[k], number)))),
+            nats=decision.nats + nats,
+            open=still_open,
+            means=means,
+            covariance=spread + np.diag(np.maximum(np.maximum((_ROUNDING * means) ** 2, least) - diagonal, 0.0)),
+        )
 
 
 def _rounded(value: float, error: float, digits: int) -> float:

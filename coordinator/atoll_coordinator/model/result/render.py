@@ -158,6 +158,7 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], called: Se
     most = None if with_tables else tables.NEAREST
     if with_tables:
         lines += tables.constants_table(equation["constants"])
+        lines += tables.together_line(equation.get("simple_together"))
     if with_tables or equation.get("verdict") != "exact":
         contenders = tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names), most)
         lines += contenders

@@ -25,7 +25,7 @@ from atoll.search.pareto import FrontEntry
 from atoll.wire.messages.views import FINAL_STATES, JobState
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import select_member
-from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refinement, SimpleNumber
+from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refinement, SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.result.diagnostics import noise, smoothing
 from atoll_coordinator.model.result.digest import result_digest
@@ -285,7 +285,8 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
     """Return what is said of the equation; all null when there is none."""
     if shown is None:
         unknown = dict.fromkeys(("expression", "program", "origin", "complexity", "error", "normalized_error", "r2"))
-        return {**unknown, "converged": False, "constants": [], "groups": [], "implied": [], "units": None}
+        unknown |= dict.fromkeys(("units", "simple_together"))
+        return {**unknown, "converged": False, "constants": [], "groups": [], "implied": []}
     normalized = shown.error / target.standard_deviation if target.standard_deviation else math.inf
     return {
         "expression": to_infix(shown.program, dataset.names),
@@ -297,6 +298,7 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
         "r2": _r2(shown.mse, target),
         "converged": normalized <= target.convergence_threshold(config.budget.target_error),
         "constants": _constants(shown.program, shown.constants, shown),
+        "simple_together": _together(shown.simple_together),
         "units": _units(shown),
         "groups": _groups(shown, dataset),
         "implied": [
@@ -421,6 +423,17 @@ def _bounds(shown: Refined | None, dataset: Dataset, config: JobConfig, variable
 
 def _simple(its: SimpleNumber) -> dict[str, float | None]:
     return {"value": its.value, "odds": finite(its.odds), "standard_errors": finite(its.standard_errors)}
+
+
+def _together(its: SimpleTogether | None) -> dict[str, Any] | None:
+    if its is None:
+        return None
+    return {
+        "constants": list(its.constants),
+        "values": [finite(value) for value in its.values],
+        "odds": finite(its.odds),
+        "chi_square": finite(its.chi_square),
+    }
 
 
 def _program(entry: FrontEntry, dataset: Dataset) -> Program:

@@ -122,6 +122,15 @@ def constants_table(constants: Sequence[Mapping[str, Any]]) -> list[str]:
     return columns(heads, rows, "    ") if rows else []
 
 
+def together_line(together: Mapping[str, Any] | None) -> list[str]:
+    """Return a line on simple numbers of several constants, judged together; nothing where others are likelier."""
+    if not together or together["odds"] is None:
+        return []
+    chi = "" if together["chi_square"] is None else f" (chi-square {together['chi_square']:.2g})"
+    numbers = " and ".join(f"{value:.6g}" for value in together["values"])
+    return [f"    {numbers} together{chi}: odds {together['odds']:.2g} against other numbers"]
+
+
 def units_line(units: Mapping[str, Any] | None) -> list[str]:
     """Return a line on factors of one that are not written but have a unit; nothing without any."""
     if not units or not units["implied"]:

@@ -79,6 +79,7 @@ def prediction(its: Prediction | None) -> dict[str, Any] | None:
     return {
         "starts": its.starts,
         "followed": its.followed,
+        "unfinished": its.unfinished,
         "probability": finite(its.probability),
         "novelty": finite(its.novelty),
         "reached": finite(its.reached),
@@ -91,7 +92,12 @@ def chaos(its: Chaos | None) -> dict[str, Any] | None:
     """Return what is known of a model whose courses cannot be foretold for long; None where they can be, or unknown."""
     if its is None:
         return None
-    return {"lyapunov_time": its.lyapunov_time, "is_kept": its.is_kept, "probability": finite(its.probability)}
+    return {
+        "lyapunov_time": its.lyapunov_time,
+        "is_kept": its.is_kept,
+        "is_unfinished": its.is_unfinished,
+        "probability": finite(its.probability),
+    }
 
 
 def candidates(alternatives: Sequence[Alternative], dataset: Dataset) -> list[dict[str, Any]]:

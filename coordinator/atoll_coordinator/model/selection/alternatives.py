@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
+from atoll.data.dataset import EXACT_ERROR, FloatArray
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program, structure
 from atoll_coordinator.model.criteria import validated_length
@@ -47,11 +47,16 @@ def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
     """
     selection, alternatives = _shortest(selection, inputs)
     selection, alternatives = _without_unearned_poles(selection, alternatives, inputs)
+    simplest = _simplest_on_rows(selection, inputs)
+    if simplest is not selection:
+        selection, alternatives = simplest, _all_alternatives(simplest, inputs)
     is_held_out = any(each.held_out for each in selection.task.recording.trajectories)
     validation = Validation(selection.comparison)
     if is_held_out or not validation.is_possible:
         return Ranking(selection, None, tuple(tuple(map(RankedAlternative, its)) for its in alternatives))
     own = validation.of(selection.model)
+    if own is None:
+        return Ranking(selection, None, tuple(tuple(map(RankedAlternative, its)) for its in alternatives))
     validated = [_validated(validation, its, selection.model) for its in alternatives]
     winner = _winner(selection.model, own, validated)
     if winner is not None:
@@ -71,6 +76,39 @@ def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedMod
         if best.nats > selection.model.nats - SETTINGS.selection.least_gain:
             return selection, alternatives
         selection = replace(selection, model=best)
+
+
+def _simplest_on_rows(selection: SelectedModel, inputs: FloatArray) -> SelectedModel:
+    """Return the selection, equations exchanged for shorter ones that are multiples of them at all measured points.
+
+    Of an input that is switched between 0 and 1, 2.3*u/(0.16 + u**2) is 2*u wherever it was measured; how it goes from
+    the one to the other between two rows was not, and is what such equations describe.
+    """
+    comparison = selection.comparison
+    if not len(comparison.estimator.measurements.inputs):
+        return selection
+    for equation, own in enumerate(selection.model.programs):
+        if equation in comparison.fixed:
+            continue
+        values, longest = values_of(own, inputs), comparison.length(own) - SETTINGS.selection.least_gain
+        tried = [each.programs[equation] for (its, _), each in comparison.tried.items() if its == equation]
+        tried += selection.lists[equation] if selection.lists else []
+        for each in sorted({structure(its): its for its in tried}.values(), key=comparison.length):
+            if comparison.length(each) >= longest:
+                break
+            if _is_multiple(values_of(each, inputs), values):
+                found = comparison.fit_exchanged(selection.model, equation, each, SETTINGS.effort.steps)
+                selection = selection if found is None else replace(selection, model=found)
+                break
+    return selection
+
+
+def _is_multiple(values: FloatArray, others: FloatArray) -> bool:
+    """Tell whether values are a multiple of others but for rounding."""
+    with np.errstate(all="ignore"):
+        size = float(values @ values)
+        rest = others - values * (float(values @ others) / size if size > 0.0 else 0.0)
+        return bool(float(rest @ rest) <= EXACT_ERROR**2 * float(others @ others))
 
 
 def _without_unearned_poles(

@@ -310,6 +310,10 @@ class ModelComparison:
         rows = self.misfit.effective_rows(model.fit.squares)
         return float(self.counts.sum() / min(rows.sum(), self.counts.sum()))
 
+    def hidden_errors(self, model: FittedModel) -> float:
+        """Return how many times the mean square of the residuals may be that the integration hides, at least 1."""
+        return float(max(1.0, (self.least_errors**2 / np.maximum(model.fit.squares, 1e-300)).max()))
+
     def length(self, program: Program) -> float:
         """Return the nats of a program, its constants fitted."""
         return structure_length(program) + self.constant_nats * len(constant_places(program))

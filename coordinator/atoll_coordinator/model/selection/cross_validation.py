@@ -39,12 +39,15 @@ class Validation:
         self.is_possible: Final = count >= SETTINGS.selection.least_folds and comparison.groups is None
         """Whether there are enough trajectories, and the constants of one are those of the others."""
 
-    def of(self, model: FittedModel) -> Validated:
-        """Return how well the system of `model` predicts."""
+    def of(self, model: FittedModel) -> Validated | None:
+        """Return how well the system of `model` predicts; None where time is over: fits that end early tell nothing."""
+        deadline = self._comparison.estimator.deadline
         measurements = self._comparison.estimator.measurements
         squares, total = np.zeros((2, len(measurements.observed)))
         for left_out in self._folds:
-            errors = self._squared_errors(model, left_out)
+            errors = None if deadline.is_over else self._squared_errors(model, left_out)
+            if deadline.is_over:
+                return None
             if errors is None:
                 return Validated(tuple(-np.inf for _ in measurements.observed), np.inf)
             squares += errors
@@ -77,7 +80,8 @@ class Validation:
         return np.asarray((rest.measurements.weights * predicted.residuals**2).sum(axis=1))
 
     def _shooter(self, measurements: Measurements) -> MultipleShooting:
-        return MultipleShooting(measurements, self._comparison.estimator.tolerance)
+        whole = self._comparison.estimator
+        return MultipleShooting(measurements, whole.tolerance, whole.deadline)
 
 
 def _total_squares(measurements: Measurements) -> FloatArray:

@@ -11,6 +11,8 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
+
 from atoll.config import JobConfig
 from atoll.data.dataset import Dataset
 from atoll.expression.operators import BY_NAME
@@ -79,6 +81,11 @@ class ModellingTask:
         """The equations that are given."""
         return {name: each.known for name, each in self.candidates.items() if each.known is not None}
 
+    @property
+    def is_nearly_clean(self) -> bool:
+        """Whether the independent errors of all states are too small to hide a term of a law."""
+        return all(each.relative_noise < SETTINGS.selection.least_noise for each in self.recording.smoothing)
+
     def may_be_shown(self, program: Program) -> bool:
         """Tell whether the job's equations may be as large as `program`."""
         return may_be_shown(program, self.config.space.max_size)
@@ -114,17 +121,20 @@ class ModellingTask:
         return self.measurements(self.variables).thinned(rows)
 
     def compare(
-        self, measurements: Measurements, variables: Sequence[str], *, is_precise: bool = False
-    ) -> ModelComparison:
+        self, measurements: Measurements, variables: Sequence[str], *, is_precise: bool = False,
+        has_noise: bool = True,
+    ) -> ModelComparison:  # fmt: skip
         """Return a comparison over these measurements.
 
-        Steps of the integration err by a share of the noise. They all may err to one side, while the noise is averaged
-        over the rows: where it `is_precise`, that share is the one of their sum along a piece over the standard error
-        of a mean.
+        Steps of the integration err by a share of the noise, or as if there were none unless it `has_noise`. They all
+        may err to one side, while the noise is averaged over the rows: where it `is_precise`, that share is the one of
+        their sum along a piece over the standard error of a mean, and noise is what was found of it, not what an
+        interpolation may err by.
         """
-        error = SETTINGS.selection.tolerated_noise * max(
-            float(measurements.relative_noise.min()), SETTINGS.shooting.exact
-        )
+        noise = float(measurements.relative_noise.min()) if has_noise else 0.0
+        if is_precise and not any(self.dataset.problem(name).target.is_noisy for name in self.candidates):
+            noise = 0.0
+        error = SETTINGS.selection.tolerated_noise * max(noise, SETTINGS.shooting.exact)
         if is_precise:
             longest = int((measurements.bounds[:, 1] - measurements.bounds[:, 0]).max())
             error /= longest * math.sqrt(measurements.rows)
@@ -165,14 +175,17 @@ class ModellingTask:
 def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
     """Return the candidates of each variable, the best first.
 
-    Where the equations of converged searches give the trajectories up to errors of integration, there are no others;
-    where a system of the fronts and of some runners-up leaves noise alone, or none can be simulated however short the
-    pieces, there are none but these. Among many variables an equation that has laws has no others, unless all have.
+    Where the equations of converged searches, with laws by regression for the rest, give the trajectories up to errors
+    of integration, there are no others; where a system of the fronts and of some runners-up leaves noise alone, or none
+    can be simulated however short the pieces, there are none but these. Among many variables an equation that has laws
+    has no others, unless all have.
     """
     converged = [task.converged(name) for name in task.variables]
-    found = [program for program in converged if program is not None]
-    if len(found) == len(converged) and _is_exact(task, found):
-        return [[program] for program in found]
+    laws = [next((law.program for law in task.laws.get(name, ())), None) for name in task.variables]
+    found = [its or law for its, law in zip(converged, laws, strict=True)]
+    whole = [program for program in found if program is not None]
+    if any(converged) and len(whole) == len(found) and _is_exact(task, whole):
+        return [[program] for program in whole]
     settled = _settled(task)
     sums = {name: _pursued(task, name) for name in task.variables if name not in {*task.known, *settled}}
     nearest = [settled.get(name) or _compared(task, name, sums, is_brief=True) for name in task.variables]
@@ -245,6 +258,7 @@ def search_jointly(
     best = _combined(comparison, lists) if begun is None else comparison.fit_model(begun)
     if best is None:
         return None
+    comparison, best = _without_noise(task, comparison, best)
     best = exchange(comparison, comparison.calibrate(best), lists)
     best = comparison.calibrate(best)
     if comparison.is_exact(best):
@@ -253,6 +267,23 @@ def search_jointly(
         best = _search_locally(task, comparison, best, lists)
     best = comparison.fit_beside(best, best.programs) or best
     return SelectedModel(task, comparison, best, lists)
+
+
+def _without_noise(
+    task: ModellingTask, comparison: ModelComparison, best: FittedModel
+) -> tuple[ModelComparison, FittedModel]:
+    """Return comparison and system as without noise where that system shows that there is none, else as they are.
+
+    Of few rows, or of few to a period, a smoother takes for noise what it cannot follow. With steps that err by a share
+    of that, needless terms would describe what the integration errs by.
+    """
+    limit = SETTINGS.selection.least_noise * comparison.estimator.measurements.scales
+    observed = comparison.estimator.measurements.observed
+    if task.is_nearly_clean or np.any(best.fit.squares > limit[observed] ** 2):
+        return comparison, best
+    precise = task.compare(comparison.estimator.measurements, task.variables, has_noise=False)
+    found = precise.fit_beside(best, best.programs)
+    return (comparison, best) if found is None else (precise, found)
 
 
 def _compared(
@@ -278,7 +309,7 @@ def _compared(
 
 def _is_exact(task: ModellingTask, programs: Sequence[Program]) -> bool:
     """Tell whether these equations give the trajectories up to errors of integration."""
-    comparison = task.compare(task.compared_measurements(), task.variables)
+    comparison = task.compare(task.compared_measurements(), task.variables, has_noise=False)
     found = comparison.fit_model(programs)
     return found is not None and comparison.is_exact(found)
 

@@ -84,12 +84,13 @@ class LocalSearch:
     def _needless(self, model: FittedModel, equation: int) -> list[Program]:
         """Return programs with one constant neutral that promise shorter descriptions, the most promising first.
 
-        Constants that the data do not determine, of infinite variance, are the first; by what is nearest.
+        Constants that the data do not determine, of infinite variance, are the first; by what is nearest. Residuals
+        that are those of the integration do not tell how well constants are known: they count as large as they may be.
         """
         program = model.programs[equation]
         fit = model.fit
         own = np.flatnonzero(fit.system.owners == equation + len(self._comparison.leading))
-        inflation = self._comparison.inflation(model)
+        inflation = self._comparison.inflation(model) * self._comparison.hidden_errors(model)
         variances = fit.system.by_place(inflation * np.diag(covariance(fit)), 2)[:, own]
         values = fit.system.by_place(fit.system.values)[:, own]
         priced: list[tuple[float, float, int, float]] = []

@@ -15,8 +15,9 @@ from atoll_coordinator.model.selection.joint_search import (
     ranked_candidates,
     search_jointly,
 )
+from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, select_without_wrong_law, with_laws
-from atoll_coordinator.model.selection.stretches import in_stretches, is_nearly_clean
+from atoll_coordinator.model.selection.stretches import in_stretches
 from atoll_coordinator.settings import SETTINGS
 
 
@@ -31,7 +32,7 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     lists = ranked_candidates(task)
     if not all(lists):
         return None
-    if is_nearly_clean(task):
+    if task.is_nearly_clean:
         return search_jointly(in_stretches(task, [its[0] for its in lists]), lists)
     found: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
@@ -43,14 +44,32 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
 
 def in_whole(task: ModellingTask) -> ModellingTask:
     """Return the task with trajectories simulated in whole, or in the longest pieces that are ever fitted."""
-    return replace(task, piece=SETTINGS.shooting.piece) if is_nearly_clean(task) else task
+    return replace(task, piece=SETTINGS.shooting.piece) if task.is_nearly_clean else task
 
 
 def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     """Return the chosen system fitted to all rows, in shorter pieces if it must be; None when it cannot be.
 
-    Of dozens of states it is fitted to fewer. It is integrated so precisely that its constants do not show it.
+    Of dozens of states it is fitted to fewer. It is integrated so precisely that its constants do not show it, and
+    terms that followed errors of a coarser integration are left out.
     """
+    whole = _on_all_rows(selection)
+    return None if whole is None else _without_needless(whole)
+
+
+def _without_needless(selection: SelectedModel) -> SelectedModel:
+    """Return a selection whose residuals are those of the integration without constants that it can do without."""
+    comparison, model = selection.comparison, selection.model
+    if not comparison.is_exact(model):
+        return selection
+    descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
+    for equation in range(len(model.programs)):
+        if equation not in comparison.fixed:
+            model = descent.prune(model, equation)
+    return selection if model is selection.model else replace(selection, model=model)
+
+
+def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     task = selection.task
     measurements = task.measurements(task.variables)
     measurements = measurements.thinned(SETTINGS.selection.fitted_sensitivities // len(task.variables) ** 2)

@@ -7,14 +7,13 @@ of the constants, which tells what simple numbers the data single out and how ma
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
+from itertools import accumulate, pairwise
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, with_constants
 from atoll.expression.writing.shortest import collected
-from atoll_coordinator.model.refinement import SimpleNumber
-from atoll_coordinator.model.regression.rounding import Rounding, find_simple, round_estimates
+from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
+from atoll_coordinator.model.regression.rounding import Rounding, find_simple, quadratic_form, round_estimates
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.system import System
@@ -25,11 +24,13 @@ from atoll_coordinator.settings import SETTINGS
 class RoundedSystem:
     """The equations with constants as they are shown; `simple` has for each of its constants the nearest simple number.
 
-    A given equation has none.
+    `together` says how those that are shown in each equation are judged together; nothing where they were not. A given
+    equation has none.
     """
 
     programs: tuple[Program, ...]
     simple: tuple[tuple[SimpleNumber | None, ...], ...]
+    together: tuple[SimpleTogether | None, ...] = ()
 
 
 def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Program, ...]:
@@ -71,13 +72,25 @@ def round_shown(
     values = rounding.values.tolist() if system.sharing is None else _tidied(system.by_place(rounding.values)[0])
     programs, _ = _decided(comparison, model.programs, dict(enumerate(values)))
     simple = iter(_multiplied(system, rounding.simple))
+    counts = [
+        0 if index in comparison.fixed else len(constant_places(program)) for index, program in enumerate(programs)
+    ]
+    ends = [0, *accumulate(counts)]
     return RoundedSystem(
         tuple(programs),
-        tuple(
-            () if index in comparison.fixed else tuple(next(simple) for _ in constant_places(program))
-            for index, program in enumerate(programs)
-        ),
+        tuple(tuple(next(simple) for _ in range(count)) for count in counts),
+        tuple(_in_one_equation(system, rounding, *its) for its in pairwise(ends)),
     )
+
+
+def _in_one_equation(system: System, rounding: Rounding, first: int, last: int) -> SimpleTogether | None:
+    """Return what is known of the simple numbers together of the constants from `first` until before `last`."""
+    found = rounding.together(system.columns[0, first:last].tolist())
+    if found is None or system.sharing is None:
+        return found
+    multiples = system.sharing.multiples[first:last]
+    pairs = zip(found.constants, found.values, strict=True)
+    return replace(found, values=tuple(value * float(multiples[place]) for place, value in pairs))
 
 
 def _tidied(values: FloatArray) -> list[float]:
@@ -106,10 +119,7 @@ def _allowed(means: FloatArray, spread: FloatArray, numbers: Mapping[int, float]
     """Return by how many nats the misfit may grow: by what the quadratic form says, and what is no evidence."""
     chosen = sorted(numbers)
     away = means[chosen] - [numbers[index] for index in chosen]
-    within = spread[chosen][:, chosen]
-    scale = within.diagonal() ** 0.5
-    unit = np.linalg.pinv(within / np.outer(scale, scale), hermitian=True)
-    return 0.5 * float((away / scale) @ unit @ (away / scale)) + SETTINGS.inference.distinct_nats
+    return quadratic_form(away, spread[chosen][:, chosen]) + SETTINGS.inference.distinct_nats
 
 
 def _decided(

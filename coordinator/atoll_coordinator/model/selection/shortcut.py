@@ -19,7 +19,7 @@ from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel, exchange, ranked_candidates
 from atoll_coordinator.model.selection.local_search import LocalSearch
-from atoll_coordinator.model.selection.stretches import in_stretches, is_nearly_clean
+from atoll_coordinator.model.selection.stretches import in_stretches
 from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.sparse.laws import find_all_laws
@@ -104,7 +104,7 @@ def _fitted_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
     if _rows(task) <= SETTINGS.selection.compared_rows and rows >= longest(task) and not is_of_rates:
         return None
     task = replace(task, piece=min(task.piece, rows))
-    if is_nearly_clean(task):
+    if task.is_nearly_clean:
         task = in_stretches(task, begun.model.programs)
     comparison = _comparison(task)
     best = comparison.fit_model(begun.model.programs)
@@ -118,12 +118,13 @@ def _fitted_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
     return SelectedModel(task, comparison, comparison.fit_beside(best, best.programs) or best, lists)
 
 
-def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison) -> int:
+def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison, rate: float | None = None) -> int:
     """Return over how many rows errors as large as the noise stay small: half of where they are as large as the state.
 
-    With errors that grow e-fold in T, those of the relative size e reach the state's after T ln(1/e).
+    With errors that grow e-fold in T, those of the relative size e reach the state's after T ln(1/e). `rate` is 1/T,
+    that of all errors unless given.
     """
-    rate = growth_rate(fit)
+    rate = growth_rate(fit) if rate is None else rate
     measurements = comparison.estimator.measurements
     size = float(np.clip(measurements.relative_noise.max(), _LEAST_SIZE, 0.1))
     step = float(np.median(np.diff(measurements.times)))

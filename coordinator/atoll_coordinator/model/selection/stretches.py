@@ -11,11 +11,6 @@ from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.settings import SETTINGS
 
 
-def is_nearly_clean(task: ModellingTask) -> bool:
-    """Tell whether the independent errors of all states are too small to hide a term of a law."""
-    return all(each.relative_noise < SETTINGS.selection.least_noise for each in task.recording.smoothing)
-
-
 def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingTask:
     """Return the task with pieces so long that a system describes nearly clean trajectories in the fewest nats.
 

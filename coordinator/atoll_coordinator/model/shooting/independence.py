@@ -4,7 +4,7 @@ Letters: O measured states, N rows.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -15,6 +15,9 @@ from atoll_coordinator.model.shooting.measurements import Measurements
 ROUGHNESS_VARIANCE: Final = 35.0 / 9.0
 """Relative variance of the variance that `roughness` estimates, times the rows: second differences of independent
 errors have the correlations -2/3 and 1/6 (Gasser, Sroka & Jennen-Steinmetz 1986)."""
+
+_ROUNDING: Final = 1e-9
+"""Guard: sums of squares by transforms of 1e9 rows err by less than this share of the largest."""
 
 
 def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
@@ -70,13 +73,25 @@ def count_pieces(measurements: Measurements) -> FloatArray:
     pieces = list(_stretches(measurements))
     for place, state in enumerate(measurements.observed.tolist()):
         parts = [np.diff(measurements.smoothed[state, rows]) for rows in pieces]
-        least = sum(float(part @ part) for part in parts) / math.e
-        lag, longest = 1, max(map(len, parts), default=1)
-        while lag < longest and sum(float(part[:-lag] @ part[lag:]) for part in parts if len(part) > lag) > least:
-            lag += 1
         rows = float((measurements.weights[place] > 0.0).sum())
-        found[place] = max(rows / lag, 1.0)
+        found[place] = max(rows / _correlation_length(parts), 1.0)
     return found
+
+
+def _correlation_length(parts: Sequence[FloatArray]) -> int:
+    """Return the lag at which the autocorrelation of `parts`, all together, falls below 1/e; the longest where none is.
+
+    Transforms tell at which lags that may be, up to their rounding errors; there it is summed up.
+    """
+    least = sum(float(part @ part) for part in parts) / math.e
+    sums = np.zeros(max(map(len, parts), default=0))
+    for part in parts:
+        size = 1 << (2 * len(part)).bit_length()
+        sums[: len(part)] += np.fft.irfft(np.abs(np.fft.rfft(part, size)) ** 2, size)[: len(part)]
+    for lag in (np.flatnonzero(~(sums[1:] > (1.0 + _ROUNDING) * least)) + 1).tolist():
+        if not sum(float(part[:-lag] @ part[lag:]) for part in parts if len(part) > lag) > least:
+            return int(lag)
+    return max(len(sums), 1)
 
 
 def _stretches(measurements: Measurements) -> Iterator[slice]:

@@ -35,6 +35,29 @@ def growth_rate(fit: TrajectoryFit) -> float:
     return logarithms / duration if duration > 0.0 else math.nan
 
 
+def speed_growth(fit: TrajectoryFit) -> float:
+    """Return the rate at which trajectories get faster, in e-folds per unit of time, on average over those of `fit`.
+
+    An error of time grows like the speed, and so do all errors of a process that grows as a whole: beside the state
+    they stay as small as they were. Speeds are means over the first and the second half of a trajectory, by which that
+    of a process that keeps coming back is about zero.
+    """
+    measurements = fit.estimator.measurements
+    owners, times = measurements.owners_of_rows, measurements.times
+    steps = np.diff(fit.simulated / measurements.scales[:, None], axis=1)
+    logarithms = duration = 0.0
+    for owner in np.unique(owners).tolist():
+        rows = np.flatnonzero((owners[1:] == owner) & (owners[:-1] == owner))
+        if len(rows) < 2:
+            continue
+        speeds = np.linalg.norm(steps[:, rows], axis=0) / (times[rows + 1] - times[rows])
+        middle = len(rows) // 2
+        slow, fast = (max(float(half.mean()), 1e-300) for half in (speeds[:middle], speeds[middle:]))
+        logarithms += math.log(fast / slow)
+        duration += 0.5 * float(times[rows[-1] + 1] - times[rows[0]])
+    return logarithms / duration if duration > 0.0 else 0.0
+
+
 def _growths(matrices: FloatArray) -> list[float]:
     """Return the logarithms by which an error grows over each of these (S, D, D) but the first; of one, its largest."""
     if len(matrices) == 1:

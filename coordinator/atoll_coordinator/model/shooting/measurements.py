@@ -4,6 +4,7 @@ Letters: N rows of all trajectories, S states, D of them with an equation here, 
 offset, U inputs, B pieces.
 """
 
+from bisect import bisect
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +18,7 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.data.recording import Recording, Trajectory
 from atoll_coordinator.model.shooting.variance import VarianceModel, estimate_variance
+from atoll_coordinator.model.thinning import lattice_step
 from atoll_coordinator.settings import SETTINGS
 
 _LARGEST_SHARE: Final = 0.1
@@ -109,7 +111,7 @@ class Measurements:
         return np.array(ranges, dtype=np.int64)
 
     def thinned(self, most: int) -> "Measurements":
-        """Return pieces of the trajectories, spread evenly, of at most about `most` rows together."""
+        """Return pieces of the trajectories of at most about `most` rows together, early ones as well as late ones."""
         if self.rows <= most:
             return self
         length = min(SETTINGS.shooting.piece // 2, max(SETTINGS.shooting.lengths[-1], most // len(self.bounds)))
@@ -119,8 +121,7 @@ class Measurements:
             for first, end in _cut(first, end, max(1, round((end - first) / length)))
         ]
         count = min(max(1, most * len(pieces) // self.rows), len(pieces))
-        kept = [pieces[index * len(pieces) // count] for index in range(count)]
-        return self.pieces(kept)
+        return self.pieces([pieces[place] for place in _spread([owner for *_, owner in pieces], count)])
 
     def part(self, owners: Collection[int]) -> "Measurements":
         """Return the pieces of these trajectories (indices of `names`)."""
@@ -319,6 +320,30 @@ def _cut(first: int, end: int, count: int) -> list[tuple[int, int]]:
     """Return `count` half-open ranges of nearly equal length that cover one."""
     cuts = [first + (end - first) * index // count for index in range(count + 1)]
     return list(pairwise(cuts))
+
+
+def _spread(owners: Sequence[int], count: int) -> list[int]:
+    """Return the places of `count` pieces, given the trajectory of each: as many of each, early ones and late ones.
+
+    Were it every n-th, it could be the first of each trajectory, and nobody would see what comes late in all of them,
+    such as an attractor or an input that is switched on. By a lattice every one of `count` equal parts of a trajectory
+    is met once, and neighbouring ones in distant parts.
+    """
+    step = lattice_step(count)
+    left: dict[int, list[int]] = {}
+    for place, owner in enumerate(owners):
+        left.setdefault(owner, []).append(place)
+    ranges = {owner: (places[0], len(places)) for owner, places in left.items()}
+    found = []
+    for index in range(count):
+        owner = owners[(2 * index + 1) * len(owners) // (2 * count)]
+        first, size = ranges[owner]
+        wanted = first + size * (2 * (index * step % count) + 1) // (2 * count)
+        free = left[owner]
+        after = bisect(free, wanted)
+        near = range(max(after - 1, 0), min(after + 1, len(free)))
+        found.append(free.pop(min(near, key=lambda place: abs(free[place] - wanted))))
+    return sorted(found)
 
 
 def _gradients(part: Trajectory, states: list[int]) -> FloatArray:

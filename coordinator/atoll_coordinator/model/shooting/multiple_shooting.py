@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -43,8 +43,12 @@ _OVERHEAD_NUMBERS: Final = 10
 """Numbers whose carrying along takes as long as everything else about a row."""
 _FIT_BYTES: Final = 8_000
 """What a remembered fit takes beside its states and residuals."""
+Unsimulated = Literal["ran away", "out of steps"]
+"""Why there is no simulation: it left the range where states may be, or ended before it was known whether it does."""
+
 _STEEPEST: Final = 1e60
-"""Guard: sensitivities beyond this have no squares to compute with."""
+"""Guard: sensitivities beyond this, of a state in its scale to a constant in its size, have no squares to compute
+with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +91,15 @@ class _Method:
 class MultipleShooting:
     """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
 
-    def __init__(self, measurements: Measurements, tolerance: float, deadline: Deadline | None = None) -> None:
+    def __init__(
+        self, measurements: Measurements, tolerance: float, deadline: Deadline | None = None, measured_rows: int = 0
+    ) -> None:
         """`tolerance` is the error of a step over a state's standard deviation.
 
-        After the `deadline` a fit takes no more steps.
+        After the `deadline` a fit takes no more steps. Steps are allowed for each row; where rows stand for more
+        `measured_rows` of the same time altogether, for each of these.
         """
+        self._rows_in_row: Final = max(1.0, measured_rows / measurements.rows)
         self.deadline: Final = deadline or Deadline()
         self.tolerance: Final = tolerance
         quick, precise, implicit = _FREE_STEPS
@@ -285,7 +293,7 @@ class MultipleShooting:
             done, taken, simulated, gradients = self._integrated(
                 method, system, segments, starts, has_sensitivities=not is_trial
             )
-            if done < len(segments) or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < _STEEPEST:
+            if done < len(segments) or not self._steepest(gradients, system) < _STEEPEST:
                 break
             residuals = self._residuals(simulated, starts, segments)
             if not _cost(layout, residuals, errors) < below:
@@ -295,6 +303,14 @@ class MultipleShooting:
         self._own.work += method.work(taken, self.measurements.rows) * numbers
         return found, done < 0
 
+    def _steepest(self, gradients: FloatArray, system: System) -> float:
+        """Return the largest of sensitivities (N, D, P + L), of states in their scales to constants in their sizes."""
+        scales, sizes = self.measurements.scales, np.abs(system.values)
+        offsets = gradients.shape[2] - len(sizes) - len(scales)
+        units = np.concatenate([np.where(sizes > 0.0, sizes, 1.0), scales, np.ones(offsets)])
+        steepest = np.maximum(gradients.max(axis=0, initial=0.0), -gradients.min(axis=0, initial=0.0))
+        return float(np.max(steepest / scales[:, None] * units, initial=0.0))
+
     def _residuals(self, simulated: FloatArray, starts: FloatArray, segments: Ints) -> FloatArray:
         """Return what simulated states, and the offsets behind initial states, leave of what was measured (O, N)."""
         its, states = self.measurements, len(simulated)
@@ -303,18 +319,25 @@ class MultipleShooting:
             residuals[state] -= np.repeat(starts[:, states + place], segments[:, 1] - segments[:, 0])
         return residuals
 
-    def simulate(self, system: System, start: FloatArray) -> FloatArray | None:
-        """Return the states (D, N) of whole trajectories from one initial state (D,), None where they cannot be.
+    def simulate(self, system: System, start: FloatArray) -> FloatArray | Unsimulated:
+        """Return the states (D, N) of whole trajectories from one initial state (D,), or why there are none.
 
         A system that the method for others takes too many steps for is integrated as a stiff one.
         """
+        simulated, why = self.simulate_as_far(system, start)
+        return simulated if why is None else why
+
+    def simulate_as_far(self, system: System, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
+        """Return what `simulate` does, with NaN from where it ended early, and why it did; None where it did not."""
         segments = self._layout(None).segments
         starts = np.repeat(start[None], len(segments), axis=0)
         for method in self._methods:
             done, _, simulated, _ = self._integrated(method, system, segments, starts, has_sensitivities=False)
             if done >= 0:
                 break
-        return simulated if done == len(segments) and np.isfinite(simulated).all() else None
+        if done < 0:
+            return simulated, "out of steps"
+        return simulated, None if done == len(segments) and np.isfinite(simulated).all() else "ran away"
 
     def sensitivities(self, fit: TrajectoryFit) -> FloatArray:
         """Return `TrajectoryFit.integrated_sensitivities` of a fit of this estimator's."""
@@ -350,7 +373,8 @@ class MultipleShooting:
     ) -> tuple[int, int]:  # fmt: skip
         """Write states and sensitivities of these segments; return what `integrate_segments` does, and the steps."""
         its, taken = self.measurements, np.zeros(1, dtype=np.int64)
-        budget = 200 + method.steps * int((segments[:, 1] - segments[:, 0]).sum())
+        rows = self._rows_in_row * int((segments[:, 1] - segments[:, 0]).sum())
+        budget = 200 + int(method.steps * rows)
         done = integrate_segments(
             method.table, system.tape, system.owners, (its.times, its.inputs, its.input_slopes), segments, starts,
             method.tolerance, its.limits, budget, len(gradients) > 0, simulated, gradients, taken,

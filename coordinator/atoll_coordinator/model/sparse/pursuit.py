@@ -185,7 +185,7 @@ class _Pursuit:
         left, rest, norms = self._beside(parent)
         gains = np.where(norms > _ROUNDING, rest @ left, 0.0) ** 2
         seen = set[int]()
-        for atom in np.argsort(-gains).tolist():
+        for atom in np.argsort(-gains, kind="stable").tolist():
             term, constant = self._atoms[atom]
             if term not in seen and (self._shapes[term].has_constant or term not in parent.terms):
                 seen.add(term)
@@ -211,9 +211,10 @@ class _Pursuit:
         gains[~(free > _NEARLY_ALIKE)] = 0.0
         gains = np.triu(gains, 1)
         count = min(_RANKED_PAIRS, gains.size - 1)
-        best = np.argpartition(-gains, count, axis=None)[:count]
+        least = -np.partition(-gains, count - 1, axis=None)[count - 1]
+        best = np.flatnonzero((gains >= least) & (gains > 0.0))
         seen = set[tuple[int, int]]()
-        for place in best[np.argsort(-gains.ravel()[best])].tolist():
+        for place in best[np.argsort(-gains.ravel()[best], kind="stable")][:count].tolist():
             (one, first), (other, second) = (self._atoms[usable[each]] for each in divmod(place, len(usable)))
             if (one, other) not in seen:
                 seen.add((one, other))

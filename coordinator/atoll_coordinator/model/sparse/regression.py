@@ -71,7 +71,7 @@ def misfit(form: WeakForm, left: FloatArray, variances: FloatArray) -> float:
     """
     if not (variances > 0.0).all():
         return math.inf
-    return 0.5 * form.independent * float((left * left / variances).mean())
+    return 0.5 * form.independent * math.fsum((left * left / variances).tolist()) / len(left)
 
 
 class Regression:
@@ -82,8 +82,8 @@ class Regression:
         self._terms = terms
         self._places = {term: place for place, term in enumerate(terms)}
         self._columns, self._sides = form.columns(terms), form.sides
-        prices = [structure_length(sum_of([term], [1.5])) for term in terms]
-        self._prices = np.array(prices) + constant_nats_of(form.independent)
+        own = constant_nats_of(form.independent)
+        self._prices = [structure_length(sum_of([term], [1.5])) + own for term in terms]
 
     def law(self, begun: Sequence[Term], *, is_tested: bool) -> Law | None:
         """Return the sum that a search from all terms `begun` ends with, windows weighted by its own variances.
@@ -112,13 +112,19 @@ class Regression:
             kept, best = its, law
         return best
 
+    def _price(self, places: Sequence[int]) -> float:
+        return math.fsum(self._prices[place] for place in places)
+
     def _weights(self, places: Sequence[int], coefficients: Sequence[float]) -> FloatArray | None:
         """Return the weights of windows that a sum itself gives them, None where it leaves one without a variance."""
         variances = self._form.variances([self._terms[place] for place in places], coefficients)
         return 1.0 / np.sqrt(variances) if (variances > 0.0).all() else None
 
     def _refitted(self, places: Sequence[int], weights: FloatArray, *, is_tested: bool) -> Law | None:
-        """Return the sum of these terms, fitted and weighted by turns."""
+        """Return the sum of these terms, fitted and weighted by turns.
+
+        What it leaves has as many degrees of freedom as there are independent windows beyond its coefficients.
+        """
         from scipy import special
 
         terms, its = [self._terms[place] for place in places], weights
@@ -132,13 +138,15 @@ class Regression:
         left = self._sides.copy()
         for coefficient, place in zip(coefficients, places, strict=True):
             left -= coefficient * self._columns[place]
-        square, independent = math.fsum((left * left * its * its).tolist()) / len(left), self._form.independent
+        independent = self._form.independent
+        squares = independent * math.fsum((left * left * its * its).tolist()) / len(left)
+        freedom = max(independent - len(places), 1.0)
         return Law(
             sum_of(terms, coefficients),
-            0.5 * independent * square + float(self._prices[places].sum()),
-            math.sqrt(square),
+            0.5 * squares + self._price(places),
+            math.sqrt(squares / freedom),
             is_tested,
-            probability=float(special.chdtrc(independent, independent * square)),
+            probability=float(special.chdtrc(freedom, squares)),
         )
 
     def _best_sum(
@@ -169,7 +177,7 @@ class Regression:
         independent = self._form.independent
         nats = []
         for step in range(len(places)):
-            price = float(self._prices[[places[index] for index in path.kept(step)]].sum())
+            price = self._price([places[index] for index in path.kept(step)])
             nats.append(0.5 * independent * log(max(float(path.squares[step]), 1e-300)) + price)
         step = int(np.argmin(nats))
         return nats[step], [places[index] for index in path.kept(step)], path.sum(step)[1]

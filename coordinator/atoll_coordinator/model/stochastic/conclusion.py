@@ -356,15 +356,15 @@ def _findings(chosen: ChosenProcess, fitted: FittedProcess, shown: ProcessModel,
     unseen = take_steps(process, held_out=True)
     held_out = None
     if len(unseen.lengths):
-        misfit = ProcessLikelihood(unseen).whitened(shown).misfit
-        held_out = -misfit / len(unseen.lengths)
+        likelihood = ProcessLikelihood(unseen)
+        held_out = likelihood.of_a_step(likelihood.whitened(shown).misfit)
     return ProcessFindings(
         process.states,
         len(steps.lengths),
         float(np.median(steps.lengths)),
         shown.discretisation,
         chosen.discretisation_nats,
-        -fitted.misfit / len(steps.lengths),
+        chosen.likelihood.of_a_step(fitted.misfit),
         held_out,
         noise,
         *simulate_ensemble(simulator, process),

@@ -119,6 +119,15 @@ class ProcessLikelihood:
         self.steps, self._restrictions = steps, restrictions
         self._points = steps.points if smoothed is None else np.concatenate([smoothed, steps.points[len(smoothed) :]])
 
+    def of_a_step(self, misfit: float) -> float:
+        """Return the mean log-likelihood of a step in nats: that of its density in the units of the states.
+
+        Args:
+            misfit: of all steps, as `Whitened` and `fit` have it.
+        """
+        states, count = len(self.steps.increments), len(self.steps.lengths)
+        return -misfit / count - 0.5 * states * math.log(2.0 * math.pi)
+
     def whitened(self, model: ProcessModel) -> Whitened:
         """Return the whitened residuals of all steps."""
         if any(model.noise):

@@ -23,7 +23,7 @@ def one_sided_reaches(
         gradient: the slope (P,) of the log-likelihood.
         held: which constants (P,) lie on a bound.
     """
-    from scipy import stats
+    from scipy import special
 
     free, found = np.flatnonzero(~held), {}
     for number in np.flatnonzero(held).tolist():
@@ -31,7 +31,8 @@ def one_sided_reaches(
         inverse = np.linalg.pinv(information[np.ix_(chosen, chosen)], hermitian=True)
         error = math.sqrt(max(float(inverse[-1, -1]), 0.0))
         beyond = 0.0 if gradient is None else abs(float(gradient[number])) * error
-        reach = error * float(stats.truncnorm.ppf(0.95, beyond, np.inf, loc=-beyond))
+        tail = math.log(0.05) + float(special.log_ndtr(-beyond))  # of all that lies beyond the centre
+        reach = error * (-float(special.ndtri_exp(tail)) - beyond)
         found[number] = reach if math.isfinite(reach) else 0.0
     return found
 

@@ -20,9 +20,13 @@ _NEAR: Final = (1e-4, 1e-5)
 _GROWTH: Final = 10.0**0.5
 
 
-def find_poles(program: Program, points: FloatArray) -> list[Program]:
-    """Return the parts of `program` whose zeros are its poles among `points` (V, R), each once."""
-    ends = points[:, np.random.default_rng(0).permutation(points.shape[1])]
+def find_poles(program: Program, points: FloatArray, ends: FloatArray | None = None) -> list[Program]:
+    """Return the parts of `program` whose zeros are its poles among `points` (V, R), each once.
+
+    With `ends` (V, R) they are those on the lines to these, such as the next points of a trajectory.
+    """
+    if ends is None:
+        ends = points[:, np.random.default_rng(0).permutation(points.shape[1])]
     parts = dict.fromkeys(node for place in range(len(program)) for node in _vanishing(program, place))
     return [part for part in (_part(program, place) for place in parts) if _has_pole(program, part, points, ends)]
 

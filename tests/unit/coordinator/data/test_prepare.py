@@ -29,6 +29,17 @@ def true_slopes(system, dataset):
     return slopes
 
 
+def test_a_derivative_that_is_constant_up_to_rounding_is_judged_by_its_size():
+    """Free fall, height alone: by its deviation, which is rounding, it would be uncertain, and no search would end."""
+    times = 0.02 * np.arange(100.0)
+    (target,) = prepared({"t": times, "h": 100.0 + 3.0 * times - 4.905 * times**2}, order=2).targets
+    assert target.standard_deviation == pytest.approx(9.81)
+    assert not target.is_noisy
+    assert target.convergence_threshold() < 1e-8
+    (noisy,) = prepared({"t": times, "h": times + 0.01 * np.random.default_rng(1).standard_normal(100)}).targets
+    assert noisy.standard_deviation == pytest.approx(np.std(noisy.values))
+
+
 def test_states_are_differentiated_in_time():
     dataset = prepared(oscillator(100))
     assert dataset.names == ("x", "y")

@@ -1,14 +1,28 @@
-"""What it takes to write a structure down."""
+"""What it takes to write a structure down, and what the lengths of descriptions are."""
+
+import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from atoll.data.dataset import Target
 from atoll.expression.program import with_constants
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.model.criteria import TrajectoryMisfit, structure_length
+from atoll_coordinator.model.criteria import (
+    SMALLEST_UNCERTAINTY,
+    RegressionCriterion,
+    TrajectoryMisfit,
+    constant_nats_of,
+    least_term_length,
+    program_length,
+    structure_length,
+    system_length,
+    validated_length,
+)
 from atoll_coordinator.model.structure.moves.extensions import extensions
+from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.fitting import parsed
 
 
@@ -103,3 +117,51 @@ def test_below_the_errors_of_the_integration_nothing_counts():
     its = misfit(low=1.0, high=1.0, counts=20.0, below=2.0, least=1e-16)
     assert its.total(np.array([1e-20])) == its.total(np.array([1e-16]))
     assert its.total(np.array([1.0])) - its.total(np.array([1e-16])) == pytest.approx(np.log(1e16))
+
+
+def test_lengths_of_structures_are_sums_over_nodes_and_further_uses():
+    common, prices = SETTINGS.criterion.common, SETTINGS.criterion
+    assert nats("x") == pytest.approx(common)
+    assert nats("x + y") == pytest.approx(3 * common)
+    assert nats("x + x*y") == pytest.approx(5 * common)  # four nodes, x twice
+    assert nats("x/y") == pytest.approx(2 * common + prices.quotient)
+    assert nats("sin(cos(x))") == pytest.approx(common + 2 * prices.function + prices.nested)
+
+
+def test_a_program_costs_its_nodes_and_each_further_use():
+    assert program_length(parsed("x + y")) == pytest.approx(3 * math.log(8.0))
+    assert program_length(parsed("x + x*y")) == pytest.approx(4 * math.log(8.0) + SETTINGS.criterion.common)
+    criterion = RegressionCriterion(100, 0.04)
+    expected = criterion.misfit(0.09) + 3 * math.log(8.0) + 7.5
+    assert criterion.length(0.09, parsed("x + y"), 7.5) == pytest.approx(expected)
+
+
+def test_the_misfit_of_a_regression_is_that_of_gaussian_errors_of_the_least_variance_or_more():
+    criterion = RegressionCriterion(100, 0.04)
+    assert criterion.misfit(0.09) == pytest.approx(50.0 * math.log(0.09))
+    assert criterion.misfit(0.01) == pytest.approx(50.0 * (math.log(0.04) + 0.25 - 1.0))
+    assert criterion.misfit(math.inf) == math.inf
+    assert criterion.mse_of(criterion.misfit(0.09)) == pytest.approx(0.09)
+    assert criterion.mse_of(criterion.misfit(0.01)) == pytest.approx(0.08)
+    assert RegressionCriterion(1, 1e-290).mse_of(1e3) == pytest.approx(math.exp(700.0))
+
+
+def test_the_least_variance_is_that_of_the_target_and_never_zero():
+    def least(uncertainty, deviation):
+        return RegressionCriterion.of(Target("x", "dx/dt", np.zeros(7), uncertainty, deviation)).least_variance
+
+    assert least(0.1, 5.0) == pytest.approx(0.25)
+    assert least(0.0, 5.0) == pytest.approx((5.0 * SMALLEST_UNCERTAINTY) ** 2)
+    assert least(0.0, 1e-149) > 0.0
+    assert RegressionCriterion.of(Target("x", "dx/dt", np.zeros(7), 0.1, 5.0)).rows == 7
+
+
+def test_a_system_costs_its_misfit_its_structures_and_its_constants():
+    programs = [parsed("x"), parsed("x + y")]
+    structures = sum(map(structure_length, programs))
+    assert system_length(10.0, programs, 3, 2.5) == pytest.approx(10.0 + structures + 7.5)
+    assert validated_length(10.0, programs) == pytest.approx(10.0 + structures)
+    assert constant_nats_of(100.0) == pytest.approx(0.5 * math.log(100.0))
+    assert constant_nats_of(0.5) == constant_nats_of(2.0) == pytest.approx(0.5 * math.log(2.0))
+    added = structure_length(parsed("x + 2.0*y")) - structure_length(parsed("x"))
+    assert least_term_length(2.5) == pytest.approx(added + 2.5)

@@ -95,3 +95,9 @@ def test_programs_that_are_larger_than_any_may_be_are_not_shown():
     program = sum_of(terms, [1.5 + number for number in range(len(terms))])
     assert len(program) > MAX_NODES
     assert not may_be_shown(program, None)
+
+
+def test_constants_are_counted_among_operators_alone():
+    """In the bytes of y alone its operator is followed by its number, which is 1 as the code of a constant is."""
+    for text, count in (("2.5", 1), ("y", 0), ("2.5*x", 1), ("x + 2.5*y - 1.5", 2)):
+        assert count_constants(from_infix(text, ["x", "y"]).to_bytes()) == count

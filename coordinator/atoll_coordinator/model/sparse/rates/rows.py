@@ -8,6 +8,7 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Recording, Trajectory
+from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 
 
@@ -33,7 +34,8 @@ class RateRows:
 def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> RateRows | None:
     """Return the rows of the equation of `variable`, a state; `names` (V,) are symbols of states, rates and inputs.
 
-    None where derivatives were not kept, or all are alike. Errors are at least those of a solver.
+    None where derivatives were not kept, or all are alike. Errors are at least those of a solver. More rows than
+    `RowSettings.most` are thinned, as those of the search are.
     """
     parts = [each for each in recording.trajectories if not each.held_out]
     symbols = (*recording.state_symbols, *recording.velocity_symbols, *recording.input_symbols)
@@ -53,7 +55,9 @@ def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> Rate
     least = SETTINGS.shooting.exact * moments(rates[known])[1]
     if not least > 0.0:
         return None
-    return RateRows(np.ascontiguousarray(inputs[:, known]), rates[known], np.maximum(uncertainty[known], least))
+    rows = np.flatnonzero(known)
+    rows = rows[thinned_places(len(rows), SETTINGS.rows.most)]
+    return RateRows(np.ascontiguousarray(inputs[:, rows]), rates[rows], np.maximum(uncertainty[rows], least))
 
 
 def _spread(part: Trajectory, state: int) -> FloatArray:

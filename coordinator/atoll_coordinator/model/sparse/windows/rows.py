@@ -21,6 +21,7 @@ from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION
 from atoll_coordinator.model.sparse.weak_form import Measured, measured_of
+from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 
 _CUBIC, _LINE = 3, 1
@@ -30,9 +31,10 @@ _CUBIC, _LINE = 3, 1
 class WindowRows:
     """Windows of the equation of variable `target`.
 
-    `inputs` (V, N) are the variables as measured, `noise` (V,) the deviations of their errors; `first` (W,) is the
-    first row of each window, `owners` (W,) its trajectory. `bumps` and `slopes` (2, W, L) are the test functions and
-    minus their derivatives as weights of rows, by cubics and by straight lines; `sides` (2, W) the left sides.
+    `inputs` (V, N) are the variables as measured, of a long table on the rows of the windows alone, `noise` (V,) the
+    deviations of their errors; `first` (W,) is the first row of each window, `owners` (W,) its trajectory. `bumps` and
+    `slopes` (2, W, L) are the test functions and minus their derivatives as weights of rows, by cubics and by straight
+    lines; `sides` (2, W) the left sides.
     """
 
     inputs: FloatArray
@@ -127,18 +129,30 @@ def _is_resolved(rows: WindowRows) -> bool:
 
 def _windows(its: Measured, noise: FloatArray, target: int, half: int) -> WindowRows | None:
     length = 2 * half + 1
-    step = max(1, half // SETTINGS.windows.steps_in_half, len(its.times) // SETTINGS.windows.most)
+    step = max(1, half // SETTINGS.windows.steps_in_half)
     places = [(row, owner) for owner, (start, end) in enumerate(its.ranges)
               for row in range(start, end - length + 1, step)]  # fmt: skip
     if len(places) < SETTINGS.sparse.least_windows:
         return None
-    first, owners = np.array(places, np.int64).T.copy()
+    first, owners = np.array(places, np.int64)[thinned_places(len(places), SETTINGS.windows.most)].T.copy()
     times = its.times[first[:, None] + np.arange(length)]
     weights = [_weights(times, order) for order in (_CUBIC, _LINE)]
     bumps, slopes = np.array([each[0] for each in weights]), np.array([each[1] for each in weights])
     values = np.ascontiguousarray(its.values[target : target + 1])
     sides = np.array([-_sums(first, slope, values)[0] for slope in slopes])
-    return WindowRows(np.ascontiguousarray(its.values), noise, target, first, owners, bumps, slopes, sides)
+    inputs = np.ascontiguousarray(its.values)
+    if len(first) < len(places):
+        inputs, first = _within(inputs, first, length)
+    return WindowRows(inputs, noise, target, first, owners, bumps, slopes, sides)
+
+
+def _within(inputs: FloatArray, first: Ints, length: int) -> tuple[FloatArray, Ints]:
+    """Return the rows of `inputs` (V, N) that lie in windows of this length, and where these begin among them.
+
+    Terms are computed on all rows there are: of a long table, on no more than the windows have.
+    """
+    rows = np.unique(first[:, None] + np.arange(length))
+    return np.ascontiguousarray(inputs[:, rows]), np.searchsorted(rows, first)
 
 
 def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:

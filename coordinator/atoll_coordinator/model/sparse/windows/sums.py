@@ -47,8 +47,14 @@ class WindowSum:
 
     @property
     def excess(self) -> float:
-        """How many times as large as its standard error what is left is, by the median."""
-        return float(NORMAL_DEVIATION * np.sort(np.abs(self.scaled))[len(self.scaled) // 2])
+        """How many times as large as its standard error what is left is, by the median.
+
+        What a fit takes away by its coefficients is added as for a variance over its degrees of freedom (Rousseeuw &
+        Leroy 1987, section 5.1, without what they add for other estimators).
+        """
+        independent = self.terms.rows.independent
+        fitted_away = math.sqrt(independent / max(independent - len(self.kept), 1.0))
+        return float(fitted_away * NORMAL_DEVIATION * np.sort(np.abs(self.scaled))[len(self.scaled) // 2])
 
     @property
     def atoms(self) -> tuple[Atom, ...]:

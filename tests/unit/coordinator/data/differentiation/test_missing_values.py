@@ -8,6 +8,7 @@ import pytest
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
 from atoll_coordinator.data.differentiation.missing_values import fill, fill_holes, make_signal
 from atoll_coordinator.data.differentiation.smoothing import smooth
+from tests.oracles import missing_values as oracle
 
 ROWS = 120
 TIMES = 0.05 * np.arange(ROWS)
@@ -38,6 +39,28 @@ def test_the_nearest_value_is_held_beyond_the_known_rows_and_not_known():
     filled, steps, _ = fill(np.arange(4.0), np.array([math.nan, 2.0, 5.0, math.nan]), is_known, 2)
     assert filled.tolist() == [2.0, 2.0, 5.0, 5.0]
     assert np.isinf(steps).tolist() == [True, False, False, True]
+
+
+@pytest.mark.parametrize("pairs", [1, 3, 7])
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.8, 1.0])
+def test_many_rows_are_filled_as_one_after_another_to_the_bit(pairs, share):
+    rng = np.random.default_rng(3)
+    for rows in (1, 2, 9, 60):
+        times, values = np.cumsum(rng.uniform(0.1, 1.0, rows)), np.round(rng.normal(size=rows), 1)
+        is_known = rng.random(rows) < share
+        values[~is_known] = math.nan
+        for found, expected in zip(
+            fill(times, values, is_known, pairs), oracle.fill(times, values, is_known, pairs), strict=True
+        ):
+            assert found.tobytes() == expected.tobytes()
+
+
+def test_a_million_rows_take_no_longer_than_each_of_them():
+    """Were the known rows looked through for each missing one, this would take an hour."""
+    rows = 1_000_000
+    filled, steps, _ = fill(np.arange(float(rows)), np.arange(float(rows)), np.arange(rows) % 2 == 0, 1)
+    assert filled[:-1].tolist() == np.arange(rows - 1.0).tolist()
+    assert np.flatnonzero(np.isinf(steps)).tolist() == [rows - 1]
 
 
 def test_a_signal_without_holes_stays_as_it_is():

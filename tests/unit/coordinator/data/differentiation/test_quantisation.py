@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.differentiation.quantisation import find_quantisation
+from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
+from atoll_coordinator.data.differentiation.quantisation import find_quantisation, is_refuted
+from atoll_coordinator.data.differentiation.smoothing import Signal
 
 TIMES = np.linspace(0.0, 20.0, 300)
 CURVE = 70.0 / (1.0 + np.exp(-0.5 * (TIMES - 8.0)))
@@ -37,6 +39,42 @@ def test_steps_are_found(values, kind, step):
 @pytest.mark.parametrize("values", [CURVE, CURVE + NOISE, np.arange(7.0), 0.0 * CURVE, np.sin(TIMES) * 1e-12])
 def test_where_there_are_none_none_are(values):
     assert find_quantisation([values]) is None
+
+
+@pytest.mark.parametrize("rows_a_period", range(3, 21))
+def test_values_that_differ_by_rounding_alone_are_one_value(rows_a_period):
+    phases = np.arange(200) * (2.0 * np.pi / rows_a_period)
+    assert find_quantisation([np.cos(phases)]) is None
+    assert find_quantisation([-np.sin(phases)]) is None
+
+
+def signal_of(values):
+    return Signal(0.1 * np.arange(float(len(values))), np.asarray(values, dtype=np.float64))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        1.0 + 0.2 * np.arange(100),
+        500.0 - 3.0 * np.arange(30),
+        np.arange(60) ** 2,
+        np.arange(25) * np.arange(1, 26) / 2.0,
+    ],
+)
+def test_even_steps_of_a_smooth_curve_are_no_rounding(values):
+    signals = [signal_of(values)]
+    found = find_quantisation([values])
+    assert found is not None
+    assert is_refuted(found, signals)
+    estimate = estimate_derivatives(signals, Differentiation())
+    assert estimate.target_noise == 0.0
+
+
+@pytest.mark.parametrize("scale", [0.05, 0.3, 1.0, 10.0, 300.0])
+def test_rounding_is_not_refuted_however_slowly_or_fast_a_state_moves(scale):
+    values = np.round(scale * CURVE)
+    found = find_quantisation([values])
+    assert found is None or not is_refuted(found, [signal_of(values)])
 
 
 def test_no_step_is_seen_in_random_numbers():

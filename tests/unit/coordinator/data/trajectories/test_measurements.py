@@ -164,6 +164,23 @@ def test_other_jumps_are_none_of_an_angle(values):
     measurements_of(table_of(columns), DataConfig())
 
 
+@pytest.mark.parametrize("largest", [3.2, 4.0, 5.0, 6.2])
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_is_none_of_an_angle_whatever_its_range(seed, largest):
+    draw = np.random.default_rng(seed)
+    for values in (draw.normal(size=200), draw.uniform(size=200), draw.integers(1, 7, 200), draw.poisson(4.0, 200)):
+        columns = oscillator(200)
+        columns["y"] = (values - np.min(values)) * largest / np.ptp(values)
+        measurements_of(table_of(columns), DataConfig())
+
+
+@pytest.mark.parametrize("rows_a_turn", [4.3, 6.1, 20.7, 400.0])
+def test_turns_are_seen_at_any_speed_that_shows_them(rows_a_turn):
+    columns = oscillator(1000)
+    columns["y"] = (2.0 * math.pi / rows_a_turn * np.arange(1000.0)) % (2.0 * math.pi)
+    assert "as a wrapped angle does" in refusal(columns)
+
+
 @pytest.mark.parametrize("degrees", [False, True])
 def test_a_marked_angle_is_unwrapped_into_radians(degrees):
     columns = oscillator(200)
@@ -185,3 +202,17 @@ def test_columns_of_text_and_unused_time_are_remarked():
     warnings = measurements_of(table, DataConfig(target="y")).warnings
     assert warnings[0] == "Columns of text or without a name are not used: who."
     assert warnings[1] == "Column 't' is taken for time and not used; add --inputs t to use it."
+
+
+@pytest.mark.parametrize("size", [1e160, -1e300, 1e-160])
+@pytest.mark.parametrize("roles", [{}, {"states": ("x",), "inputs": ("y",)}, {"target": "x", "inputs": ("y",)}])
+def test_a_column_without_squares_is_refused_in_every_role(size, roles):
+    columns = oscillator()
+    message = refusal(columns | {"y": size * columns["y"]}, **roles)
+    assert message == "the values of 'y' are too large or too small to compute with; choose another unit"
+
+
+def test_an_input_may_be_nothing_but_zeros():
+    columns = oscillator()
+    measurements = measurements_of(table_of(columns | {"y": 0.0 * columns["y"]}), DataConfig(inputs=("y",)))
+    assert measurements.roles.inputs == ("y",)

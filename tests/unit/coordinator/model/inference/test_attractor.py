@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.model.inference.attractor import look_for_chaos
+from atoll_coordinator.model.inference import attractor
+from atoll_coordinator.model.inference.attractor import _block_means, _welch, along, look_for_chaos
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import Chaos
 from atoll_coordinator.model.result.trust import chaos
@@ -23,10 +25,14 @@ def measured():
     return measurements_of(prepared(2000, 0.01, trajectories=2).recording, [0, 1, 2], piece=50)
 
 
-def looked(measured, texts):
+def made(texts):
     system = system_of([from_infix(text, NAMES) for text in texts], NAMES, NAMES)
-    fit = MultipleShooting(measured, 1e-6).fit(system.with_fixed_constants(), None, 0)
-    return look_for_chaos(fit, 0.9, 1e-6)
+    return system.with_fixed_constants()
+
+
+def looked(measured, texts, shown=None):
+    fit = MultipleShooting(measured, 1e-6).fit(made(texts), None, 0)
+    return look_for_chaos(replace(fit, system=made(shown or texts)), 0.9, 1e-6)
 
 
 def test_the_truth_stays_on_the_attractor(measured):
@@ -50,6 +56,35 @@ def test_the_way_to_the_attractor_does_not_count():
     assert looked(replace(its, smoothed=smoothed), TRUTH).is_kept
 
 
+def test_a_simulation_that_takes_too_many_steps_does_not_run_away(measured):
+    found = looked(measured, TRUTH, ("60000*y", "-60000*x", "-z"))
+    assert (found.is_kept, found.is_unfinished, found.probability) == (False, True, None)
+
+
+@pytest.mark.parametrize("rows", [2000, 20_000])
+def test_ours_has_blocks_enough_to_know_its_variance_however_many_rows_were_measured(monkeypatch, rows):
+    """Of 8,000 rows and more a simulation of 4,000 had one block, whose mean was taken for exact."""
+    blocks = []
+    monkeypatch.setattr(attractor, "_welch", lambda *both: [blocks.append([each.shape for each in both]) or 1.0])
+    its = measurements_of(prepared(2000, 0.01, trajectories=1).recording, [0, 1, 2], piece=50)
+    looked(several(its, rows // 2000), TRUTH)
+    assert blocks == [[(3, 4), (3, 4)]] * 2
+
+
+def several(its, count):
+    """Return the same rows again and again, as if they were of one trajectory."""
+    numbers = ("measured", "weights", "smoothed", "inputs", "input_slopes")
+    ends = np.arange(count)[:, None, None] * its.rows
+    return replace(
+        its,
+        bounds=(ends + its.bounds).reshape(-1, 2),
+        owners=np.tile(its.owners, count),
+        times=0.01 * np.arange(float(count * its.rows)),
+        inverse_variances=None,
+        **{name: np.tile(getattr(its, name), count) for name in numbers},
+    )
+
+
 def test_a_simulation_that_runs_away_is_not_kept(measured):
     found = looked(measured, ("0.3*x", "0.3*y", "0.3*z"))
     assert (found.is_kept, found.probability) == (False, None)
@@ -65,8 +100,53 @@ def test_the_verdict_says_in_which_time_errors_grow_and_refuses_what_is_not_kept
     assert grade == "doubtful"
     assert "eans or variances" in reason
     assert "runs away" in judge(replace(evidence, chaos=Chaos(1.13, False, None)))[1]
+    grade, reason = judge(replace(evidence, chaos=Chaos(1.13, False, None, is_unfinished=True)))
+    assert grade == "doubtful"
+    assert "more steps than are allowed" in reason
+    assert "runs away" not in reason
 
 
 def test_what_is_reported():
     assert chaos(None) is None
-    assert chaos(Chaos(2.0, True, 0.5)) == {"lyapunov_time": 2.0, "is_kept": True, "probability": 0.5}
+    known = {"lyapunov_time": 2.0, "is_kept": True, "is_unfinished": False, "probability": 0.5}
+    assert chaos(Chaos(2.0, True, 0.5)) == known
+
+
+def test_means_are_of_whole_blocks():
+    values = np.array([[1.0, 3.0, 5.0, 7.0, 100.0], [0.0, 0.0, 1.0, 1.0, 100.0]])
+    assert _block_means(values, 2).tolist() == [[2.0, 6.0], [0.0, 1.0]]
+    assert _block_means(values[:, :3], 4).tolist() == [[3.0], [pytest.approx(1.0 / 3.0)]]
+
+
+def test_means_are_compared_as_welch_does():
+    draw = np.random.default_rng(3)
+    ours, theirs = draw.normal(0.0, 1.0, (3, 5)), draw.normal(0.6, 2.0, (3, 9))
+    expected = stats.ttest_ind(ours, theirs, axis=1, equal_var=False).pvalue
+    assert _welch(ours, theirs) == pytest.approx(expected)
+    assert _welch(theirs, ours) == pytest.approx(expected)
+
+
+def test_one_block_has_no_variance_and_equal_numbers_no_difference():
+    one, four = np.array([[0.5]]), np.array([[0.0, 1.0, 2.0, 5.0]])
+    t, freedom = (0.5 - 2.0) / (four.std(ddof=1) / 2.0), 3.0
+    assert _welch(one, four) == pytest.approx([2.0 * stats.t.cdf(t, freedom)])
+    assert _welch(one, one + 1.0) == [1.0]
+
+
+def test_what_is_simulated_in_the_place_of_measurements_was_not_measured(measured):
+    times = 0.5 * np.arange(30.0)
+    made_up = along(measured, times, 1e-6, 60).measurements
+    assert made_up.bounds.tolist() == [[0, 30]]
+    assert made_up.times is times
+    assert not made_up.measured.any()
+    assert (made_up.weights == 1.0).all()
+    assert made_up.smoothed.min(axis=1) == pytest.approx(measured.smoothed.min(axis=1))
+    assert made_up.smoothed.max(axis=1) == pytest.approx(measured.smoothed.max(axis=1))
+
+
+def test_the_level_is_shared_by_means_and_variances_of_all_states(monkeypatch, measured):
+    """0.01 over six comparisons."""
+    for probability, is_kept in ((0.0018, True), (0.0015, False)):
+        monkeypatch.setattr(attractor, "_welch", lambda *_, its=probability: [1.0, its, 0.5])
+        found = looked(measured, TRUTH)
+        assert (found.is_kept, found.probability) == (is_kept, probability)

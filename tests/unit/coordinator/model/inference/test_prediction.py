@@ -1,13 +1,29 @@
 """What a model and its rivals foretell from other initial states inside the measured box."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
+from atoll_coordinator.model.inference.prediction import (
+    Rival,
+    _Elsewhere,
+    _far_apart,
+    _latin_hypercube,
+    draws,
+    foretell,
+)
 from atoll_coordinator.model.shooting.system import system_of
-from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, LOTKA_TEXT, SWING, measurements
+from atoll_coordinator.settings import SETTINGS
+from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, LOTKA_TEXT, SWING, Known, measurements
 
 TIMES = 0.1 * np.arange(40.0)
+WAVE = Known(("x", "y"), lambda _, z: [6.283 * z[1], -6.283 * z[0]])
+GROWTH = Known(("x",), lambda _, z: [0.3 * z[0]])
+SETTLING = Known(("x",), lambda _, z: [z[0] - z[0] ** 3 / 4.0])
+TIMES_OF_GROWTH = 0.1 * np.arange(100.0)
+EPIDEMIC = Known(("s", "i", "r"), lambda _, z: [-2.0 * z[0] * z[1], 2.0 * z[0] * z[1] - 0.7 * z[1], 0.7 * z[1]])
 STARTS = ([1.0, 3.0], [4.0, 1.0], [8.0, 2.0])
 
 
@@ -87,6 +103,84 @@ def test_what_goes_beyond_the_measured_range_is_said():
     assert foretell(whole, system(SWING, "-0.1*x", "-0.1*y"), [], 1e-6)[0].reached is None
 
 
+def test_a_process_that_leaves_the_measured_range_as_it_was_measured_to_is_followed_so_far():
+    """Growth measured to 20 leads from 10 to 200; nothing says that it should not, nor that it should."""
+    grown = measurements(GROWTH, [[1.0]], TIMES_OF_GROWTH)
+    truth = system(GROWTH, "0.3*x")
+    (its,) = foretell(grown, truth, [], 1e-6)
+    assert (its.starts, its.followed) == (12, 12)
+    rival = system(GROWTH, "0.3*x + 0.0001*x*x")
+    assert foretell(grown, truth, [Rival(rival, 0, 1.0)], 1e-6)[0].probability == 1.0
+    other = system(GROWTH, "0.1*x*x")
+    assert foretell(grown, truth, [Rival(other, 0, 1.0)], 1e-6)[0].probability == 0.5
+
+
+@pytest.mark.parametrize(
+    ("known", "model"), [("growth", "-60"), ("decay", "0.5*x"), ("both", "0.3*x*x*x")], ids=lambda each: str(each)
+)
+def test_a_process_that_leaves_on_another_side_runs_away(known, model):
+    """Growth and decay end at one end of the range; of both together the one begins where the other ends."""
+    systems = {"growth": (GROWTH, [[1.0]]), "decay": (DECAY, [[2.0]]), "both": (SETTLING, [[-1.0], [1.0]])}
+    its, starts = systems[known]
+    found = foretell(measurements(its, starts, TIMES_OF_GROWTH), system(its, model), [], 1e-6)[0]
+    assert found.followed < found.starts
+
+
+def test_a_measured_row_of_a_fast_oscillator_is_allowed_its_steps():
+    """Five hundred rows, ten to a period: the hundred that are looked at would have a fifth of the steps."""
+    fast = measurements(WAVE, [[1.0, 0.0]], 0.1 * np.arange(500.0))
+    truth = system(WAVE, "6.283*y", "-6.283*x")
+    assert [(its.followed, its.unfinished) for its in foretell(fast, truth, [], 1e-10)] == [(12, 0), (12, 0)]
+
+
+def test_running_out_of_steps_is_said_to_be_that(lotka, truth):
+    fast = system(LOTKA, "6000*(y - 2)", "-6000*(x - 2)")
+    for its in foretell(lotka, fast, [], 1e-6):
+        assert (its.starts, its.followed, its.unfinished) == (12, 0, 12)
+    x, _ = foretell(lotka, truth, [Rival(fast, 0, 1.0)], 1e-6)
+    assert (x.probability, x.is_disputed) == (1.0, False)
+
+
+def test_what_a_rival_foretells_where_it_has_enough_steps_counts(lotka, truth):
+    """It turns the faster the farther away it begins, at the rate that it keeps."""
+    partly = system(LOTKA, "500*(x**2 + y**2 - 1)**3*(y - 2)", LOTKA_TEXT[1])
+    x, _ = foretell(lotka, truth, [Rival(partly, 0, 1.0)], 1e-6)
+    assert (x.probability, x.is_disputed) == (0.5, True)
+
+
+def spread_of(its):
+    return _Elsewhere(its, 1e-6, is_near=False).starts
+
+
+def test_initial_states_keep_what_all_measured_ones_have_in_common():
+    whole = measurements(EPIDEMIC, [[0.99, 0.01, 0.0], [0.6, 0.3, 0.1]], TIMES)
+    starts = spread_of(whole)
+    assert starts.sum(axis=1) == pytest.approx(np.ones(12))
+    assert starts.min() >= 0.0
+    assert (starts.max(axis=0) - starts.min(axis=0) > 0.3 * np.ptp(whole.smoothed, axis=1)).all()
+
+
+def test_of_many_states_none_is_near_the_corners_and_none_stays_near_one_end():
+    rng = np.random.default_rng(2)
+    its = measurements(WAVE, [[1.0, 0.0]], TIMES)
+    cloud = rng.standard_normal((40, 4000))
+    starts = spread_of(replace(its, smoothed=cloud, times=0.1 * np.arange(4000.0), bounds=np.array([[0, 4000]])))
+    assert np.linalg.norm(starts, axis=1).max() <= np.linalg.norm(cloud, axis=0).max()
+    assert (np.ptp(starts, axis=0) > 0.2 * np.ptp(cloud, axis=1)).all()
+
+
+def test_however_long_a_process_rests_the_way_there_is_begun_from():
+    resting = measurements(SWING, [[1.0, 0.0]], np.linspace(0.0, 400.0, 4001))
+    assert np.median(np.linalg.norm(spread_of(resting), axis=1)) > 0.2
+
+
+def test_each_part_of_each_dimension_has_one_point():
+    points = _latin_hypercube(12, 3)
+    assert points.shape == (12, 3)
+    assert np.sort(np.floor(12.0 * points), axis=0).T.tolist() == [[*range(12)]] * 3
+    assert (_latin_hypercube(12, 3) == points).all()
+
+
 def test_inputs_are_not_known_elsewhere():
     driven = measurements(DRIVEN, [[1.0]], TIMES)
     assert foretell(driven, system_of([DRIVEN.parsed("-0.8*x + 1.5*u")], DRIVEN.names, DRIVEN.names), [], 1e-6) is None
@@ -100,5 +194,176 @@ def test_draws_spread_as_the_covariance_says():
     assert {each.group for each in draws(its, np.array([[0.01]]), 3)} == {3}
 
 
+@pytest.mark.parametrize("scale", [1e-12, 1e12])
+def test_draws_in_other_units_are_the_same_draws(scale):
+    """Eigenvectors of a covariance of 1e42 beside 1e-24 would be those of its rounding errors."""
+    its = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
+    units = np.array([scale, 1.0 / scale, 1.0])
+    covariance = np.array([[4.0, 1.0, 0.0], [1.0, 1.0, 0.1], [0.0, 0.1, 0.25]]) * 1e-4
+    scaled = its.with_values(its.values * units)
+    there = [each.system.values / units for each in draws(scaled, covariance * np.outer(units, units), 0)]
+    for own, other in zip(draws(its, covariance, 0), there, strict=True):
+        assert own.system.values == pytest.approx(other, rel=1e-9)
+
+
 def test_a_system_without_constants_has_no_draws():
     assert not [*draws(system(DECAY, "x"), np.zeros((0, 0)), 0)]
+
+
+COUNT = SETTINGS.shooting.lengths[-1]
+"""Rows of a course from another initial state."""
+
+
+def test_of_few_rows_nothing_is_foretold(truth):
+    few, enough = (
+        measurements(LOTKA, STARTS[:1], 0.1 * np.arange(float(rows))) for rows in (COUNT // 4 - 1, COUNT // 4)
+    )
+    assert foretell(few, truth, [], 1e-6) is None
+    assert foretell(enough, truth, [], 1e-6) is not None
+
+
+def test_courses_last_as_long_as_the_longest_trajectory_and_are_allowed_its_rows(truth):
+    three = measurements(LOTKA, STARTS, TIMES)
+    bounds = np.array([[0, 20], [20, 100], [100, 120]])
+    times = np.concatenate([TIMES[:20], 7.0 + 0.1 * np.arange(80.0), TIMES[:20]])
+    its = _Elsewhere(replace(three, bounds=bounds, times=times), 1e-6, is_near=False)
+    along = its._estimator.measurements.times
+    assert (len(along), along[0], along[-1]) == (COUNT, 0.0, pytest.approx(7.9))
+    assert its._estimator._rows_in_row == max(1.0, 80.0 / COUNT)
+    assert {course.shape for course in its.courses(truth, range(12))} == {(2, COUNT)}
+
+
+def test_without_a_dispute_the_next_measurement_is_where_courses_are_farthest_from_the_measured(truth):
+    one = measurements(LOTKA, [[8.0, 2.0]], TIMES)
+    elsewhere = _Elsewhere(one, 1e-6, is_near=False)
+    distances = elsewhere.distances(elsewhere.courses(truth, range(12)))
+    assert min(each.min() for each in distances) >= 0.0
+    x, _ = foretell(one, truth, [], 1e-6)
+    assert not x.is_disputed
+    assert x.measure_from == elsewhere.named(int(np.argmax([each.max() for each in distances])))
+
+
+def test_a_distance_is_the_largest_share_of_a_width_to_the_nearest_row():
+    its = measurements(SWING, [[1.0, 0.0]], TIMES)
+    elsewhere = _Elsewhere(its, 1e-6, is_near=False)
+    width = np.ptp(its.smoothed, axis=1)
+    (found,) = elsewhere.distances([np.tile((its.smoothed[:, :1] + 2.0 * width[:, None] * [[0.0], [1.0]]), 8)])
+    assert len(found) == 2
+    high = (its.smoothed[1, 0] + 2.0 * width[1] - its.smoothed[1]) / width[1]
+    nearest = np.maximum(high, np.abs(its.smoothed[0, 0] - its.smoothed[0]) / width[0]).min()
+    assert found == pytest.approx(np.full(2, nearest))
+
+
+def test_near_measured_states_means_a_thousandth_of_their_deviation_away(lotka):
+    starts = _Elsewhere(lotka, 1e-6, is_near=True).starts
+    rows = np.linspace(0, lotka.rows - 1, 12).astype(int)
+    away = (starts - lotka.smoothed[:, rows].T) / lotka.scales
+    assert away == pytest.approx(np.full((12, 2), SETTINGS.common.negligible))
+
+
+def test_of_what_lies_beyond_the_range_the_farther_end_is_said():
+    quarter = measurements(SWING, [[-1.0, 0.0]], 0.02 * np.arange(50.0))
+    x, _ = foretell(quarter, system(SWING, "y", "-2*x - 0.3*y"), [], 1e-6)
+    assert x.reached is not None
+    assert x.reached > 0.0
+    elsewhere = _Elsewhere(quarter, 1e-6, is_near=False)
+    low, high = float(quarter.smoothed[0].min()), float(quarter.smoothed[0].max())
+    for below, above in ((0.3, 0.2), (0.2, 0.3)):
+        values = [np.array([[low - below * (high - low), high + above * (high - low)]])]
+        assert elsewhere.reached(values, 0) == pytest.approx(values[0][0, int(above > below)])
+    assert elsewhere.reached([np.array([[low - 0.09 * (high - low), high + 0.09 * (high - low)]])], 0) is None
+
+
+def test_chaos_ends_what_can_be_foretold(truth):
+    its = measurements(LOTKA, STARTS, TIMES)
+    elsewhere = _Elsewhere(its, 1e-6, is_near=False)
+    courses = elsewhere.courses(truth, range(12))
+    assert elsewhere.horizon(truth, courses) == COUNT
+    lost = [course + (np.arange(COUNT) >= COUNT // 4) * 10.0 for course in courses]
+    assert elsewhere.horizon(truth, lost) == COUNT // 4
+    assert elsewhere.horizon(truth, ["ran away", *lost[1:]]) == COUNT // 4
+    assert elsewhere.horizon(truth, ["ran away"] * 12) == COUNT
+
+
+def test_chaos_is_looked_for_a_thousandth_of_the_deviation_away_in_any_unit(monkeypatch, truth):
+    small = measurements(LOTKA, STARTS, TIMES)
+    small = replace(small, smoothed=1e-6 * small.smoothed, scales=1e-6 * small.scales)
+    elsewhere = _Elsewhere(small, 1e-6, is_near=False)
+    own = [np.tile(np.sin(np.arange(float(COUNT))), (2, 1))] * 12
+    asked, answers = [], iter([*own[:6], *["ran away"] * 6])
+    monkeypatch.setattr(elsewhere, "_course", lambda _, start: asked.append(start) or next(answers))
+    assert elsewhere.horizon(truth, own) == COUNT
+    away = (np.array(asked) - elsewhere.starts) / small.scales
+    assert np.abs(away) == pytest.approx(np.full((12, 2), SETTINGS.common.negligible))
+
+
+def test_a_rival_is_disputed_where_it_weighs_most(lotka, truth):
+    """Of equal odds the one that foretells the farther course; of the start, that where it is the farthest."""
+    elsewhere = _Elsewhere(lotka, 1e-6, is_near=False)
+    other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1])
+    own, theirs = (elsewhere.courses(each, range(12)) for each in (truth, other))
+    sizes = [np.abs(one[0] - two[0]).max() for one, two in zip(own, theirs, strict=True)]
+    for odds in (0.25, 1.0):
+        x, _ = foretell(lotka, truth, [Rival(other, 0, odds)], 1e-6)
+        assert x.measure_from == elsewhere.named(int(np.argmax(sizes)))
+
+
+def test_draws_have_the_covariance_that_they_are_given():
+    its = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
+    covariance = np.array([[4.0, 1.9, 0.0], [1.9, 1.0, 0.1], [0.0, 0.1, 0.25]]) * 1e-4
+    drawn = np.array([each.system.values for each in draws(its, covariance, 0)]) - its.values
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), drawn.T)
+    assert 18.0 < (whitened**2).sum() < 60.0  # chi squared of 36: 0.5 % at either side
+    assert {each.odds for each in draws(its, covariance, 0)} == {1.0}
+    covariance[2], covariance[:, 2] = 0.0, 0.0
+    assert {each.system.values[2] for each in draws(its, covariance, 0)} == {its.values[2]}
+
+
+def test_points_far_apart_are_as_far_from_those_before_as_any():
+    assert _far_apart(np.array([[0.0], [1.0], [10.0], [4.0]]), 3) == [0, 2, 3]
+    assert _far_apart(np.zeros((5, 2)), 3) == [0]
+
+
+# ------------------------------------------------------------------------------- leaving the measured range
+
+
+def elsewhere(known, starts, times):
+    return _Elsewhere(measurements(known, starts, times), 1e-6, is_near=False)
+
+
+@pytest.mark.parametrize(
+    ("last", "leaves"),
+    [((9.0,), False), ((19.9,), False), ((21.0,), True), ((1e3,), True), ((0.9,), False), ((-1e3,), False)],
+)
+def test_growth_is_left_at_its_upper_end_alone(last, leaves):
+    """Measured from 1 to 20: the trajectory ends at the upper end, and begins at the lower one."""
+    its = elsewhere(GROWTH, [[1.0]], np.linspace(0.0, math.log(20.0) / 0.3, 100))
+    assert its._leaves_as_measured(np.array([[3.0, *last]])) is leaves
+    assert its._leaves_as_measured(np.empty((1, 0))) is False
+
+
+@pytest.mark.parametrize(("last", "leaves"), [(0.01, True), (0.5, False), (2.5, False)])
+def test_decay_is_left_at_its_lower_end_alone(last, leaves):
+    its = elsewhere(DECAY, [[2.0]], np.linspace(0.0, 5.0, 50))
+    assert its._leaves_as_measured(np.array([[1.0, last]])) is leaves
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "leaves"), [(30.0, 2.4, True), (30.0, 1e3, False), (30.0, -1e3, False), (0.5, 2.1, False)]
+)
+def test_the_state_that_is_farthest_out_for_its_range_tells_how_a_course_leaves(x, y, leaves):
+    """Of two states one grows to the end of its range, the other goes back and forth."""
+    both = Known(("x", "y"), lambda _, z: [0.3 * z[0], 2.0 * math.cos(z[0])])
+    its = elsewhere(both, [[1.0, 2.0]], np.linspace(0.0, 10.0, 100))
+    assert its._measurements.smoothed[1, -1] < its._measurements.smoothed[1].max()
+    assert its._leaves_as_measured(np.array([[2.0, x], [2.0, y]])) is leaves
+
+
+@pytest.mark.parametrize(
+    ("start", "of_hundred"), [(1.0, 100), (4.47, 50), (19.9, 1), (20.5, 99), (89.4, 50), (400.0, 1)]
+)
+def test_a_course_is_followed_for_as_long_as_was_measured_from_the_nearest_state(start, of_hundred):
+    """Two trajectories: one from 1 to 20 in the whole time, the other from 20 to 400 in as long."""
+    times = np.linspace(0.0, math.log(20.0) / 0.3, 201)
+    its = elsewhere(GROWTH, [[1.0], [20.0]], times)
+    assert its._rows_measured_from(np.array([start])) == pytest.approx(of_hundred, abs=1)

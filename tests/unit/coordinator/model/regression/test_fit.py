@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from atoll.config import JobConfig, PriorConfig, SpaceConfig
 from atoll.data.dataset import Problem, Target
@@ -38,9 +39,21 @@ def test_a_linear_fit_is_that_of_the_normal_equations():
     fitted = LeastSquares(its).fit(parsed("0.1*x + 9.0*y"))
     expected, *_ = np.linalg.lstsq(its.inputs.T, its.target.values, rcond=None)
     assert constants(fitted.program) == pytest.approx(expected.tolist(), rel=1e-7)
-    variance = np.linalg.inv(its.inputs @ its.inputs.T) * fitted.mse
+    rows = len(its.target.values)
+    variance = np.linalg.inv(its.inputs @ its.inputs.T) * fitted.mse * rows / (rows - 2)
     errors = standard_errors(fitted, RegressionCriterion.of(its.target))
     assert errors == pytest.approx(np.sqrt(np.diag(variance)).tolist(), rel=1e-7)
+
+
+def test_the_variance_of_few_errors_is_over_what_constants_leave_of_them():
+    """Of five rows a line leaves three: errors would be 23 % too small over all rows."""
+    rows = np.arange(5.0)[None]
+    target = Target("y", "y", 2.0 * rows[0] + 1.0 + np.array([0.1, -0.2, 0.05, 0.2, -0.1]), 0.0, 1.0)
+    its = Problem(("x",), rows, target)
+    fitted = LeastSquares(its).fit(from_infix("1.5*x + 0.5", ("x",)))
+    expected = stats.linregress(rows[0], target.values)
+    errors = standard_errors(fitted, RegressionCriterion.of(target))
+    assert sorted(errors) == pytest.approx(sorted([expected.stderr, expected.intercept_stderr]), rel=1e-6)
 
 
 def test_what_is_fixed_stays():

@@ -18,7 +18,7 @@ def test_what_is_known_to_three_digits_may_be_a_multiple_of_pi(multiple: float) 
 
 
 @pytest.mark.parametrize(
-    ("value", "error", "simple"), [(3.0, 0.1, 3.0), (3.1, 0.02, 3.1), (1.5, 0.05, 1.5), (0.5, 0.03, 0.5)]
+    ("value", "error", "simple"), [(3.0, 0.1, 3.0), (3.1, 0.02, 3.1), (1.5, 0.05, 1.5), (0.5, 0.02, 0.5)]
 )
 def test_short_decimals_stay_what_they_are(value: float, error: float, simple: float) -> None:
     assert _shortest(value, error) == simple

@@ -100,7 +100,7 @@ def test_the_probability_of_any_number_is_that_of_the_simple_ones_of_its_decade(
         points = np.exp(np.linspace(math.log(10.0**decade), math.log(10.0 ** (decade + 1)), 200)[:-1])
         widths = np.diff(np.append(points, 10.0 ** (decade + 1)))
         continuum = sum(continuum_density(float(point)) * width for point, width in zip(points, widths, strict=True))
-        near = [simple_numbers(float(value), 0.001 * value, in_any_unit=True) for value in points]
+        near = [simple_numbers(float(value), 0.001 * value) for value in points]
         few = {number: length for its in near for number, length in its.items()}
         few = {number: length for number, length in few.items() if 10.0**decade <= number < 10.0 ** (decade + 1)}
         simple = sum(math.exp(-length) for length in few.values())
@@ -113,3 +113,62 @@ def test_a_simple_number_with_which_there_is_no_finite_value_is_not_taken():
     fitted = Fitted(program, 1.0, np.diag([1e9, 4.0]))
     kept = round_constants(fitted, RegressionCriterion(5, 1e-12), LeastSquares(problem))
     assert np.all(np.isfinite(values_of(kept.program, problem.inputs)))
+
+
+def test_simple_numbers_speak_for_each_other_and_estimates_against_one_that_is_alone():
+    """Any share of simple constants is as likely before the data: of 0.5 alone the odds are those of the data."""
+    others = [(4.0003, 5e-4), (1.0002, 3e-4), (3.001, 2e-3)], [(4.1357, 5e-4), (1.0283, 3e-4), (3.0713, 2e-3)]
+    odds = []
+    for beside in ([], *others):
+        means, errors = np.array([(0.5003, 0.008), *beside]).T
+        odds.append(round_estimates(means, np.diag(errors**2)).simple[0].odds)
+    alone, among_simple, among_estimates = odds
+    assert among_simple > 1.5 * alone
+    assert among_estimates < 0.5 * alone
+
+
+def test_a_constant_is_simple_as_a_factor_of_another():
+    """0.9 (1/9 + f) is 0.1 + 0.9 f; 1/9 by itself is no simple number."""
+    rounding = round_estimates(np.array([0.9001, 0.11112]), np.diag([2e-4, 5e-5]) ** 2)
+    assert rounding.values.tolist() == pytest.approx([0.9, 1.0 / 9.0], rel=1e-12)
+    assert round_estimates(np.array([0.11112]), np.array([[5e-5**2]])).values[0] == 0.11112
+
+
+def test_simple_numbers_are_judged_together_where_each_alone_stays_an_estimate():
+    means, errors = np.array([0.9004, 0.1114]), np.array([8e-4, 4e-4])
+    covariance = np.outer(errors, errors) * np.array([[1.0, -0.6], [-0.6, 1.0]])
+    rounding = round_estimates(means, covariance)
+    assert rounding.simple[1].odds < ODDS
+    its = rounding.together([0, 1])
+    assert its.constants == (0, 1)
+    assert its.values == pytest.approx((0.9, 1.0 / 9.0))
+    assert 1.0 < its.odds <= min(each.odds for each in rounding.simple)
+    away = means - its.values
+    assert its.chi_square == pytest.approx(away @ np.linalg.solve(covariance, away))
+    assert rounding.together([1]) is None
+
+
+def test_the_places_of_simple_numbers_are_those_in_the_equation():
+    rounding = round_estimates(np.array([3.7281, 2.00001, 5.00001]), np.diag([1e-4, 1e-5, 1e-5]) ** 2)
+    its = rounding.together([2, 0, 1])
+    assert its.constants == (0, 2)
+    assert its.values == (5.0, 2.0)
+    assert its.odds > ODDS
+
+
+def test_simple_numbers_are_rarely_false_where_all_constants_have_random_digits():
+    """A number is shown with odds of 20 and more: if that is right, of random digits in less than one case of 20."""
+    random, false = np.random.default_rng(7), 0
+    for _ in range(40):
+        truth = np.exp(random.uniform(-2.0, 2.0, 3))
+        errors = truth * 10.0 ** random.uniform(-3.0, -1.0, 3)
+        covariance = np.corrcoef(random.normal(size=(3, 8))) * np.outer(errors, errors)
+        rounding = round_estimates(random.multivariate_normal(truth, covariance), covariance)
+        shown = zip(rounding.values, rounding.simple, strict=True)
+        false += sum(near is not None and near.value == value for value, near in shown)
+    assert false <= 6
+
+
+def test_constants_that_only_their_sum_is_known_of_are_no_division_by_zero():
+    rounding = round_estimates(np.array([1.0, 2.0, 3.0]), 0.01 * np.ones((3, 3)))
+    assert np.isfinite(rounding.values).all()

@@ -277,7 +277,7 @@ def test_latex_writes_fractions_and_rounded_constants():
     text = render(result(), "latex")
     assert r"\frac{d x}{d t} &= " in text
     assert r"\begin{align*}" in text
-    assert r"\left(- 2 S - x + 3\right)" in text
+    assert r"x \left(3 - x - 2 S\right)" in text
 
 
 def test_latex_of_nothing_found_yet_has_no_blank_line():

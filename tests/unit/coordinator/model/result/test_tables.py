@@ -17,6 +17,7 @@ from atoll_coordinator.model.result.tables import (
     plus_minus,
     simulation_table,
     summary,
+    together_line,
 )
 
 
@@ -190,3 +191,9 @@ def test_a_constant_of_infinite_error_is_said_not_to_be_determined() -> None:
     loose = constant(2.0, 2.0, None, identifiable=False)
     assert constants_line([loose]) == "constants: 2 (not determined)"
     assert "not determined by the data" in constants_table([loose])[1]
+
+
+def test_simple_numbers_together_have_a_line_with_their_odds() -> None:
+    its = {"constants": [0, 1], "values": [0.9, 1.0 / 9.0], "odds": 14.7, "chi_square": 0.61}
+    assert together_line(its) == ["    0.9 and 0.111111 together (chi-square 0.61): odds 15 against other numbers"]
+    assert together_line(None) == together_line({**its, "odds": None}) == []

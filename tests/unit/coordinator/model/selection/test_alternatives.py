@@ -54,6 +54,14 @@ def test_rivals_are_other_functions_and_no_better():
     assert len(forms) <= SETTINGS.effort.beam
 
 
+def test_without_time_nothing_is_validated(monkeypatch):
+    monkeypatch.setattr(Validation, "of", lambda *_: None)
+    ranking = ranked_by(selection())
+    assert ranking.validated is None
+    assert [each.validated for each in ranking.alternatives[1]] == [None] * len(ranking.alternatives[1])
+    assert ranking.alternatives[1]
+
+
 def test_only_close_ones_are_validated():
     its = selection()
     for each in ranked_by(its).alternatives[1]:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.cross_validation import Validation
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.settings import SETTINGS
@@ -88,6 +89,26 @@ def test_what_cannot_be_simulated_foretells_nothing(monkeypatch):
     found = validation.of(model(its, "y", "-1.9*x - 0.2*y"))
     assert found.misfit == np.inf
     assert found.r2 == (-np.inf, -np.inf)
+
+
+@pytest.mark.parametrize("fold", [0, 2])
+def test_nothing_is_foretold_after_the_time_is_over(monkeypatch, fold):
+    its, now, seen = swinging(), [0.0], []
+    found = model(its, "y", "-1.9*x - 0.2*y")
+    monkeypatch.setattr(its.estimator, "deadline", Deadline(1.0, lambda: now[0]))
+    validation = Validation(its)
+    own = validation._squared_errors
+
+    def left(model, left_out):
+        seen.append(left_out)
+        now[0] = 2.0 if len(seen) == fold else 0.0
+        return own(model, left_out)
+
+    monkeypatch.setattr(validation, "_squared_errors", left)
+    now[0] = 0.0 if fold else 2.0
+    assert validation.of(found) is None
+    assert len(seen) == fold
+    assert validation._shooter(its.estimator.measurements).deadline is its.estimator.deadline
 
 
 def test_missing_values_do_not_count():

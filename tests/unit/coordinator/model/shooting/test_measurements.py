@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from atoll_coordinator.model.shooting.measurements import measurements_of
@@ -155,6 +155,31 @@ def test_thinned_rows_are_pieces_of_the_trajectories(most):
         assert its.owners[piece] == owner
         assert start + end - first <= its.bounds[piece, 1]
     assert (thinned.scales.tolist(), thinned.noise.tolist()) == (its.scales.tolist(), its.noise.tolist())
+
+
+@settings(max_examples=60, deadline=None)
+@given(trajectories=st.integers(1, 30), rows=st.integers(200, 3000), most=st.integers(100, 1500))
+@example(trajectories=6, rows=1000, most=1200)
+def test_thinned_rows_come_from_all_trajectories_and_from_late_rows_as_from_early_ones(trajectories, rows, most):
+    its = measurements_of(swinging((2,)), [0, 1])
+    ends = rows * np.arange(1, trajectories + 1)
+    blank = np.zeros((2, trajectories * rows))
+    whole = replace(
+        its,
+        bounds=np.stack([ends - rows, ends], axis=1),
+        owners=np.arange(trajectories),
+        times=np.tile(0.1 * np.arange(rows), trajectories),
+        **dict.fromkeys(("measured", "weights", "smoothed"), blank),
+        **dict.fromkeys(("inputs", "input_slopes"), blank[:0]),
+    )
+    thinned = whole.thinned(most)
+    pieces, places = len(thinned.bounds), 10.0 * thinned.times / rows
+    if pieces >= 6:
+        assert places.min() < 0.3
+        assert places.max() > 0.7
+        assert 0.25 < np.mean(places < 0.5) < 0.75
+    kept = np.bincount(thinned.owners, minlength=trajectories)
+    assert abs(kept - pieces / trajectories).max() < 1.0
 
 
 def test_some_trajectories_can_be_taken_out():

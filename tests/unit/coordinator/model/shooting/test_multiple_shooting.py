@@ -133,7 +133,15 @@ def test_a_stiff_system_is_simulated_without_sensitivities():
     its = measurements(DECAY, [[3.0]], TIMES)
     simulated = MultipleShooting(its, 1e-4).simulate(system(DECAY, "-1e6*x + 1e6"), np.array([3.0]))
     assert simulated[0, 1:] == pytest.approx(np.ones(49), abs=1e-3)
-    assert MultipleShooting(its, 1e-4).simulate(system(DECAY, "x*x*x"), np.array([3.0])) is None
+    assert MultipleShooting(its, 1e-4).simulate(system(DECAY, "x*x*x"), np.array([3.0])) == "ran away"
+
+
+def test_running_out_of_steps_is_not_running_away():
+    """Some 3,000 turns between two rows take more steps than are allowed, and fewer than so many measured rows have."""
+    its, fast = measurements(SWING, [[1.0, 0.0]], TIMES), system(SWING, "6000*y", "-6000*x")
+    assert MultipleShooting(its, 1e-4).simulate(fast, np.array([0.5, 0.0])) == "out of steps"
+    longer = MultipleShooting(its, 1e-4, measured_rows=100_000).simulate(fast, np.array([0.5, 0.0]))
+    assert np.abs(longer).max() < 1.0
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])
@@ -276,3 +284,20 @@ def test_an_unmeasured_velocity_is_fitted_from_positions():
     fit = fit_in_stages(MultipleShooting(its, 1e-6), made, (10, None), 30)
     assert sizes(fit) == pytest.approx([0.3, 2.0], rel=0.01)
     assert fit.starts == pytest.approx(np.array([[1.0, 2.0], [0.5, -1.0]]), abs=0.01)
+
+
+@pytest.mark.parametrize(("x_unit", "y_unit"), [(1e-30, 1e30), (1e30, 1e-30), (1e-40, 1e-40)])
+def test_states_of_any_units_have_the_same_fit(x_unit, y_unit):
+    """A constant of 1e-60 has a sensitivity of 1e90, and nothing is steep about that."""
+    its = recording(SWING, ([1.0, 2.0],), TIMES)
+    units = np.array([[x_unit], [y_unit]])
+    (one,) = its.trajectories
+    moved = replace(one, measured=units * one.measured, smoothed=units * one.smoothed, slopes=units * one.slopes)
+    smoothing = tuple(
+        replace(each, noise=each.noise * unit) for each, unit in zip(its.smoothing, units[:, 0], strict=True)
+    )
+    there = measurements_of(replace(its, trajectories=(moved,), smoothing=smoothing), range(2))
+    texts = (f"{0.9 * x_unit / y_unit!r}*y", f"{-2.2 * y_unit / x_unit!r}*x - 0.3*y")
+    fit = MultipleShooting(there, 1e-8).fit(system(SWING, *texts), None, 20)
+    values = fit.system.values * np.array([y_unit / x_unit, x_unit / y_unit, 1.0])
+    assert np.abs(values) == pytest.approx([1.0, 2.0, 0.3], rel=1e-6)

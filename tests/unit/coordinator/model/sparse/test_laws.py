@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import special
 
 from atoll.config import BudgetConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll.expression.operators import BY_NAME
@@ -92,6 +93,21 @@ def test_windows_that_differ_much_in_variance_decide_the_terms_of_a_state_in_bur
     law = Regression(form, wrong).law(wrong, is_tested=True)
     assert terms(law) == {"y", "x*y"}
     assert 0.7 < law.excess < 1.3
+
+
+def test_fitted_coefficients_are_no_degrees_of_freedom_of_what_a_law_leaves():
+    """Up to ten terms where one suffices: what they take away is no sign of errors that are smaller than measured."""
+    generator = np.random.default_rng(1)
+    times = np.linspace(0.0, 20.0, 400)
+    values = np.array([np.sin(times) + 0.3 * np.sin(2.3 * times), np.cos(times) + 0.69 * np.cos(2.3 * times)])
+    sizes = 0.02 * values.std(axis=1)
+    noisy = values + sizes[:, None] * generator.normal(size=values.shape)
+    form = weak_form(Measured(times, ((0, len(times)),), noisy, values, sizes), 0, 20)
+    for degree, count in ((1, 3), (2, 6), (3, 10)):
+        terms_of_it = [term for order in range(degree + 1) for term in products((0, 1), order)]
+        law = Regression(form, terms_of_it)._refitted(range(count), np.ones(len(form.sides)), is_tested=True)
+        freedom = form.independent - count
+        assert law.probability == pytest.approx(special.chdtrc(freedom, freedom * law.excess**2))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,5 @@
 import numpy as np
+from scipy import stats
 
 from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll.expression.evaluation import values_of
@@ -41,3 +42,17 @@ def test_equations_of_a_process_keep_to_bounds_and_have_the_variables_that_they_
     at = np.array([[0.0, 1.0, 2.0]])
     assert np.allclose(np.diff(values_of(drift, at)), -0.5, atol=1e-12)
     assert np.ptp(values_of(diffusion, at)) > 0.0
+
+
+def test_the_log_likelihood_of_a_step_is_that_of_its_density_also_on_trajectories_that_were_held_out() -> None:
+    """Two states whose steps are known exactly: the constant of the normal density is there once for each state."""
+    states = np.array([ornstein_uhlenbeck(240, 0.2, seed) for seed in (3, 4)])
+    decay, spread = np.exp(-0.2), 0.5 * np.sqrt((1.0 - np.exp(-0.4)) / 2.0)
+    exact = stats.norm.logpdf(states[:, 1:], decay * states[:, :-1], spread).sum(axis=0)
+    known = {"x": "-x", "y": "-y", "[x]": "0.25", "[y]": "0.25", "[x,y]": "0"}
+    config = JobConfig(data=DataConfig(stochastic=True, holdout=1), prior=PriorConfig(known=known))
+    columns = {"t": np.tile(0.2 * np.arange(120), 2), "x": states[0], "y": states[1]}
+    columns |= {"trajectory": np.repeat([1.0, 2.0], 120)}
+    process = refine_all(prepare(table_of(columns), config), config, {}).process
+    assert abs(process.log_likelihood - exact[:119].mean()) < 1e-5
+    assert abs(process.held_out - exact[120:].mean()) < 1e-5

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from atoll_coordinator.model.sparse.windows.rows import _weights, window_rows
+from atoll_coordinator.model.sparse.weak_form import Measured
+from atoll_coordinator.model.sparse.windows.rows import _weights, _windows, window_rows
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.sparse.windows.enzyme import NAMES, prepared
 
@@ -53,3 +54,27 @@ def test_errors_reach_the_neighbours_of_the_same_trajectory():
     errors = np.zeros(len(rows.first))
     errors[last] = -2.0
     assert np.flatnonzero(rows.spread(errors)).tolist() == [last - 1, last]
+
+
+def many_windows(runs, rows):
+    """Return the windows of so many trajectories of so many rows; the variable is the number of a row."""
+    numbers = np.arange(float(runs * rows))[None]
+    ranges = tuple((rows * run, rows * (run + 1)) for run in range(runs))
+    return _windows(Measured(numbers[0], ranges, numbers, numbers, np.zeros(1)), np.zeros(1), 0, 2)
+
+
+def test_so_many_windows_stand_for_all_and_begin_early_and_late():
+    found, rows = many_windows(5000, 20), 20
+    assert SETTINGS.windows.most <= len(found.first) < 2 * SETTINGS.windows.most
+    begins = found.inputs[0, found.first].astype(int)
+    assert set((begins % rows).tolist()) == set(range(0, 16, 2))
+    assert (begins // rows == found.owners).all()
+
+
+def test_terms_are_computed_on_no_more_rows_than_windows_have_however_long_the_table_is():
+    long, twice = many_windows(5000, 20), many_windows(10000, 20)
+    assert long.inputs.shape[1] <= 5 * len(long.first) < 5000 * 20
+    assert twice.inputs.shape[1] <= 5 * len(twice.first) < 2 * 5 * SETTINGS.windows.most
+    row_by_row = long.inputs[0, long.first[:, None] + np.arange(5)]
+    assert (np.diff(row_by_row, axis=1) == 1.0).all()
+    assert many_windows(100, 20).inputs.shape[1] == 100 * 20

@@ -1,0 +1,30 @@
+"""Some of many places, spread evenly and in step with nothing that recurs. Pure; whole numbers alone.
+
+Every n-th place would always be the same one of what recurs every n places, such as the first row of each trajectory.
+By a lattice (Korobov 1959) with a step near the golden section, every part of a range is met as often as any other, and
+neighbouring ranges are met in distant parts.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+_GOLDEN: Final = 0.618
+"""The golden section, the number that fractions are farthest from."""
+
+
+def lattice_step(count: int) -> int:
+    """Return the step whose multiples modulo `count` are all numbers below, neighbours being distant."""
+    steps = (step for step in range(1, count + 1) if math.gcd(step, count) == 1)
+    return min(steps, key=lambda step: abs(step - _GOLDEN * count))
+
+
+def thinned_places(places: int, most: int) -> npt.NDArray[np.int64]:
+    """Return about `most` of so many places, ascending, one of each of equal ranges; all of less than twice as many."""
+    width = places // most
+    if width < 2:
+        return np.arange(places, dtype=np.int64)
+    ranges = np.arange(places // width, dtype=np.int64)
+    return ranges * width + ranges * lattice_step(width) % width
