@@ -6,14 +6,15 @@ error at its end says what was waited for.
 
 import hashlib
 import json
+import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Final, TypeVar
 
 from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll.config import JobConfig
-from atoll.errors import AtollError, DataError, RefusedError, RemoteProtocolError, UnreachableError
+from atoll.errors import AtollError, DataError, RefusedError, RemoteProtocolError, TableMissingError, UnreachableError
 from atoll.wire import topics
 from atoll.wire.addresses import Destination
 from atoll.wire.bus.interface import Bus, Reply
@@ -27,8 +28,10 @@ from atoll.wire.messages.clients import (
     EventList,
     Failure,
     FailureKind,
+    FindJob,
     GetEvents,
     GetResult,
+    JobFound,
     JobList,
     Jobs,
     JobStatus,
@@ -41,20 +44,18 @@ from atoll.wire.messages.clients import (
     Workers,
 )
 from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
-from atoll.wire.messages.limits import CHUNK_SIZE
+from atoll.wire.messages.limits import CHUNK_LIMIT_S, CHUNK_SIZE, MAX_PAGE_JOBS, chunk_count
 from atoll.wire.messages.views import CoordinatorView, EventView, JobView, WorkerView
 
 ANSWER_LIMIT_S: Final = 10.0
 """How long any other question may remain without an answer."""
-
-CHUNK_LIMIT_S: Final = 120.0
-"""How long one chunk of an upload may take, on a slow line."""
 
 _TRIES: Final = 3
 _PAUSE_S: Final = 0.1
 _ERRORS: Final[dict[FailureKind, type[AtollError]]] = {
     "data": DataError,
     "unknown-job": RefusedError,
+    "no-table": TableMissingError,
     "refused": RefusedError,
     "too-early": RefusedError,
     "protocol": RefusedError,
@@ -62,7 +63,7 @@ _ERRORS: Final[dict[FailureKind, type[AtollError]]] = {
 }
 
 A = TypeVar("A")
-Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | Delete | GetEvents
+Body = Upload | Submit | Jobs | FindJob | Status | Workers | GetResult | Cancel | Delete | GetEvents
 
 
 class Client:
@@ -118,7 +119,7 @@ class Client:
         raise UnreachableError(self._no_greeting(limit_s, is_heard))
 
     def _no_greeting(self, limit_s: float, is_heard: bool) -> str:
-        silence = f"the coordinator at {self._address} did not answer within {limit_s:.0f} s (waited for its greeting)"
+        silence = f"the coordinator at {self._address} did not answer within {limit_s:.2g} s (waited for its greeting)"
         if is_heard:
             return (
                 f"{silence}, though it can be reached: access control on the way does probably not know the name "
@@ -127,21 +128,54 @@ class Client:
         return f"{silence}; check that it runs and that the address is right"
 
     def upload(self, data: bytes) -> str:
-        """Store `data` at the coordinator, chunk by chunk, unless it is there; return its digest."""
+        """Store `data` at the coordinator, chunk by chunk, until it says that none is missing; return its digest.
+
+        Raises:
+            RefusedError: it does not take them, or does not keep them.
+        """
         blob = hashlib.sha256(data).hexdigest()
         missing = self._ask(Upload(blob=blob, size=len(data)), Uploaded, "the upload of the data").missing
-        for index in missing:
-            self._upload_chunk(blob, data, index)
-        return blob
+        for _ in range(_TRIES * chunk_count(len(data))):
+            if not missing:
+                return blob
+            missing = self._upload_chunk(blob, data, missing[0])
+        raise RefusedError(
+            f"the coordinator at {self._address} does not keep what is uploaded: {len(missing)} of "
+            f"{chunk_count(len(data))} parts are still missing; see its log"
+        )
+
+    def hand_in(self, job: str, name: str, config: JobConfig, data: bytes, priority: int = 0) -> JobView:
+        """Upload `data` and submit a job on it, again where the table was deleted in between."""
+        for _ in range(_TRIES - 1):
+            with suppress(TableMissingError):
+                return self.submit(job, name, config, self.upload(data), priority)
+        return self.submit(job, name, config, self.upload(data), priority)
 
     def submit(self, job: str, name: str, config: JobConfig, table: str, priority: int = 0) -> JobView:
         """Submit a job under the id `job` on the uploaded table of that digest."""
         body = Submit(job=job, name=name[:200], config=config, table=table, priority=priority)
         return self._ask(body, JobStatus, f"the acceptance of job {job}").job
 
-    def jobs(self) -> tuple[JobView, ...]:
-        """Return all jobs, newest last."""
-        return self._ask(Jobs(), JobList, "the list of jobs").jobs
+    def jobs(self, prefix: str = "", *, is_open: bool = False, last: int | None = None) -> tuple[JobView, ...]:
+        """Return the jobs whose ids begin with `prefix`, newest last.
+
+        Args:
+            prefix: of the ids; all jobs have an empty one.
+            is_open: whether only those are wanted that have not ended.
+            last: how many, those that came last; None: all of them.
+        """
+        pages: list[tuple[JobView, ...]] = []
+        before, left = None, last
+        while left != 0 and (not prefix or topics.is_id(prefix)):
+            limit = MAX_PAGE_JOBS if left is None else min(left, MAX_PAGE_JOBS)
+            question = Jobs(prefix=prefix, is_open=is_open, before=before, limit=limit)
+            page = self._ask(question, JobList, "the list of jobs")
+            pages.append(page.jobs)
+            left = None if left is None else left - len(page.jobs)
+            if page.before is None:
+                break
+            before = page.before
+        return tuple(view for page in reversed(pages) for view in page)
 
     def status(self, job: str, limit_s: float = ANSWER_LIMIT_S) -> JobView:
         """Return how `job` is getting on."""
@@ -176,14 +210,11 @@ class Client:
 
     def resolve(self, prefix: str) -> str:
         """Return the id of the one job whose id is `prefix` or begins with it; raises RefusedError."""
-        known = [view.job for view in self.jobs()]
-        matches = [job for job in known if job == prefix] or [job for job in known if job.startswith(prefix)]
-        if len(matches) == 1:
-            return matches[0]
-        if matches:
-            raise RefusedError(f"{len(matches)} jobs begin with {prefix!r} ({_some(matches)}); write more of the id")
-        there = f"it has {_some(known)}" if known else "it has no job yet"
-        raise RefusedError(f"the coordinator at {self._address} has no job {prefix!r}; {there}")
+        if not topics.is_id(prefix):
+            raise RefusedError(
+                f"the coordinator at {self._address} has no job {prefix!r}: ids are 1 to 64 letters, digits, _ or -"
+            )
+        return self._ask(FindJob(prefix=prefix), JobFound, f"the id of job {prefix}").job
 
     def pause(self, seconds: float) -> None:
         """Let time pass on the bus."""
@@ -195,11 +226,12 @@ class Client:
         """Return the bus's monotonic seconds."""
         return self._bus.now()
 
-    def _upload_chunk(self, blob: str, data: bytes, index: int) -> None:
+    def _upload_chunk(self, blob: str, data: bytes, index: int) -> tuple[int, ...]:
+        """Upload one chunk; return which are missing then."""
         chunk = data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]
         sha256 = hashlib.sha256(chunk).hexdigest()
         body = Upload(blob=blob, size=len(data), index=index, sha256=sha256, data=chunk)
-        self._ask(body, Uploaded, f"the upload of part {index + 1} of the data", CHUNK_LIMIT_S)
+        return self._ask(body, Uploaded, f"the upload of part {index + 1} of the data", CHUNK_LIMIT_S).missing
 
     def _ask(self, body: Body, kind: type[A], what: str, limit_s: float = ANSWER_LIMIT_S) -> A:
         realm = self._realm or self.greet()
@@ -244,9 +276,10 @@ def connected(address: str | Destination, wait_s: float = 5.0) -> Iterator[Clien
     from atoll.wire.bus.zenoh_bus import open_client
 
     credentials = address.credentials if isinstance(address, Destination) else None
+    began = time.monotonic()
     with open_client(address, wait_s=wait_s) as bus:
         client = Client(bus, str(address), credentials.name if credentials is not None else "client")
-        client.greet(wait_s)
+        client.greet(max(wait_s - (time.monotonic() - began), _PAUSE_S))
         yield client
 
 
@@ -256,8 +289,3 @@ def _understood(read: Callable[[], A]) -> A:
         return read()
     except (RemoteProtocolError, ValueError) as error:
         raise RefusedError(f"the coordinator's answer was not understood ({error}); compare the versions") from error
-
-
-def _some(ids: list[str]) -> str:
-    shown = ", ".join(ids[-5:])
-    return shown if len(ids) <= 5 else f"{shown} and {len(ids) - 5} more"

@@ -27,6 +27,8 @@ class CheckSettings:
 
     min_rows: int = 5
     """Fewest rows of a trajectory that has a derivative, of a span, and of any search: a cubic and one to judge it."""
+    smallest: float = 1e-150
+    """Guard: numbers below this, or above its inverse, have no square that can be told from zero or infinity."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +249,7 @@ class WindowSettings:
     steps_in_half: int = 1
     """Wider windows begin so many in a half width."""
     most: int = 2_000
-    """Windows, about, beyond which they begin less often."""
+    """Windows, about, beyond which some stand for all."""
     largest_library: int = 45
     """Larger libraries are not eliminated: all products of two of eight variables. Windows take its square."""
     turns: int = 4

@@ -53,7 +53,7 @@ class _Site:
         first, _ = self._start("worker", "worker-1")
         second, finishing = self._start("worker", "worker-2")
         submitting = self._submit()
-        wait_until("both workers compute", lambda: job.is_under_way(self._machine, self._address, 2), job.LIMIT_S)
+        wait_until("both workers compute", lambda: job.is_under_way(self._machine, 2, self._address), job.LIMIT_S)
         before = job.computing(self._machine, self._address)
         killed = first.kill()
         third, added = self._start("worker", "worker-3")

@@ -46,23 +46,26 @@ def check_digest(machine: Machine, found: str) -> None:
         raise FailedError(f"the result has digest {found[:16]}, but {expected[:16]} was expected")
 
 
-def ask(machine: Machine, verb: str, address: str) -> list[dict[str, Any]]:
-    """Return what ``coordinator jobs`` or ``coordinator workers`` answers, nothing if no coordinator is there."""
-    done = machine.run(program("coordinator"), verb, "--connect", address, "--json", check=False)
+def ask(machine: Machine, verb: str, *where: str) -> list[dict[str, Any]]:
+    """Return what ``coordinator jobs`` or ``coordinator workers`` answers, nothing if no coordinator is there.
+
+    `where` is its address, and options that name certificates for it.
+    """
+    done = machine.run(program("coordinator"), verb, "--connect", *where, "--json", check=False)
     if done.returncode not in (0, UNREACHABLE):
         raise FailedError(f"coordinator {verb} ended with {done.returncode}: {done.stderr.strip()}")
     return list(json.loads(done.stdout)) if done.returncode == 0 else []
 
 
-def is_under_way(machine: Machine, address: str, workers: int) -> bool:
+def is_under_way(machine: Machine, workers: int, *where: str) -> bool:
     """Say whether the only job has come to epoch `EARLY` with so many workers computing; raises FailedError."""
-    jobs = ask(machine, "jobs", address)
+    jobs = ask(machine, "jobs", *where)
     if any(job["state"] not in ("queued", "preparing", "running") for job in jobs):
         raise FailedError("the job ended before a worker could be killed; give it more epochs")
     is_early = any(job["variables"] and min(each["epoch"] for each in job["variables"]) >= EARLY for job in jobs)
-    return is_early and len(computing(machine, address)) == workers
+    return is_early and len(computing(machine, *where)) == workers
 
 
-def computing(machine: Machine, address: str) -> list[str]:
+def computing(machine: Machine, *where: str) -> list[str]:
     """Return the names of the workers that have islands."""
-    return [each["worker"] for each in ask(machine, "workers", address) if each["islands"]]
+    return [each["worker"] for each in ask(machine, "workers", *where) if each["islands"]]

@@ -115,7 +115,9 @@ class _Slurm:
     def _is_under_way(self) -> bool:
         file = self._results / "address"
         lines = file.read_text("utf-8").split() if file.exists() else []
-        return bool(lines) and job.is_under_way(self._machine, lines[-1], self._cores)
+        tls = self._results / "tls"
+        files = [f"--tls-ca={tls}/authority.pem", f"--tls-cert={tls}/certificate.pem", f"--tls-key={tls}/key.key"]
+        return bool(lines) and job.is_under_way(self._machine, self._cores, lines[-1], *files)
 
     def _wait_for_end(self, number: str) -> str:
         """Return what a job printed when it has ended; raises FailedError unless it completed."""

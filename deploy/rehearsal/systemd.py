@@ -63,7 +63,7 @@ class _Box:
             "--connect", self._address, "--out", str(out),
         )  # fmt: skip
         cores = len(os.sched_getaffinity(0))
-        wait_until("workers compute", lambda: job.is_under_way(self._machine, self._address, cores), job.LIMIT_S)
+        wait_until("workers compute", lambda: job.is_under_way(self._machine, cores, self._address), job.LIMIT_S)
         before = job.computing(self._machine, self._address)
         self._systemctl("kill", "--signal=KILL", WORKERS)
         wait_until(
@@ -128,7 +128,7 @@ class _Box:
         return self._machine.run(*enter, "systemctl", *words, check=check).stdout.strip()
 
     def _answers(self) -> bool:
-        done = self._machine.run(job.program("coordinator"), "jobs", "--connect", self._address, check=False)
+        done = self._machine.run(job.program("coordinator"), "ping", "--connect", self._address, check=False)
         return done.returncode == 0
 
     def _expect(self, unit: str, name: str, expected: str) -> None:

@@ -183,10 +183,12 @@ class Worker:
     @_on.register
     def _on_reply(self, event: Reply) -> None:
         request = self._requests.pop(event.token)
+        if event.payload is not None and request is not None and request.question != "pull":
+            self._connection.coordinator_heard()
         match request:
             case Request("hello"):
-                self._on_greeting_answer(request.subject, event.payload)
-            case Request("enquiry") if event.payload is not None:
+                self._on_greeting_answer(request, event.payload)
+            case Request("enquiry"):
                 self._connection.handle_enquiry(event.payload)
             case Request("job"):
                 self._datasets.announcement_came(request.subject, event.payload)
@@ -206,11 +208,13 @@ class Worker:
     # -------------------------------------------------------------------------------------- coordinator
 
     def _on_control(self, body: messages.ControlBody) -> None:
+        self._connection.coordinator_heard()
         match body:
             case messages.JobAnnouncement():
                 self._datasets.announced(body)
             case messages.Placements():
                 for placement in body.placements:
+                    self._connection.incarnation_heard(placement.incarnation)
                     self._handle(placement)
             case messages.Commit() | messages.Close():
                 self._handle(body)
@@ -222,9 +226,9 @@ class Worker:
             case messages.Introduce():
                 self._connection.greet()
 
-    def _on_greeting_answer(self, fingerprint: str, payload: bytes | None) -> None:
+    def _on_greeting_answer(self, request: Request, payload: bytes | None) -> None:
         """Handle the answer to a greeting: what a former coordinator had placed here is void."""
-        reset = self._connection.handle_answer(fingerprint, payload)
+        reset = self._connection.handle_answer(request.subject, payload, request.index)
         if reset is not None:
             self._handle(reset)
             for job in self._datasets.jobs():

@@ -5,8 +5,12 @@ import sys
 from pathlib import Path
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig, PredictorConfig
+from atoll.expression.text.infix import to_infix
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
+from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.model.refinement import Law, Pool
+from atoll_coordinator.model.sparse.laws import find_all_laws, laws_among_many, settled_variables
 from atoll_coordinator.service.jobs.defaults import resolve
 from tests.archipelago import search_all
 
@@ -20,16 +24,37 @@ CONFIG = JobConfig(
 
 
 def answer(path: Path) -> dict[str, object]:
-    """Return the digest of the prepared data, and all digests, errors and counters of two epochs of two islands."""
-    dataset = prepare(read_table([path], CONFIG.data), CONFIG).dataset
-    searches = search_all(dataset, resolve(CONFIG, dataset), epochs=2)
+    """Return the digest of the prepared data, all digests, errors and counters of two epochs of two islands, the laws
+    by regression with the bits of all their numbers, which searches end soon by these, and what refining shows.
+    """
+    preparation = prepare(read_table([path], CONFIG.data), CONFIG)
+    dataset, config = preparation.dataset, resolve(CONFIG, preparation.dataset)
+    searches = search_all(dataset, config, epochs=2)
+    pools = {name: Pool(search.front) for name, search in zip(dataset.variables, searches, strict=True)}
+    refinement = refine_all(preparation, config, pools)
+    plain = config.model_copy(update={"budget": BudgetConfig()})
     return {
+        "laws": {name: [bits(law) for law in laws] for name, laws in find_all_laws(preparation, config, {}).items()},
+        "settled": sorted(settled_variables(preparation, plain, laws_among_many(preparation, plain))),
+        "shown": {
+            name: {
+                "expression": to_infix(its.program, dataset.names),
+                "verdict": its.grade,
+                "constants": [(each.fitted, each.std_error) for each in its.constants],
+            }
+            for name, its in refinement.equations.items()
+        },
         "dataset": dataset.digest,
         "noise": [target.noise.hex() for target in dataset.targets],
         "islands": [search.digests for search in searches],
         "fronts": [[(entry.error.hex(), entry.program.hex()) for entry in search.front] for search in searches],
         "evaluations": [dict(outcome.evaluations) for search in searches for outcome in search.outcomes],
     }
+
+
+def bits(law: Law) -> list[str]:
+    """Return a law with the bits of its numbers."""
+    return [law.program.to_bytes().hex(), law.nats.hex(), law.excess.hex()]
 
 
 if __name__ == "__main__":

@@ -23,7 +23,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     The worker is a process that does nothing: no search begins on bad data.
     """
     idle = [sys.executable, "-S", "-c", "import signal; signal.pause()"]
-    monkeypatch.setattr(local, "supervisor_command", lambda endpoint, number: idle)
+    endpoints: list[str] = []
+    monkeypatch.setattr(local, "supervisor_command", lambda endpoint, number: (endpoints.append(endpoint), idle)[1])
     monkeypatch.chdir(tmp_path)
 
     def run(text: str | None, *options: str) -> str:
@@ -36,6 +37,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
         sentences = [line for line in printed.err.splitlines() if line.startswith("coordinator: ")]
         assert len(sentences) == 1
         assert not (tmp_path / "out").exists()
+        assert endpoints.pop().startswith("unixsock-stream/")  # which other users of this machine cannot reach
         return sentences[0]
 
     return run

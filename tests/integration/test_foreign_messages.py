@@ -1,16 +1,19 @@
 """On a real router: strangers' messages are counted, and the answer is that of the undisturbed run."""
 
+import contextlib
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll.wire import topics
-from atoll.wire.bus.zenoh_bus import open_client, open_router
+from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from atoll_coordinator.client import Client
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_island_worker.worker import Worker
+from benchmarks.operations.fuzz import Mutator, Score, is_understood, key_for, overhear
 from tests.simulation.harness.simulated_cluster import World, comparable, prepare
 from tests.simulation.harness.stub_islands import StubCompute
 from tests.simulation.test_failures import nonsense
@@ -36,8 +39,9 @@ def work(endpoint: str, name: str, made: list[Worker]) -> None:
         worker.run()
 
 
-def test_foreign_messages_change_nothing_on_a_real_router() -> None:
-    expected = comparable(World(workers=1, seed=1).run(CONFIG))
+@contextlib.contextmanager
+def served() -> Iterator[tuple[Service, Client, ZenohBus, list[Worker]]]:
+    """Have a coordinator and two workers at work; yield it, a client, a stranger's bus, and the workers."""
     stop, made = threading.Event(), list[Worker]()
     with Store.open(None) as store, open_router("tcp/127.0.0.1:0") as router:
         ports = Ports(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
@@ -50,19 +54,67 @@ def test_foreign_messages_change_nothing_on_a_real_router() -> None:
             with open_client(router.endpoint, wait_s=LIMIT_S) as stranger, open_client(router.endpoint) as bus:
                 client = Client(bus, router.endpoint)
                 wait_until(lambda: sum(view.state == "ready" for view in client.workers()) == 2, client)
-                send_nonsense(stranger.put, store.realm)
-                # three of four on each key: the router itself drops what is too large
-                wait_until(lambda: all(worker.rejects.total >= 3 for worker in made), client)
-                wait_until(lambda: service.rejects.total >= 6, client)
-                client.submit("job", "", CONFIG, client.upload(b"x,y"))
-                wait_until(lambda: client.status("job").state == "done", client)
-                assert comparable(client.result("job")) == expected
+                yield service, client, stranger, made
         finally:
             stop.set()
             for thread in threads:
                 thread.join(LIMIT_S)
     assert [worker.exit_code for worker in made] == [0, 0]
-    assert topics.worker(store.realm, "w0", "report") in service.rejects.counts
+
+
+def test_foreign_messages_change_nothing_on_a_real_router() -> None:
+    expected = comparable(World(workers=1, seed=1).run(CONFIG))
+    with served() as (service, client, stranger, made):
+        realm = client.welcome.realm
+        send_nonsense(stranger.put, realm)
+        # three of four on each key: the router itself drops what is too large
+        wait_until(lambda: all(worker.rejects.total >= 3 for worker in made), client)
+        wait_until(lambda: service.rejects.total >= 6, client)
+        client.submit("job", "", CONFIG, client.upload(b"x,y"))
+        wait_until(lambda: client.status("job").state == "done", client)
+        assert comparable(client.result("job")) == expected
+    assert topics.worker(realm, "w0", "report") in service.rejects.counts
+
+
+def test_garbage_on_every_key_while_a_job_runs_changes_nothing() -> None:
+    """Mutated messages where true ones go, and what no participant says: at many keys at once, deletions, names."""
+    config = CONFIG.model_copy(update={"budget": BudgetConfig(max_epochs=150, stagnation=1000)})
+    expected = comparable(World(workers=1, seed=1).run(config))
+    messages, mutator, score = overhear(), Mutator(3), Score()
+    said: Counter[str] = Counter()
+    with served() as (service, client, stranger, _):
+        realm = client.welcome.realm
+        client.submit("job", "", config, client.upload(b"x,y"))
+        while client.status("job").state != "done":
+            assert said.total() < 100_000, "the job does not end"
+            for message in messages:
+                payload = mutator.mutate(message.payload)
+                key = key_for(message, realm, is_understood(message, payload, score), mutator)
+                if key is not None:
+                    said[message.kind.__name__] += 1
+                    (stranger.get if message.is_question else stranger.put)(key, payload)
+            for odd in odd_sayings(stranger, realm):
+                said[odd] += 1
+        assert comparable(client.result("job")) == expected
+        client.submit("another", "", CONFIG, client.upload(b"x,y"))
+        wait_until(lambda: client.status("another").state == "done", client)
+        assert service.controller.breakages.total == 0
+        assert service.rejects.total > 0
+    assert {"Ask", "EpochReport", "Greeting", "Mail", "Pull", "WorkerStatus"} <= said.keys()
+
+
+def odd_sayings(stranger: ZenohBus, realm: str) -> Iterator[str]:
+    """Say what no participant of ours can say by its bus; yield names of it."""
+    session = stranger._session
+    for key in ("atoll/**", f"atoll/{realm}/**", f"atoll/{realm}/worker/*/report", topics.all_clients(realm)):
+        session.put(key, b"\xc1")
+        session.delete(key)
+        session.get(key, lambda _: None, payload=b"\xc1")
+        yield "everywhere"
+    for name in ("é", "x" * 300, "w0", "a b", "-"):
+        session.liveliness().declare_token(f"atoll/{realm}/worker/{name}/alive").undeclare()
+        session.put(f"atoll/{realm}/worker/{name}/status", b"", attachment=b"x" * 99)
+        yield "names"
 
 
 def send_nonsense(put: Callable[[str, bytes], None], realm: str) -> None:

@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from atoll.errors import RefusedError
 from atoll.wire.addresses import bindable, parse_address
 from atoll_coordinator.client import connected
 from atoll_coordinator.data.reading.files import read_table
-from tests.programs import LIMIT_S, all_gone, children, done, serving, started, until
+from tests.programs import LIMIT_S, ROOT, all_gone, children, done, environment, serving, started, until
 
 SEARCH = ["--derivatives", "dx,dy", "--seed", "3", "--islands", "3", "--target-error", "1e-300", "--max-epochs", "4"]
 
@@ -216,3 +217,45 @@ def test_a_job_through_two_routers_one_of_which_is_killed_under_way_has_the_same
     log = (place / "coordinator.log").read_text()
     assert "router link up=False" in log
     assert "worker lost" not in log
+
+
+SRUN = """#!/bin/bash
+while [[ $1 == --* ]]; do shift; done
+echo $$ >"$ATOLL_DIR/step"
+exec "$@"
+"""
+"""Stands for Slurm's own: runs the command of a step here, and `SCANCEL` signals it."""
+
+SCANCEL = '#!/bin/bash\nkill -USR1 "$(cat "$ATOLL_DIR/step")"\n'
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_a_slurm_job_has_the_digest_and_lets_nobody_else_in(place: Path, digest: str) -> None:
+    """Only Slurm is a stand-in: openssl makes the certificates, with which coordinator, worker and client meet."""
+    programs, folder = place / "bin", place / "slurm"
+    programs.mkdir()
+    ours = {
+        name: f'#!/bin/bash\nexec {sys.executable} -m {module} "$@"\n'
+        for name, module in {"coordinator": "atoll_coordinator", "island-worker": "atoll_island_worker"}.items()
+    }
+    for name, text in {**ours, "srun": SRUN, "scancel": SCANCEL}.items():
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+    surroundings = {
+        **environment(), "PATH": f"{programs}:{os.environ['PATH']}", "ATOLL_DIR": str(folder), "SLURM_JOB_ID": "7",
+        "SLURM_CPUS_PER_TASK": "1",
+    }  # fmt: skip
+    script = ["bash", str(ROOT / "deploy/slurm/atoll.sbatch"), "data.csv", *SEARCH]
+    with subprocess.Popen(script, cwd=place, env=surroundings, stdout=subprocess.DEVNULL, text=True) as job:
+        try:
+            until(lambda: (folder / "address").exists() or job.poll() is not None)
+            address = (folder / "address").read_text().split()[-1]
+            assert address.startswith("tls/")
+            stranger = done(place, "coordinator", "jobs", "--connect", address.replace("tls/", "tcp/"))
+            assert stranger.returncode == 2, stranger.stderr
+            assert "asks for TLS" in stranger.stderr
+            assert job.wait(LIMIT_S) == 4
+        finally:
+            job.kill()
+    assert json.loads((folder / "result" / "result.json").read_text())["digest"] == digest

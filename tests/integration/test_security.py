@@ -295,6 +295,12 @@ def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
             thread.join(LIMIT_S)
 
 
+def test_the_coordinators_own_certificate_is_enough_for_a_probe(lab: Lab, roster: Roster) -> None:
+    with served(lab, roster) as (_, router):
+        address = str(dialling(router, load(*lab.files("coordinator"), use="connect")))
+        assert main(["ping", "--connect", address, *lab.options("coordinator"), "--wait", "20"]) == 0
+
+
 def test_jobs_are_read_by_every_submitter_and_cancelled_by_their_own_or_an_admin(lab: Lab, roster: Roster) -> None:
     with served(lab, roster) as (_, router), contextlib.ExitStack() as stack:
         if True:

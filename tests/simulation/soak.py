@@ -1,4 +1,4 @@
-"""Many schedules of faults, on all cores, and the story of a single one.
+"""Many schedules of faults and guests, on all cores, and the story of a single one.
 
 ``python -m tests.simulation.soak --schedules 10000`` plays the schedules of seeds 0 to 9999 in child processes, each
 with another PYTHONHASHSEED, and prints what struck how often and which seeds failed. One schedule in a hundred has real
@@ -41,6 +41,7 @@ class Tally:
     schedules: int = 0
     real: int = 0
     jobs: int = 0
+    guests: int = 0
     cancelled: int = 0
     cpu_s: float = 0.0
     virtual_s: float = 0.0
@@ -54,6 +55,7 @@ class Tally:
         self.schedules += 1
         self.real += is_real(schedule.seed)
         self.jobs += len(schedule.jobs)
+        self.guests += len(schedule.guests)
         self.cancelled += sum(job.cancel_s is not None for job in schedule.jobs)
         self.cpu_s += cpu_s
         self.virtual_s += outcome.seconds
@@ -63,7 +65,7 @@ class Tally:
             self.failed[schedule.seed] = outcome.wrong[0][:300]
 
     def add(self, other: "Tally") -> None:
-        for name in ("schedules", "real", "jobs", "cancelled", "cpu_s", "virtual_s"):
+        for name in ("schedules", "real", "jobs", "guests", "cancelled", "cpu_s", "virtual_s"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.struck += other.struck
         self.faults += other.faults
@@ -85,7 +87,7 @@ class Tally:
         each = max(self.schedules, 1)
         lines = [
             f"{self.schedules} schedules ({self.real} with real islands), {self.jobs} jobs of which {self.cancelled} "
-            f"to be cancelled: {len(self.failed)} failed",
+            f"to be cancelled, {self.guests} guests: {len(self.failed)} failed",
             f"{self.struck.total()} faults, {self.struck.total() / each:.1f} a schedule; {self.cpu_s / each:.3f} s of "
             f"CPU and {self.virtual_s / each:.0f} s of virtual time a schedule",
             "faults a schedule: " + ", ".join(f"{count}: {self.faults[count]}" for count in sorted(self.faults)),

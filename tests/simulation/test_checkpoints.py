@@ -1,5 +1,7 @@
 """Checkpoints: what was committed is never computed again, and whatever happens to one, the answer is the same."""
 
+import contextlib
+import sqlite3
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -9,7 +11,7 @@ import pytest
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll.errors import RemoteProtocolError, StoreError
 from atoll.wire import topics
-from atoll.wire.bus.interface import Event, Message
+from atoll.wire.bus.interface import Event, Message, Query
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.workers import Close, Control, Placements, WorkerStatus
 from atoll_coordinator.service.store.store import Store
@@ -243,6 +245,54 @@ def test_checkpoints_of_another_engine_fail_the_job(
     assert "engine revision" in (lasting.finish().reason or "")
 
 
+@pytest.mark.parametrize("column", ["checkpoints SET progress", "archipelagos SET cut"])
+def test_a_search_that_another_version_stored_ends_its_job_and_blocks_no_other(
+    lasting: World, tmp_path: Path, column: str
+) -> None:
+    lasting.submit(config())
+    lasting.client.pause(2.5)
+    assert lasting.store.checkpoints("job")
+    lasting.store._connection.execute(f"UPDATE {column} = x'81a3636f6c6f72a3726564'")  # {"color": "red"}
+    restart(lasting, tmp_path)
+    lasting.submit(config(), job="other")
+    view = lasting.finish()
+    assert view.state == "failed"
+    assert "what the store keeps of its search is not understood by version" in (view.reason or "")
+    assert lasting.finish("other").state == "done"
+
+
+BEFORE = Path(__file__).with_name("store_of_engine_6.sql")
+"""A job that has ended, a cancelled one, one in the midst of its search, two that have hardly begun, an upload."""
+
+
+def test_a_whole_store_of_the_version_before_is_served_over_restarts(lasting: World, tmp_path: Path) -> None:
+    """What has ended is shown, what can be searched is, and what cannot go on says why; nothing stands in the way."""
+    lasting.network.crash("coordinator")
+    lasting.store.close()
+    (tmp_path / "atoll.sqlite3").unlink()
+    with contextlib.closing(sqlite3.connect(tmp_path / "atoll.sqlite3")) as connection:
+        connection.executescript(BEFORE.read_text("utf-8"))
+    lasting.store = Store.open(tmp_path)
+    lasting.service = lasting.start_service()
+    for new in ("new", "newer"):
+        lasting.submit(config(9, max_epochs=3), job=new)
+        assert lasting.finish(new).state == "done"
+        restart(lasting, tmp_path)
+        views = {view.job: view for view in lasting.client.jobs()}
+        states = {job: view.state for job, view in views.items() if not job.startswith("new")}
+        assert states == {
+            "ended": "done", "searched": "failed", "cancelled": "cancelled", "queued": "done", "queued-too": "done",
+        }  # fmt: skip
+        assert "begun by engine revision 6" in (views["searched"].reason or "")
+        assert [each.expression is not None for each in views["ended"].variables] == [True, True]
+        assert lasting.result("ended")["state"] == "done"
+        assert [each.event for each in lasting.client.events("ended")[-1:]] == ["done"]
+    assert lasting.service.controller.breakages.total == 0
+    for job in views:
+        lasting.client.delete(job)
+    assert lasting.client.jobs() == ()
+
+
 def test_a_full_disk_ends_the_coordinator_with_a_sentence(
     lasting: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -259,7 +309,7 @@ def test_a_full_disk_ends_the_coordinator_with_a_sentence(
 
 
 @pytest.mark.parametrize("error", [RemoteProtocolError("a state is too long"), ZeroDivisionError("a mistake")])
-def test_any_other_error_while_a_checkpoint_is_written_ends_the_coordinator(
+def test_any_other_error_while_a_checkpoint_is_written_ends_the_job_and_no_other(
     lasting: World, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     """Also one that would be a peer's mistake if a message had caused it."""
@@ -269,9 +319,12 @@ def test_any_other_error_while_a_checkpoint_is_written_ends_the_coordinator(
 
     lasting.submit(config())
     monkeypatch.setattr(lasting.store, "commit_checkpoint", fail)
-    with pytest.raises(RuntimeError, match="a checkpoint could not be written") as caught:
-        lasting.finish()
-    assert caught.value.__cause__ is error
+    view = lasting.finish()
+    assert view.state == "failed"
+    assert f"committing a checkpoint broke ({type(error).__name__}: {error})" in (view.reason or "")
+    monkeypatch.undo()
+    lasting.submit(config(), job="other")
+    assert lasting.finish("other").state == "done"
 
 
 def test_a_coordinator_whose_worker_heard_of_a_later_one_asks_its_store(lasting: World) -> None:
@@ -357,7 +410,10 @@ def test_a_worker_that_is_not_let_go_ends_when_its_grace_is_over() -> None:
     world = world_of(workers=1)
     world.submit(config(max_epochs=10_000))
     world.network.run(world.network.now + 2.0)
-    world.network._buses["coordinator"].handle_with(lambda event: None)
+    coordinator = world.service  # it is there and answers questions, but no message reaches it
+    world.network._buses["coordinator"].handle_with(
+        lambda event: coordinator.step(event) if isinstance(event, Query) else None
+    )
     world.workers["w0"].leave()
     world.network.run(world.network.now + 29.0)
     assert world.workers["w0"].exit_code is None

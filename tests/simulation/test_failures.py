@@ -18,6 +18,8 @@ from atoll.wire.messages.workers import (
     Control,
     EpochReport,
     Finished,
+    Holding,
+    IslandFailure,
     IslandReport,
     Mail,
     Migrants,
@@ -28,6 +30,7 @@ from atoll_coordinator.service.store.store import Store
 from tests.placements import placements_in
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
+from tests.simulation.harness.stub_islands import OURS
 
 BLOB = "0" * 64
 
@@ -85,6 +88,7 @@ def test_an_island_that_breaks_fails_its_job_with_its_reason() -> None:
     assert view.state == "failed"
     assert view.fault == "internal"
     assert "broke as it was told to" in (view.reason or "")
+    assert all(each in (view.reason or "") for each in ("please report it with this sentence", "seed 1", "the data"))
 
 
 def test_two_workers_that_disagree_fail_the_job_as_diverged_and_are_both_named() -> None:
@@ -121,27 +125,69 @@ def test_a_second_worker_of_the_same_name_is_refused_and_told_which_option_to_us
     assert first.exit_code is None
 
 
-def test_a_worker_with_other_kernels_is_refused_before_it_gets_islands() -> None:
-    world = World(workers=1)
-    world.network.run(1.0)
+def test_a_worker_with_other_kernels_is_refused_even_when_it_comes_first() -> None:
+    world = World(workers=0)
     other = world.start_worker("other", fingerprint="different")
+    world.network.run(2.0)
+    right = world.start_worker("right")
     world.submit(config())
-    world.finish()
+    assert world.finish().state == "done"
     assert other.exit_code == 2
-    assert "stub" in str(other.error)
+    assert OURS in str(other.error)
     assert "different" in str(other.error)
+    assert right.exit_code is None
 
 
-def test_a_worker_leaves_when_the_coordinator_stays_away_for_too_long() -> None:
-    world = World(workers=1)
+def test_no_worker_fails_what_is_placed_on_another() -> None:
+    """`bystander` is ready, and says under the right term that islands failed, and that it holds some."""
+    world = World(workers=1, slowness=30.0)
+    world.submit(config())
+    world.network.run(world.network.now + 1.0)
+    bystander = world.network.bus("bystander")
+    controller = world.service.controller
+    hello = Hello(
+        role="worker", name="bystander", instance="b", protocol=PROTOCOL_VERSION, version=VERSION,
+        engine=ENGINE_REVISION, fingerprint=OURS,
+    )  # fmt: skip
+    assert controller.workers.register(hello, world.network.now) is None
+    placement = controller.jobs["job"].archipelagos["x"].placement
+    assert placement is not None
+    place = {"job": "job", "variable": "x", "term": placement.term}
+    failure = IslandFailure(**place, island=0, sentence="planted")
+    holding = Holding(**place, islands=1, reported=3, commit=0)
+    before = world.service.rejects.total
+    for claim in ({"failures": (failure,)}, {"holdings": (holding,)}):
+        status = WorkerStatus(instance="b", incarnation=world.store.incarnation, state="computing", progress=1, **claim)
+        bystander.put(topics.worker(world.store.realm, "bystander", "status"), encode(status))
+        world.network.run(world.network.now + 0.5)
+    assert world.service.rejects.total == before + 2
+    assert world.finish().state == "done"
+
+
+@pytest.mark.parametrize("has_own_router", [False, True])
+def test_a_worker_leaves_when_the_coordinator_stays_away_for_too_long(has_own_router: bool) -> None:
+    world = World(workers=1, has_own_router=has_own_router)
     world.network.run(2.0)
     worker = world.workers["w0"]
     world.network.crash("coordinator")
     world.network.run(30.0)
     assert worker.exit_code is None
-    world.network.run(70.0)
+    world.network.run(100.0)
     assert worker.exit_code == 3
     assert "has not answered" in str(worker.error)
+
+
+def test_a_worker_without_work_stays_as_long_as_the_coordinator_behind_a_router() -> None:
+    world = World(workers=1, has_own_router=True)
+    world.network.run(300.0)
+    assert world.workers["w0"].exit_code is None
+    world.network.crash("coordinator")
+    world.network.run(340.0)
+    world.service = world.start_service()
+    world.network.run(500.0)
+    assert world.workers["w0"].exit_code is None
+    world.submit(config())
+    assert world.finish().state == "done"
 
 
 def test_a_worker_ends_with_0_when_the_coordinator_says_it_ends() -> None:

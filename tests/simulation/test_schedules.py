@@ -1,28 +1,45 @@
 """Whatever a schedule of faults does, every job ends with the calm run's answer, and nothing is left of it."""
 
+import contextlib
 import os
+import sqlite3
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
+from inspect import isfunction, signature
 from typing import get_args
 
 import pytest
 
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.retention import Retention
+from atoll_coordinator.service.store.schema import _prepare
+from atoll_coordinator.service.store.store import Store
 from tests.simulation.bus.faults import Plan
+from tests.simulation.harness.guests import Guest
 from tests.simulation.harness.participants import Cast
-from tests.simulation.harness.schedule import Fault, JobPlan, Kind, Schedule, job_config, schedule_of
+from tests.simulation.harness.schedule import (
+    Fault,
+    GuestKind,
+    GuestPlan,
+    JobPlan,
+    Kind,
+    Schedule,
+    job_config,
+    schedule_of,
+)
 from tests.simulation.harness.schedule_run import Outcome, ScheduleRun, calm_schedule
 from tests.simulation.harness.shrink import shrunk
-from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk
+from tests.simulation.harness.simulated_disk import READS, CoordinatorDied, Disk
 from tests.simulation.harness.stub_islands import StubCompute
 from tests.simulation.soak import ROOT, Tally, chunks, is_real, play
 
-SEEDS = 40
+SEEDS = 20
 """The first ones of those that ``make soak`` plays."""
 
-BLOCK = 20
+BLOCK = 10
 REAL = (99, 199)
 
 
@@ -114,7 +131,7 @@ def test_what_breaks_a_rule_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_kind_of_fault_strikes_and_is_undone(kind: Kind) -> None:
     needs_router = kind in ("kill-router", "hang-router", "cut-coordinator")
     fault = Fault(0.9, kind, "late0" if kind == "join" else "w1", 3.0, 2.0 if "die" in kind else 0.3)
-    schedule = replace(disturbed(fault), has_own_router=needs_router)
+    schedule = replace(disturbed(fault), has_own_router=needs_router, is_hurried=kind == "old-store")
     outcome = play(schedule)
     assert not outcome.wrong, told(outcome)
     assert outcome.struck == Counter([kind])
@@ -128,12 +145,60 @@ def test_the_coordinator_may_die_at_any_commit(kind: Kind, commit: int) -> None:
     assert any("dies at commit" in line for line in outcome.story)
 
 
+def test_a_job_that_a_full_disk_refuses_is_taken_once_there_is_room() -> None:
+    """Who submits is told why it cannot be, and tries again; the job ends as if nothing had happened."""
+    outcome = play(disturbed(Fault(1.0, "full-disk", "", 3.0), jobs=(JobPlan(0, submit_s=1.0), JobPlan(1))))
+    assert not outcome.wrong, told(outcome)
+    (submitted,) = [line for line in outcome.story if "job-0 is submitted" in line]
+    assert float(submitted.split()[0]) > 4.0
+
+
 @pytest.mark.parametrize("kind", ["die-before-commit", "die-after-commit"])
 @pytest.mark.parametrize("commit", range(1, 5))
 def test_a_cancellation_that_dies_half_way_is_whole_or_has_not_been(kind: Kind, commit: int) -> None:
     jobs = (JobPlan(4, cancel_s=2.0), JobPlan(5))
     outcome = play(disturbed(Fault(2.0, kind, "", 1.0, float(commit)), jobs=jobs))
     assert not outcome.wrong, told(outcome)
+
+
+# ------------------------------------------------------------------------------------------------ guests
+
+
+def visited(*kinds: GuestKind, for_s: float = 1.0) -> Schedule:
+    """Return a schedule of one job, to whose coordinator such guests come."""
+    guests = tuple(GuestPlan(0.3 * number, f"guest{number}", kind, 4, for_s, 3) for number, kind in enumerate(kinds))
+    return replace(disturbed(), guests=guests)
+
+
+@pytest.mark.parametrize("kind", get_args(GuestKind))
+def test_no_guest_costs_anybody_a_result_or_waits_for_ever(kind: GuestKind) -> None:
+    outcome = play(visited(kind, kind))
+    assert not outcome.wrong, told(outcome)
+
+
+def test_a_result_that_goes_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A store without room deletes the jobs that have ended."""
+    monkeypatch.setattr("tests.simulation.harness.participants.RETENTION", Retention(size_bytes=0))
+    outcome = play(replace(visited("asks-everything"), is_hurried=True))
+    assert any("job-0 is gone" in each for each in outcome.wrong), told(outcome)
+
+
+def test_a_guest_without_an_answer_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def misled(self: Guest) -> Iterator[float]:
+        self._realm = "elsewhere"
+        yield 0.1
+
+    monkeypatch.setattr(Guest, "greet", misled)
+    outcome = play(replace(visited("asks-everything"), jobs=(), horizon_s=0.1))
+    assert any("got no answer" in each for each in outcome.wrong), told(outcome)
+
+
+def test_what_breaks_is_found_although_it_ends_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: object) -> None:
+        raise ZeroDivisionError("planted")
+
+    monkeypatch.setattr("atoll_coordinator.service.monitoring.event_log.EventLog.flush", broken)
+    assert "something broke in the coordinator" in play(disturbed()).wrong
 
 
 # -------------------------------------------------------------------------------------- schedules, disk
@@ -143,6 +208,8 @@ def test_schedules_are_drawn_from_their_seeds_and_know_all_kinds() -> None:
     assert schedule_of(3) == schedule_of(3)
     schedules = [schedule_of(seed) for seed in range(400)]
     assert {fault.kind for each in schedules for fault in each.faults} == set(get_args(Kind))
+    assert {guest.kind for each in schedules for guest in each.guests} == set(get_args(GuestKind))
+    assert all(str(guest) in each.story() for each in schedules for guest in each.guests)
     assert {len(each.jobs) for each in schedules} == {1, 2, 3}
     for each in schedules:
         times = [fault.at_s for fault in each.faults]
@@ -172,6 +239,31 @@ def test_a_disk_keeps_what_was_committed_and_counts_incarnations() -> None:
     assert [job.id for job in disk.open(spent.append).jobs()] == ["a", "c"]
     assert spent == [0.5, 0.5]
     disk.close()
+
+
+@pytest.mark.parametrize("name", sorted(READS))
+def test_what_reads_the_store_needs_no_room(name: str) -> None:
+    """One wrongly among READS would hide that a full disk ends the coordinator."""
+    connection = sqlite3.connect(":memory:", isolation_level=None)
+    _prepare(connection, None)
+    store = Store(connection, None, None)
+    store.add_job(JobRecord("a", "", "{}", "", ""))
+    writes = (sqlite3.SQLITE_INSERT, sqlite3.SQLITE_UPDATE, sqlite3.SQLITE_DELETE)
+    connection.set_authorizer(lambda action, *_: sqlite3.SQLITE_DENY if action in writes else sqlite3.SQLITE_OK)
+    known: dict[str, object] = {"job": "a", "digest": "", "prefix": "", "island": 0}
+    needed = [each.name for each in signature(getattr(store, name)).parameters.values() if each.default is each.empty]
+    with contextlib.suppress(KeyError):  # there is no such blob and no such state
+        getattr(store, name)(**{each: known.get(each, 1) for each in needed})
+    connection.close()
+
+
+def test_whatever_else_the_store_does_needs_room() -> None:
+    public = {name for name, each in vars(Store).items() if not name.startswith("_") and isfunction(each)}
+    assert public - READS == {
+        "keep_served", "add_job", "update_job", "begin_search", "commit_result", "delete_job", "begin_terms",
+        "commit_cuts", "add_deaths", "take_back_deaths", "add_events", "commit_checkpoint", "put_blob", "put_chunk",
+        "delete_unused_blobs",
+    }  # fmt: skip
 
 
 # ------------------------------------------------------------------------------------- shrinking, tallies

@@ -82,7 +82,7 @@ def test_compose_starts_a_coordinator_that_others_can_reach(compose: dict[str, A
 def test_compose_asks_the_coordinator_whether_it_answers(compose: dict[str, Any]) -> None:
     mark, *command = compose["services"]["coordinator"]["healthcheck"]["test"]
     assert mark == "CMD"
-    assert parsed(command).verb == "jobs"
+    assert parsed(command).verb == "ping"
     assert compose["services"]["worker"]["depends_on"] == {"coordinator": {"condition": "service_healthy"}}
 
 

@@ -28,7 +28,9 @@ CONNECT_LIMIT_S: Final = 20.0
 CANCEL_LIMIT_S: Final = 10.0
 _REPEATABLE: Final = ("angle", "operators", "allow", "guess", "known", "require", "bound", "unit")
 _TLS: Final = ("ca", "cert", "key")
-_NOT_OURS: Final = ("json", "out", "workers", "help", "id", "name", "dry_run")
+_NOT_OURS: Final = ("json", "out", "workers", "help", "id", "name", "dry_run", "report")
+_INSTEAD: Final = {"report": "write the page of the model that comes back with model.report(path)"}
+_PRIORITIES: Final = range(-10, 11)
 
 
 class Job:
@@ -100,6 +102,7 @@ def discover(
     tls: Mapping[str, str | Path] | None = None,
     workers: int | None = None,
     progress: bool | None = None,
+    priority: int = 0,
     **options: Any,
 ) -> Model:
     """Find the equations behind `data` and return them as a model.
@@ -110,6 +113,7 @@ def discover(
         tls: files by ``ca``, ``cert`` and ``key``, for an address ``tls/…``.
         workers: processes on this machine; None: one for each core.
         progress: whether to show it on stderr; None: on a terminal and in a notebook.
+        priority: -10 to 10; each step doubles the job's share of the workers, and it is taken up sooner.
         options: as of ``coordinator run``, such as ``time="year"``, ``seed=3``, ``known={"dy": "-x"}``; a value may
             be a number, a list, or True for a switch.
 
@@ -121,7 +125,7 @@ def discover(
         DataError: the data cannot be used as they are.
         AtollError: the job failed.
     """
-    job = submit(data, connect=connect, tls=tls, workers=workers, **options)
+    job = submit(data, connect=connect, tls=tls, workers=workers, priority=priority, **options)
     job.wait(progress=progress)
     try:
         return job.result()
@@ -137,16 +141,24 @@ def submit(
     connect: str | None = None,
     tls: Mapping[str, str | Path] | None = None,
     workers: int | None = None,
+    priority: int = 0,
     **options: Any,
 ) -> Job:
     """Submit `data` as a job and return it at once; arguments are those of `discover`."""
+    if isinstance(priority, bool) or not isinstance(priority, int) or priority not in _PRIORITIES:
+        raise UsageError(f"priority must be a whole number from -10 to 10, but {shown(priority)} was given")
     config = config_of(options)
     with python_words():
         table = table_of(data, config.data)
         address = _address(connect, tls, workers)
     job = Job(f"py-{uuid.uuid4().hex[:12]}", address)
     with python_words(), connected(address, CONNECT_LIMIT_S) as client:
-        client.submit(job.id, table.files[0] if table.files else NAME, config, client.upload(table.to_bytes()))
+        try:
+            client.hand_in(job.id, table.files[0] if table.files else NAME, config, table.to_bytes(), priority)
+        except KeyboardInterrupt as error:
+            if connect is not None:  # one on this machine ends with this interpreter
+                error.add_note(f"job {job.id} may have been taken in: coordinator status {job.id} --connect {address}")
+            raise
     return job
 
 
@@ -154,7 +166,7 @@ def config_of(options: Mapping[str, Any]) -> JobConfig:
     """Return the configuration that keyword arguments describe, as the options of ``run`` do; raises UsageError."""
     unknown = next((name for name in options if name in _NOT_OURS), None)
     if unknown is not None:
-        raise UsageError(f"{unknown} is no option here; see help(atoll.discover)")
+        raise UsageError(f"{unknown} is no option here; {_INSTEAD.get(unknown, 'see help(atoll.discover)')}")
     words = ["run", NAME]
     for name, value in options.items():
         words += _words(f"--{name.replace('_', '-')}", value, is_repeatable=name in _REPEATABLE)

@@ -16,8 +16,9 @@ from typing import Final
 
 from atoll.errors import AtollError
 from atoll.logs import configure
-from atoll.program import INTERRUPTED
-from atoll_coordinator.cli.local.workers import LocalWorkers, free_endpoint
+from atoll.program import INTERRUPTED, reap_children
+from atoll.wire.addresses import own_address
+from atoll_coordinator.cli.local.workers import LocalWorkers
 from atoll_coordinator.service.background.child_main import load_preparation, load_refinement
 from atoll_coordinator.service.background.process_pool import ProcessPool
 
@@ -27,6 +28,7 @@ CHECK_S: Final = 0.3
 
 def main(workers: int, parent: int) -> int:
     """Serve with so many workers until the process `parent` is gone or closes our stdin; return the exit code."""
+    reap_children()
     stop = threading.Event()
     threading.Thread(target=_wait_for_end, args=(stop,), name="reading stdin", daemon=True).start()
     try:
@@ -42,15 +44,18 @@ def main(workers: int, parent: int) -> int:
 
 
 def _serve(number: int, parent: int, log: Path, stop: threading.Event) -> None:
-    endpoint = free_endpoint()
-    with LocalWorkers(endpoint, number, log) as workers, contextlib.closing(ProcessPool()) as pool:
+    with (
+        own_address() as address,
+        LocalWorkers(str(address), number, log) as workers,
+        contextlib.closing(ProcessPool()) as pool,
+    ):
         pool.preload(load_preparation)
         pool.preload(load_refinement)
         from atoll_coordinator.cli.local.coordinator import LocalCoordinator
 
-        with LocalCoordinator(endpoint, number, pool) as coordinator:
+        with LocalCoordinator(str(address), number, pool) as coordinator:
             coordinator.wait()
-            _say({"endpoint": endpoint})
+            _say({"endpoint": str(address)})
             while not stop.wait(CHECK_S) and os.getppid() == parent:
                 coordinator.check()
                 workers.check()

@@ -8,7 +8,6 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 from atoll.program import exit_code_of, flush_streams, raise_interrupts
@@ -62,13 +61,17 @@ def _record(error: Exception) -> str:
     import tempfile
     import traceback
 
-    folder = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "atoll"
+    from atoll.errors import UsageError
+    from atoll.machine.folders import user_folder
+
     text = "".join(traceback.format_exception(error))
     try:
+        folder = user_folder("XDG_STATE_HOME", ".local/state") / "atoll"
         folder.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(".log", "coordinator-", folder)
-    except OSError:
+    except (OSError, UsageError):
         handle, name = tempfile.mkstemp(".log", "atoll-coordinator-")
     with os.fdopen(handle, "w") as file:
         file.write(text)
-    return f"an unexpected error ({type(error).__name__}) stopped this command; the details are in {name}"
+    what = f"an unexpected error ({type(error).__name__}) stopped this command"
+    return f"{what}; please report it with {name}, which has the details"

@@ -66,8 +66,7 @@ class Request:
 
     def submit(self, client: Client, table: "Table") -> JobView:
         """Upload `table` and submit the job."""
-        digest = client.upload(table.to_bytes())
-        return client.submit(self.job, self.name, self.config, digest, self.priority)
+        return client.hand_in(self.job, self.name, self.config, table.to_bytes(), self.priority)
 
     def after(self, seconds: float) -> "Request":
         """Return the request with so many seconds of `--max-time` gone, but no more than half of them."""

@@ -1,15 +1,17 @@
 """What becomes of jobs: takes in what happens, and has the rooms below decide, store, send and compute.
 
-Knows no bus and no thread. What is sent has been stored before.
+Knows no bus and no thread. What is sent has been stored before. Where something of ours breaks, the job that it
+concerns ends (`Controller.guarded`), and nothing else.
 """
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
 from pydantic import ValidationError
 
 from atoll.config import JobConfig
-from atoll.errors import RefusedError, RemoteProtocolError
+from atoll.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.clients import Submit
 from atoll.wire.messages.views import FINAL_STATES, JobView
@@ -36,7 +38,8 @@ from atoll_coordinator.service.jobs.job import (
     PublishCommit,
     Refine,
 )
-from atoll_coordinator.service.jobs.queue import next_job
+from atoll_coordinator.service.jobs.queue import Line, next_job
+from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, result_text
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
@@ -61,6 +64,7 @@ class Controller:
         self.ended: dict[str, JobView | None] = {}
         """Jobs that have ended; None: the view has not been made of what is stored yet."""
         self.events: Final = EventLog(store, clock)
+        self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
         self.workers: Final = WorkerController(self.jobs, store, channel, self.events, self.fail_job, expected_workers)
         self.counters: Final = self.workers.counters
         self.checkpoints: Final = PullBudget()
@@ -80,22 +84,21 @@ class Controller:
             if record.state in FINAL_STATES:
                 self.ended[record.id] = None
                 continue
-            try:
-                config = JobConfig.model_validate_json(record.spec)
-            except ValidationError as error:
-                reason = checks.settings_reason(error)
-                self._store.commit_result(record.id, "failed", None, reason, self._clock())
-                self.ended[record.id] = None
-                self.events.record("failed", reason, record.id)
-            else:
-                self.jobs[record.id] = Job(record, config, now)
-                self.workers.crash_loops.recover(record.id)
+            with self.guarded(record.id, "taking over a job", now):
+                try:
+                    config = JobConfig.model_validate_json(record.spec)
+                except ValidationError as error:
+                    self._end_without_job(record.id, checks.settings_reason(error))
+                else:
+                    self.jobs[record.id] = Job(record, config, now)
+                    self.workers.crash_loops.recover(record.id)
 
     def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
         """Take in a job. The same id with the same contents again changes nothing, nor does it whose job it is.
 
         Raises:
-            RefusedError: The id belongs to another job or to a deleted one, or the table has not been uploaded.
+            RefusedError: The id belongs to another job or to a deleted one.
+            TableMissingError: The table has not been uploaded, or has been deleted since.
         """
         spec = body.config.model_dump_json()
         known = self._store.job(body.job)
@@ -106,59 +109,81 @@ class Controller:
         if self._store.is_deleted(body.job):  # workers may still hold its data, and take them for those of this job
             raise RefusedError(f"job {body.job} was deleted, and its id is not given again; submit under another id")
         if not self._store.has_blob(body.table):
-            raise RefusedError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
+            raise TableMissingError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
         submitted = self._clock()
         record = JobRecord(body.job, body.name, spec, body.table, submitted, priority=body.priority)
         self._store.add_job(record, submitter)
-        self.jobs[body.job] = Job(record, body.config, now)
-        self.events.record_submission(body)
+        with self.guarded(body.job, "taking in a job", now):
+            self.jobs[body.job] = Job(record, body.config, now)
+            self.events.record_submission(body)
         self._prepare_next(now)
 
     def cancel(self, job_id: str, now: float) -> None:
         """End a job and keep what it has found; without effect when it has ended."""
-        job = self.jobs.get(job_id)
-        if job is not None:
-            self._carry_out(job, job.cancel(), now)
+        self._change(job_id, "cancelling", now, Job.cancel)
 
-    def start_search(self, job_id: str, prepared: Prepared, now: float) -> None:
-        """Begin the search of a job whose data are prepared: announce it and place its islands."""
-        job, record = self.jobs.get(job_id), self._store.job(job_id)
-        if job is None or record is None or job.state != "preparing":
-            return
+    def start_search(self, job_id: str, prepared: Prepared, data: bytes, now: float) -> None:
+        """Begin the search of a job whose data are prepared, its dataset as bytes: announce it and place its islands.
+
+        A job that has ended meanwhile leaves nothing behind.
+        """
+        self._change(job_id, "beginning the search", now, lambda job: self._start(job, prepared, data, now))
+        self.workers.place(now)
+
+    def _start(self, job: Job, prepared: Prepared, data: bytes, now: float) -> Sequence[JobAction]:
+        record = self._store.job(job.id)
+        if record is None or job.state != "preparing":
+            return ()
         unknown = checks.epoch_limit_reason(job.config, prepared)
         if unknown is not None:
-            self.fail_job(job_id, "data", unknown, now)
-            return
-        cuts = {name: decode(data, Cut) for name, data in self._store.cuts(job_id).items()}
-        stored = self._store.checkpoints(job_id)
-        resumed = {name: decode(data, StoredSearchState) for name, (_, data) in stored.items()}
+            return job.fail("data", unknown)
+        try:
+            cuts = {name: decode(data, Cut) for name, data in self._store.cuts(job.id).items()}
+            stored = self._store.checkpoints(job.id)
+            resumed = {name: decode(data, StoredSearchState) for name, (_, data) in stored.items()}
+        except RemoteProtocolError as error:  # nobody else has written it: it is of another version of ours
+            return job.fail("internal", checks.stored_search_reason(error))
         reason = checks.resume_reason(prepared, record.dataset_digest, bool(cuts), resumed)
         if reason is not None:
-            self.fail_job(job_id, "internal", reason, now)
-            return
+            return job.fail("internal", reason)
         actions = job.start(prepared, cuts, now, resumed)
-        self._store.update_job(job_id, state="running", dataset_digest=prepared.blob)
+        self._store.begin_search(job.id, data)
         self.events.record_preparation(job)
         self._channel.publish(job.announcement())
-        self._carry_out(job, actions, now)
-        self.workers.place(now)
+        return actions
 
     def finish_job(self, job_id: str, refinement: Refinement, now: float) -> None:
         """End a job with what refining gave."""
-        job = self.jobs.get(job_id)
-        if job is not None:
-            self._carry_out(job, job.finish(refinement), now)
+        self._change(job_id, "ending", now, lambda job: job.finish(refinement))
 
     def fail_job(self, job_id: str, fault: Fault, sentence: str, now: float) -> None:
         """Let a job fail; without effect when it has ended."""
-        job = self.jobs.get(job_id)
-        if job is not None:
-            self._carry_out(job, job.fail(fault, sentence), now)
+        self._change(job_id, "ending", now, lambda job: job.fail(fault, sentence))
 
     def view(self, job_id: str, now: float) -> JobView | None:
         """Return what people are shown of a job; None for an unknown one."""
+        return next(iter(self.views([job_id], now)), None)
+
+    def views(self, job_ids: Iterable[str], now: float) -> Iterator[JobView]:
+        """Yield what people are shown of jobs, leaving out unknown ones.
+
+        One that cannot be shown whole is shown as far as the store knows it, and takes no list of jobs with it.
+        """
+        line = Line(self.jobs.values())
+        for job_id in job_ids:
+            try:
+                view = self._view(job_id, line, now)
+            except StoreError:
+                raise
+            except Exception as error:
+                record, sentence = self._store.job(job_id), self.breakages.add("showing a job", error)
+                view = ended_view(record, None).model_copy(update={"warnings": (sentence,)}) if record else None
+            if view is not None:
+                yield view
+
+    def _view(self, job_id: str, line: Line, now: float) -> JobView | None:
         if job_id in self.jobs:
-            return self._live_view(self.jobs[job_id], now)
+            return self._live_view(self.jobs[job_id], line, now)
         record = self._store.job(job_id) if job_id in self.ended and self.ended[job_id] is None else None
         if record is not None:
             self.ended[job_id] = ended_view(record, self._store.result(job_id))
@@ -203,19 +228,23 @@ class Controller:
                 raise RemoteProtocolError(f"a report of job {report.job} came, which does not exist")
             return
         self.counters.add(job.id, reports=1)
-        self._carry_out(job, job.add_report(worker, report, now), now)
-        self._advance_checkpoint(job, report.variable, now)
+        self._change(job.id, "taking in a report", now, lambda job: job.add_report(worker, report, now), by_peer=True)
+        self._advance_checkpoint(self.jobs.get(job.id), report.variable, now)
 
     def tick(self, now: float) -> None:
         """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
-        self.workers.expire(now)
-        for job in list(self.jobs.values()):
-            self._carry_out(job, job.tick(now), now)
+        with self.breakages.tolerated("looking for lost workers"):
+            self.workers.expire(now)
+        for job_id in [each.id for each in self.jobs.values() if each.state != "queued"]:
+            self._change(job_id, "letting time pass", now, lambda job: job.tick(now))
         self._prepare_next(now)
-        self.workers.place(now)
+        with self.breakages.tolerated("placing islands"):
+            self.workers.place(now)
         self._advance_checkpoints(now)
-        self.workers.check_stalls(now)
-        self.events.flush()
+        with self.breakages.tolerated("looking for what stands still"):
+            self.workers.check_stalls(now)
+        with self.breakages.tolerated("writing events"):
+            self.events.flush()
 
     # ------------------------------------------------------------------------------------- checkpoints
 
@@ -227,43 +256,107 @@ class Controller:
         """
         job = self.jobs.get(pull.job)
         archipelago = job.archipelagos.get(pull.variable) if job is not None else None
-        self.checkpoints.add_states(archipelago, worker, pull, body)
+        with self.guarded(pull.job, "taking in states", now, by_peer=True):
+            self.checkpoints.add_states(archipelago, worker, pull, body)
         if body is not None:
             self._advance_checkpoints(now)
 
-    def commit_checkpoint(self, checkpoint: Checkpoint, now: float) -> None:
-        """Take in that a checkpoint is durable: the commit is published, and what waits for it is placed."""
-        self.checkpoints.mark_written(checkpoint)
-        job = self.jobs.get(checkpoint.job)
-        archipelago = job.archipelagos.get(checkpoint.variable) if job is not None else None
-        if archipelago is not None:
-            commit = archipelago.mark_durable(checkpoint, now)
-            self.counters.add(checkpoint.job, commits=1)
-            self.workers.add_commit(checkpoint)
-            self.events.record_commit(checkpoint)
-            if commit is not None:
-                self._channel.publish(commit)
+    def commit_checkpoint(self, checkpoint: Checkpoint, now: float, error: Exception | None = None) -> None:
+        """Take in that a checkpoint is durable: the commit is published, and what waits for it is placed.
+
+        `error` says why it could not be written instead. Raises StoreError when that is the store's.
+        """
+        with self.guarded(checkpoint.job, "committing a checkpoint", now):
+            self.checkpoints.mark_written(checkpoint)
+            if error is not None:
+                raise error
+            self._mark_durable(checkpoint, now)
         self.workers.place(now)
         if self.checkpoints.is_short:
             self._advance_checkpoints(now)
+
+    def _mark_durable(self, checkpoint: Checkpoint, now: float) -> None:
+        job = self.jobs.get(checkpoint.job)
+        archipelago = job.archipelagos.get(checkpoint.variable) if job is not None else None
+        if archipelago is None:
+            return
+        commit = archipelago.mark_durable(checkpoint, now)
+        self.counters.add(checkpoint.job, commits=1)
+        self.workers.add_commit(checkpoint)
+        self.events.record_commit(checkpoint)
+        if commit is not None:
+            self._channel.publish(commit)
 
     def _advance_checkpoints(self, now: float) -> None:
         """Pull the states that are due, and have complete checkpoints written."""
         self.checkpoints.begin_round({each.key: each for each in self._open_archipelagos()})
         for archipelago in self._open_archipelagos():
-            self._advance_checkpoint(self.jobs[archipelago.job], archipelago.variable, now)
+            self._advance_checkpoint(self.jobs.get(archipelago.job), archipelago.variable, now)
 
     def _advance_checkpoint(self, job: Job | None, variable: str, now: float) -> None:
         """Do so for one archipelago, of which something has come; all of them each time would take too long."""
         archipelago = job.open_archipelago(variable) if job is not None else None
         if job is None or archipelago is None:
             return
-        for worker, pull in self.checkpoints.next_pulls(archipelago):
-            self._channel.pull(worker, pull)
-        checkpoint = self.checkpoints.take_complete_checkpoint(archipelago)
-        if checkpoint is not None:
-            search_state = encode(checkpoint.stored_search_state(job.search_seconds(now)))
-            self._tasks.write(checkpoint, search_state, now - job.submitted_at)
+        with self.guarded(job.id, "gathering a checkpoint", now):
+            for worker, pull in self.checkpoints.next_pulls(archipelago):
+                self._channel.pull(worker, pull)
+            checkpoint = self.checkpoints.take_complete_checkpoint(archipelago)
+            if checkpoint is not None:
+                search_state = encode(checkpoint.stored_search_state(job.search_seconds(now)))
+                self._tasks.write(checkpoint, search_state, now - job.submitted_at)
+
+    # --------------------------------------------------------------------------------------- what breaks
+
+    def _change(
+        self, job_id: str, task: str, now: float, act: Callable[[Job], Sequence[JobAction]], *, by_peer: bool = False
+    ) -> None:
+        """Have something happen to a live job, and carry out what follows; the only way in which that is done."""
+        job = self.jobs.get(job_id)
+        if job is not None:
+            with self.guarded(job_id, task, now, by_peer=by_peer):
+                self._carry_out(job, act(job), now)
+
+    @contextlib.contextmanager
+    def guarded(self, job_id: str, task: str, now: float, *, by_peer: bool = False) -> Iterator[None]:
+        """Let what breaks within end this job and nothing else: how much of it was done to the job is not known.
+
+        `by_peer`: what comes from a peer is taken in, whose RemoteProtocolError changes nothing, and passes. A store
+        that fails is no matter of one job, and passes as well.
+        """
+        try:
+            yield
+        except StoreError:
+            raise
+        except Exception as error:
+            if by_peer and isinstance(error, RemoteProtocolError):
+                raise
+            self._end_broken(job_id, self.breakages.add(task, error), now)
+
+    def _end_broken(self, job_id: str, sentence: str, now: float) -> None:
+        """End a job whose state may be half changed: all that ends it is done as far as it can be."""
+        job = self.jobs.pop(job_id, None)
+        if self._store.job(job_id) is None:
+            return
+        text = None
+        with contextlib.suppress(Exception):
+            if job is not None and job.prepared is not None:
+                job.state, job.fault, job.reason = "failed", "internal", sentence
+                text = result_text(job_result(job, now))
+        self._end_without_job(job_id, sentence, text)
+        with self.breakages.tolerated("closing a job"):
+            self._channel.publish(CloseJob(job=job_id))
+        with self.breakages.tolerated("ending the tasks of a job"):
+            self._tasks.cancel(job_id)
+        with self.breakages.tolerated("forgetting a job"):
+            self.counters.forget(job_id)
+            self.workers.forget(job_id)
+
+    def _end_without_job(self, job_id: str, reason: str, text: str | None = None) -> None:
+        """Let a job of the store fail that is not live, unless it has ended there."""
+        self.ended[job_id] = None
+        if self._store.commit_result(job_id, "failed", text, reason, self._clock()):
+            self.events.record("failed", reason, job_id)
 
     # ---------------------------------------------------------------------------------------- outcomes
 
@@ -296,7 +389,9 @@ class Controller:
         self._store.commit_result(job.id, job.state, text, job.reason, finished, keeps_checkpoints=is_crash_loop)
         self._channel.publish(CloseJob(job=job.id))
         self._tasks.cancel(job.id)
-        self.ended[job.id] = self._live_view(job, now).model_copy(update={"workers": 0, "stalls": (), "ahead": None})
+        self.ended[job.id] = self._live_view(job, Line(()), now).model_copy(
+            update={"workers": 0, "stalls": (), "ahead": None}
+        )
         del self.jobs[job.id]
         self.events.record_end(job)
         self.counters.forget(job.id)
@@ -306,8 +401,11 @@ class Controller:
     def _prepare_next(self, now: float) -> None:
         """Begin to prepare the next job that waits, if it is its turn."""
         waiting = next_job(self.jobs.values())
-        if waiting is None:
-            return
+        if waiting is not None:
+            with self.guarded(waiting.id, "having a job prepared", now):
+                self._prepare(waiting, now)
+
+    def _prepare(self, waiting: Job, now: float) -> None:
         # What the store refuses, as on a full disk, must leave the job in the line, or nobody would prepare it.
         try:
             table = self._store.get_blob(waiting.table)
@@ -318,9 +416,9 @@ class Controller:
         waiting.start_preparing(now)
         self._tasks.prepare(waiting.id, table, waiting.config)
 
-    def _live_view(self, job: Job, now: float) -> JobView:
+    def _live_view(self, job: Job, line: Line, now: float) -> JobView:
         waiting_reason, stalls = self.workers.waiting_reason(job), self.workers.stalls(job.id)
-        return job_view(job, tuple(self.jobs.values()), now, waiting_reason, self.counters.counters(job), stalls)
+        return job_view(job, line, now, waiting_reason, self.counters.counters(job), stalls)
 
     def _open_archipelagos(self) -> list[Archipelago]:
         return [each for job in self.jobs.values() for each in job.open_archipelagos]

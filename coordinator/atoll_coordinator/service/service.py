@@ -10,7 +10,7 @@ from functools import singledispatchmethod
 from typing import Final
 
 from atoll import VERSION
-from atoll.errors import RemoteProtocolError, StoreError
+from atoll.errors import RemoteProtocolError
 from atoll.logs import fields
 from atoll.machine import usage
 from atoll.wire import topics
@@ -91,8 +91,9 @@ class Service:
         self._workers = WorkerChannel(self._bus, store.realm)
         self.controller: Final = Controller(store, self._workers, self._tasks, ports.clock, expected_workers)
         authorization = Authorization(roster, store)
-        self._deletion = JobDeletion(self.controller, store, ports.clock, ports.retention)
+        self._deletion = JobDeletion(self.controller, store, ports.retention)
         clients = ClientRequests(self.controller, store, authorization, self._deletion, bus.now, self.view)
+        self._uploads = clients.uploads
         handshake = Handshake(self.controller, store, authorization, self.rejects, bus.now, ports.clock)
         self._requests = RequestRouter(self.controller, store, handshake, clients, self.rejects)
 
@@ -132,12 +133,20 @@ class Service:
             self._workers.publish(Shutdown(sentence="the coordinator ended"))
 
     def step(self, event: Event) -> None:
-        """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
-        self._bus.count_received(event)
-        try:
-            self._on(event)
-        except RemoteProtocolError as error:
-            self.rejects.count(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
+        """Take in one event. Nothing that it brings ends the loop, but a store that fails (StoreError).
+
+        What a peer did wrong is counted, logged once and changes nothing. What breaks here is ours: it is counted,
+        logged once, and ends the job that it concerns; who asked is answered.
+        """
+        with self.controller.breakages.tolerated("counting an event"):
+            self._bus.count_received(event)
+        with self.controller.breakages.tolerated(f"handling an event ({type(event).__name__})"):
+            try:
+                self._on(event)
+            except RemoteProtocolError as error:
+                if isinstance(event, Timer | Posted | Link):  # no peer has said anything
+                    raise
+                self.rejects.count(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
 
     def view(self) -> CoordinatorView:
         """Return what people are shown of the coordinator itself."""
@@ -145,6 +154,7 @@ class Service:
             traffic=self._bus.traffic(),
             dropped=self._bus.dropped,
             refused=self.rejects.total,
+            broken=self.controller.breakages.total,
             memory_bytes=usage.memory_bytes(),
             cpu_s=usage.cpu_s(),
         )
@@ -165,30 +175,30 @@ class Service:
     @_on.register
     def _on_timer(self, event: Timer) -> None:
         if event.name == _TICK:
-            self._bus.post(_TimeCheck())
             self._bus.call_later(TICK_S, _TICK)
+            self._bus.post(_TimeCheck())
         elif event.name == _ABSENCE:
             self._bus.post(_TimeCheck())
 
     @_on.register
     def _on_posted(self, event: Posted) -> None:
+        """Let time pass, or take in an outcome, which never comes again: where that breaks, its job ends."""
         item, now = event.item, self._bus.now()
         match item:
             case _TimeCheck():
                 self._check_time(now)
             case JobPrepared():
-                self._store.put_blob(item.data)
-                self.controller.start_search(item.job, item.prepared, now)
+                with self.controller.guarded(item.job, "beginning the search", now):
+                    self.controller.start_search(item.job, item.prepared, item.data, now)
             case PreparationFailed():
-                self.controller.fail_job(item.job, item.fault, item.sentence, now)
+                with self.controller.guarded(item.job, "ending", now):
+                    self.controller.fail_job(item.job, item.fault, item.sentence, now)
             case JobRefined():
-                self.controller.finish_job(item.job, item.refinement, now)
+                with self.controller.guarded(item.job, "ending", now):
+                    self.controller.finish_job(item.job, item.refinement, now)
             case CheckpointWritten():
-                if isinstance(item.error, StoreError):
-                    raise item.error
-                if item.error is not None:  # whatever its class, it is no mistake of a peer's, and nothing goes on
-                    raise RuntimeError("a checkpoint could not be written") from item.error
-                self.controller.commit_checkpoint(item.checkpoint, now)
+                with self.controller.guarded(item.checkpoint.job, "committing a checkpoint", now):
+                    self.controller.commit_checkpoint(item.checkpoint, now, item.error)
 
     def _check_time(self, now: float) -> None:
         """Let time pass, now that everything has been taken in that had come before."""
@@ -198,7 +208,10 @@ class Service:
             self.controller.workers.membership.renew_leases(now)
         if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
             self.controller.tick(now)
-        self._deletion.delete_expired(now)
+        with self.controller.breakages.tolerated("deleting uploads that were given up"):
+            self._uploads.expire()
+        with self.controller.breakages.tolerated("deleting what is not kept"):
+            self._deletion.delete_expired(now)
 
     @_on.register
     def _on_link(self, event: Link) -> None:
@@ -234,7 +247,8 @@ class Service:
         asked = self._workers.take_pull(event.token)
         match asked:
             case (worker, PullStates() as pull):
-                self._add_states(worker, pull, event.payload)
+                with self.controller.guarded(pull.job, "taking in states", self._bus.now(), by_peer=True):
+                    self._add_states(worker, pull, event.payload)
             case (worker, PullReports()) if event.payload is not None:
                 body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
                 for report in body.reports if isinstance(body, Reports) else ():
@@ -244,7 +258,7 @@ class Service:
         """Hand on what came, also that nothing came: it is asked for again."""
         try:
             body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
-        except RemoteProtocolError:
+        except Exception:
             self.controller.add_states(worker, pull, None, self._bus.now())
             raise
         self.controller.add_states(worker, pull, body if isinstance(body, States) else None, self._bus.now())

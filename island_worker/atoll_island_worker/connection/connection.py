@@ -27,6 +27,10 @@ GRACE_S: Final = 30.0
 ALONE_S: Final = 3.0
 """A worker that drains waits so long for a coordinator that has gone."""
 
+QUIET_S: Final = 15.0
+"""After so long a silence of the coordinator it is asked whether it is there: of one behind a router, no link tells.
+As long as the coordinator bears a worker's silence."""
+
 GREET: Final = "greet"
 LIFETIME: Final = "lifetime"
 GRACE: Final = "grace"
@@ -69,7 +73,10 @@ class CoordinatorConnection:
         self._fingerprint = ""
         self._is_reachable = False  # an enquiry was answered although no greeting was
         self._away_since: float | None = bus.now()
+        self._heard_at = self._asked_at = bus.now()
         self._realms: set[str] = set()
+        self._welcomes = 0
+        self._newest = 0
 
     def fail(self, error: AtollError) -> None:
         """End the worker with an error and its exit code."""
@@ -85,17 +92,22 @@ class CoordinatorConnection:
 
     def greet(self) -> None:
         """Ask to be accepted."""
-        request = Request("hello", self._fingerprint)
+        request = Request("hello", self._fingerprint, self._welcomes)
         self._requests.ask(topics.hello(self._name), self._hello(), GREET_TIMEOUT_S, request)
 
-    def handle_answer(self, fingerprint: str, payload: bytes | None) -> Reset | None:
+    def handle_answer(self, fingerprint: str, payload: bytes | None, welcomes: int | None = None) -> Reset | None:
         """Handle the answer to a greeting that carried `fingerprint` ("": kernels not ready yet).
 
         Returns what the session is to drop when the coordinator, or its store, is another one than before. Without an
-        answer another greeting follows; a refusal ends the worker.
+        answer another greeting follows, and after a late one of a former coordinator; a refusal ends the worker.
+
+        Args:
+            fingerprint: of the kernels, as it was then.
+            payload: the answer; None: there was none.
+            welcomes: how many, and later incarnations, there had been when the greeting was sent; None: as now.
         """
         if payload is None:
-            self._requests.ask(topics.HELLO, self._hello(), GREET_TIMEOUT_S, Request("enquiry"))
+            self._enquire()
             self._bus.call_later(GREET_PAUSE_S, GREET)
             return None
         try:
@@ -103,7 +115,11 @@ class CoordinatorConnection:
         except RefusedError as error:
             self.fail(error)
             return None
+        if self.welcome is not None and welcomes not in (None, self._welcomes) and self._is_former(welcome):
+            self.greet()
+            return None
         former, self.welcome, self._away_since = self.welcome, welcome, None
+        self._welcomes, self._newest = self._welcomes + 1, welcome.incarnation
         self._requests.realm = welcome.realm
         self.is_accepted = self.is_accepted or bool(fingerprint)
         if welcome.realm not in self._realms:
@@ -116,8 +132,31 @@ class CoordinatorConnection:
         _LOG.info("the coordinator started anew; what was held is dropped")
         return Reset(welcome.incarnation if former.realm == welcome.realm else 0)
 
-    def handle_enquiry(self, payload: bytes) -> None:
-        """Handle the answer to the question whether we would be accepted, asked when no greeting is answered."""
+    def incarnation_heard(self, incarnation: int) -> None:
+        """Take in what a placement says: an answer of a former coordinator may still come, to an older greeting."""
+        if incarnation > self._newest:
+            self._welcomes, self._newest = self._welcomes + 1, incarnation
+
+    def _is_former(self, late: Welcome) -> bool:
+        """Tell whether a welcome that answers an older greeting may be of a former coordinator."""
+        assert self.welcome is not None
+        return late.realm != self.welcome.realm or late.incarnation < self._newest
+
+    def _enquire(self) -> None:
+        """Ask whether we would be accepted, which changes nothing."""
+        self._asked_at = self._bus.now()
+        self._requests.ask(topics.HELLO, self._hello(), GREET_TIMEOUT_S, Request("enquiry"))
+
+    def handle_enquiry(self, payload: bytes | None) -> None:
+        """Handle the answer to the question whether we would be accepted; None: nobody answered.
+
+        It is asked when no greeting is answered, and when the coordinator has been silent for long.
+        """
+        if payload is None:
+            self._away_since = self._away_since if self._away_since is not None else self._asked_at
+            return
+        if self.welcome is not None:
+            self._away_since = None
         try:
             _welcome(payload)
         except RefusedError as error:
@@ -132,14 +171,22 @@ class CoordinatorConnection:
 
     # ---------------------------------------------------------------------------------------- absence
 
+    def coordinator_heard(self) -> None:
+        """Take in that the coordinator has said something."""
+        self._heard_at = self._bus.now()
+
     def link_lost(self) -> None:
         """Begin to count the coordinator's absence."""
         self._away_since = self._bus.now()
         _LOG.warning("connection to the coordinator lost; waiting for it")
 
     def check_absence(self) -> None:
-        """End the worker when the coordinator has been away for too long."""
-        absence = self._bus.now() - self._away_since if self._away_since is not None else 0.0
+        """End the worker when the coordinator has been away for too long; ask for it when it has long been silent."""
+        now = self._bus.now()
+        pause_s = QUIET_S if self._away_since is None else GREET_TIMEOUT_S
+        if self.welcome is not None and now - max(self._heard_at, self._asked_at) >= pause_s:
+            self._enquire()
+        absence = now - self._away_since if self._away_since is not None else 0.0
         if self.is_draining and absence > ALONE_S:
             self.exit_code = 0  # there is nobody to hand over to, and what was committed is not lost
         elif absence > self._wait_s:

@@ -26,7 +26,10 @@ FETCH: Final = "fetch/"
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a reply answers: a `question` about `subject` (a job, a peer or a fingerprint), or about `states`."""
+    """What a reply answers: a `question` about `subject` (a job, a peer or a fingerprint), or about `states`.
+
+    `index` is the number of a chunk or, of a greeting, how many welcomes had come before it.
+    """
 
     question: str
     subject: str = ""

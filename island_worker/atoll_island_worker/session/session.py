@@ -158,12 +158,14 @@ class Session:
         key = (placement.job, placement.variable)
         if placement.term <= self._terms.get(key, 0):
             return []
+        was_wanted = self.wants(placement.job)
         actions = self._drop(key)
         self._record_term(key, placement.term)
         if self.worker not in placement.workers:
             return actions
         self._shares[key] = Share(placement, self.worker)
-        if self._jobs.get(placement.job, "unknown") == "unknown":
+        # Also while it loads: a fetch for islands placed elsewhere meanwhile may have been given up.
+        if not was_wanted and self._jobs.get(placement.job) != "loaded":
             actions.append(FetchJob(placement.job))
         self._step_job(placement.job, "placed")
         self._deliver_pending(key)

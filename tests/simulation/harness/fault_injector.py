@@ -38,6 +38,7 @@ class FaultInjector:
         self._participants.note("all faults are over")
         self._participants.network.plan = replace(self._participants.schedule.plan, drop=0.0, duplicate=0.0, late=0.0)
         self._participants.disk.slow_s, self._participants.background_s = 0.0, USUAL_BACKGROUND_S
+        self._participants.disk.is_full = False
         self._participants.disk.forget_death()
         for name in self._participants.network.participants:
             self._participants.network.resume(name)
@@ -186,6 +187,20 @@ class FaultInjector:
             self._participants.background_s = USUAL_BACKGROUND_S
 
         self._for_a_while(fault, end)
+
+    def _strike_full_disk(self, fault: Fault) -> None:
+        self._participants.disk.is_full = True
+
+        def end() -> None:
+            self._participants.disk.is_full = False
+
+        self._for_a_while(fault, end)
+
+    def _strike_old_store(self, fault: Fault) -> bool | None:
+        if self._participants.service is None:
+            return False
+        self._participants.kill_coordinator(fault.for_s)
+        return None if self._participants.disk.grow_old() else False
 
     def _strike_clock_jump(self, fault: Fault) -> None:
         self._participants.jumped_s += fault.strength

@@ -11,11 +11,13 @@ from functools import partial
 from typing import Any, Final
 
 from atoll.config import JobConfig
+from atoll.errors import StoreError
 from atoll.wire.bus.interface import Event
 from atoll.wire.messages.workers import EpochReport
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.store.retention import Retention
 from atoll_island_worker.session.events import Computed
 from atoll_island_worker.worker import Worker
 from tests.simulation.bus.network import SimulatedNetwork
@@ -31,6 +33,9 @@ WAIT_S: Final = 60.0
 
 SUPERVISED_S: Final = 2.0
 """After which a worker that ended with an error is started again."""
+
+RETENTION: Final = Retention(age_s=90 * 86400.0, size_bytes=8_000_000)
+"""Room for all that jobs of a schedule leave behind, but not for all that guests upload."""
 
 USUAL_BACKGROUND_S: Final = 0.001
 _MORNING: Final = datetime(2026, 1, 1, tzinfo=UTC)
@@ -69,6 +74,7 @@ class Participants:
     background_s: float = USUAL_BACKGROUND_S
     down_s: float = 0.0
     jumped_s: float = 0.0
+    broken: int = 0
 
     def __post_init__(self) -> None:
         self.network = SimulatedNetwork(self.schedule.seed, self.schedule.plan)
@@ -101,22 +107,31 @@ class Participants:
         if self.service is not None:
             return
         bus = self.buses["coordinator"] = self.network.bus("coordinator", is_router=not self.schedule.has_own_router)
-        store = self._store = self.disk.open(bus.spend)
+        store = self._store = self.disk.open(bus.spend, bus.now)
         pool = LocalPool(partial(self._do_later, bus, store))
         writer = partial(self._write_later, bus, store)
-        ports = Ports(pool, self._time_of_day, self.cast.prepare, lambda *_: Refinement(), writer=writer)
+        ports = Ports(
+            pool, self._time_of_day, self.cast.prepare, lambda *_: Refinement(), retention=RETENTION, writer=writer
+        )
         service = self.service = Service(bus, store, ports=ports)
         self._watch_reports(service)
 
         def step(event: Event) -> None:
             self._take_down(bus, event)
             self._guarded(store, lambda: service.step(event))
+            self._check_breakages(service)
             for job in service.controller.jobs.values():
                 job.validate()
 
         bus.handle_with(step)
         self.note(f"the coordinator starts, incarnation {store.incarnation}")
         self._guarded(store, service.start)
+
+    def _check_breakages(self, service: Service) -> None:
+        """Nothing breaks, also where that would end one job only."""
+        if service.controller.breakages.total > self.broken:
+            self.wrong.append("something broke in the coordinator")
+        self.broken = service.controller.breakages.total
 
     def _do_later(self, bus: SimulatedBus, store: DiskStore, work: Callable[[], None]) -> None:
         """Do background work of one incarnation, if that one is still alive then."""
@@ -140,11 +155,16 @@ class Participants:
         except CoordinatorDied:
             self.note(f"the coordinator dies at commit {self.disk.commits}")
             self.kill_coordinator(self.down_s)
+        except StoreError as error:
+            if not self.disk.is_full:
+                raise
+            self.note(f"the coordinator ends: {error}")
+            self.kill_coordinator(SUPERVISED_S)
 
     def kill_coordinator(self, for_s: float) -> None:
         if self.service is None or self._store is None:
             return
-        self._store.is_dead, self.service = True, None
+        self._store.is_dead, self.service, self.broken = True, None, 0
         self.network.crash("coordinator")
         self.at(self.network.now + for_s, self.start_coordinator)
 

@@ -5,7 +5,7 @@ A schedule disturbs until its `horizon_s` and not after it, and leaves somebody 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll.search.seeding import Stream, stream_key
@@ -15,7 +15,7 @@ Kind = Literal[
     "kill", "hang", "stuck", "slow", "cut", "join", "leave", "close",
     "kill-coordinator", "die-before-commit", "die-after-commit", "hang-coordinator",
     "kill-router", "hang-router", "cut-coordinator",
-    "storm", "slow-disk", "slow-background", "cut-client", "clock-jump",
+    "storm", "slow-disk", "slow-background", "cut-client", "clock-jump", "full-disk", "old-store",
 ]  # fmt: skip
 
 WHAT_IT_IS: Final[dict[Kind, str]] = {
@@ -38,7 +38,25 @@ WHAT_IT_IS: Final[dict[Kind, str]] = {
     "slow-disk": "for {span:.2f} s, every access to the store takes {strength:.3f} s",
     "slow-background": "for {span:.2f} s, preparing and refining take {strength:.2f} s",
     "cut-client": "the client is cut off for {span:.2f} s",
+    "full-disk": "for {span:.2f} s, nothing can be written to the store",
+    "old-store": "the coordinator dies, and what it stored is found to be another version's {span:.2f} s later",
     "clock-jump": "the time of day jumps by {strength:+.0f} s",
+}
+
+GuestKind = Literal[
+    "half-uploads", "uploads", "vanishes", "stalls", "cancels", "deletes", "asks-everything", "old-client", "old-worker"
+]
+
+WHAT_THEY_DO: Final[dict[GuestKind, str]] = {
+    "half-uploads": "begins {times} uploads and vanishes",
+    "uploads": "uploads {times} tables that it never submits",
+    "vanishes": "submits a job and vanishes",
+    "stalls": "submits a job, is stopped for {span:.2f} s and asks for its result",
+    "cancels": "submits a job and cancels it after {span:.2f} s",
+    "deletes": "submits a job, and deletes it before and after its end",
+    "asks-everything": "asks for everything {times} times",
+    "old-client": "asks {times} times in the words of another version",
+    "old-worker": "works with another version, and says so {times} times",
 }
 
 JOB_SEEDS: Final = 12
@@ -75,6 +93,21 @@ class JobPlan:
 
 
 @dataclass(frozen=True, slots=True)
+class GuestPlan:
+    """One guest: when it comes, what it does, how often or for how long, and of which seed its job is."""
+
+    at_s: float
+    name: str
+    kind: GuestKind
+    times: int
+    for_s: float
+    seed: int
+
+    def __str__(self) -> str:
+        return f"{self.at_s:8.3f}  {self.name} {WHAT_THEY_DO[self.kind].format(times=self.times, span=self.for_s)}"
+
+
+@dataclass(frozen=True, slots=True)
 class Schedule:
     """Who takes part, what they do, and what goes wrong. The same schedule gives the same history."""
 
@@ -87,6 +120,7 @@ class Schedule:
     jobs: tuple[JobPlan, ...]
     horizon_s: float
     faults: tuple[Fault, ...]
+    guests: tuple[GuestPlan, ...] = ()
 
     def story(self) -> str:
         """Return what is to happen, in lines of virtual time."""
@@ -97,7 +131,9 @@ class Schedule:
             end = f", cancelled at {job.cancel_s:.2f} s" if job.cancel_s is not None else ""
             words = f"  job-{number} is that of seed {job.seed}, of priority {job.priority}"
             lines.append(f"{words}, submitted at {job.submit_s:.2f} s{end}")
-        return "\n".join([*lines, *map(str, self.faults), f"{self.horizon_s:8.3f}  all faults are over"])
+        return "\n".join(
+            [*lines, *map(str, self.guests), *map(str, self.faults), f"{self.horizon_s:8.3f}  all faults are over"]
+        )
 
 
 def job_config(seed: int) -> tuple[JobConfig, str]:
@@ -156,7 +192,23 @@ def schedule_of(seed: int) -> Schedule:
     several = draw.pick((1, 2, 3, 3, 4, 5, 6, 8, 12))
     faults = [_fault(draw, workers, has_own_router, min(length_s, 30.0)) for _ in range(several)]
     kept = tuple(sorted((each for each in faults if each.at_s < horizon_s), key=lambda each: each.at_s))
-    return Schedule(seed, workers, slowness, has_own_router, is_hurried, plan, jobs, horizon_s, _named(kept))
+    guests = _guests(Draw(seed, "guests"), min(horizon_s, 30.0))
+    return Schedule(seed, workers, slowness, has_own_router, is_hurried, plan, jobs, horizon_s, _named(kept), guests)
+
+
+def _guests(draw: Draw, length_s: float) -> tuple[GuestPlan, ...]:
+    count = draw.pick((0, 0, 1, 1, 2, 2, 3, 5))
+    return tuple(
+        GuestPlan(
+            at_s=draw.real(0.0, length_s),
+            name=f"guest{number}",
+            kind=draw.pick(get_args(GuestKind)),
+            times=draw.whole(1, 4),
+            for_s=draw.spread(0.1, 30.0),
+            seed=draw.whole(0, JOB_SEEDS - 1),
+        )
+        for number in range(count)
+    )
 
 
 def _jobs(draw: Draw) -> tuple[JobPlan, ...]:
@@ -186,7 +238,8 @@ _WORKER_KINDS: Final[list[Kind]] = ["kill", "kill", "hang", "hang", "stuck", "sl
 _WORKER_KINDS += ["join", "leave", "close"]
 _SERVICE_KINDS: Final[list[Kind]] = [
     "kill-coordinator", "die-before-commit", "die-before-commit", "die-after-commit", "die-after-commit",
-    "hang-coordinator", "storm", "storm", "slow-disk", "slow-background", "cut-client", "clock-jump",
+    "hang-coordinator", "storm", "storm", "slow-disk", "slow-background", "cut-client", "clock-jump", "full-disk",
+    "old-store",
 ]  # fmt: skip
 _ROUTER_KINDS: Final[list[Kind]] = ["kill-router", "kill-router", "hang-router", "cut-coordinator"]
 
@@ -241,6 +294,8 @@ _MAKERS: Final[dict[Kind, _Maker]] = {
     "slow-background": _for_a_while(0.5, 20.0, 0.1, 10.0),
     "cut-client": _for_a_while(0.1, 30.0),
     "clock-jump": _jump,
+    "full-disk": _for_a_while(0.1, 10.0),
+    "old-store": _for_a_while(0.05, 10.0),
 }
 
 

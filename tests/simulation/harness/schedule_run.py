@@ -6,7 +6,7 @@ Coordinator, store, workers and client are real; bus, time, disk and (but for so
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, Final
@@ -15,12 +15,15 @@ from atoll.config import JobConfig
 from atoll.errors import AtollError, RefusedError, UnreachableError
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.client import Client
+from atoll_coordinator.service.requests import deletion
 from atoll_coordinator.service.search import archipelago, checkpoint_schedule
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.fault_injector import FaultInjector
+from tests.simulation.harness.guests import Guest
 from tests.simulation.harness.participants import STUBS, Cast, Participants
-from tests.simulation.harness.schedule import JobPlan, Schedule
+from tests.simulation.harness.schedule import GuestPlan, JobPlan, Schedule
 from tests.simulation.harness.simulated_cluster import comparable
+from tests.simulation.harness.simulated_disk import FULL
 
 LIMIT_S: Final = 300.0
 """A job that has not ended so long after the last fault is stuck."""
@@ -34,7 +37,7 @@ SETTLE_S: Final = 60.0
 _HURRIED: Final = (
     (archipelago, "FIRST_INTERVAL", 2), (archipelago, "PLAN_COMMITS", 1), (archipelago, "FORGET_EPOCHS", 2),
     (checkpoint_schedule, "LEAST_INTERVAL", 1), (checkpoint_schedule, "PAUSE_S", 0.1),
-    (checkpoint_schedule, "COST_S", 0.0),
+    (checkpoint_schedule, "COST_S", 0.0), (deletion, "CHECK_INTERVAL_S", 1.0),
 )  # fmt: skip
 
 
@@ -60,6 +63,9 @@ class ScheduleRun:
     def __init__(self, schedule: Schedule, cast: Cast = STUBS) -> None:
         self.participants = Participants(schedule, cast)
         self._injector = FaultInjector(self.participants)
+        self.guests: list[Guest] = []
+        for plan in schedule.guests:
+            self.participants.at(plan.at_s, partial(self._welcome, plan))
         self.client = Client(self.participants.network.bus("client"), "simulated")
 
     def play(self) -> Outcome:
@@ -100,19 +106,34 @@ class ScheduleRun:
         for at_s, act in sorted(moments, key=lambda each: each[0]):
             self.client.pause(max(0.0, at_s - self.participants.network.now))
             act()
-        views = self._finish()
-        self.participants.note(f"all jobs have ended: {', '.join(view.state for view in views)}")
-        for number, view in enumerate(views):
-            self._check_result(jobs[number], view)
+        views = {view.job: view for view in self._finish()}
+        self.participants.note(f"all jobs have ended: {', '.join(view.state for view in views.values())}")
+        for number, job in jobs.items():
+            self._check_kept(f"job-{number}", job, views)
+        for guest in self.guests:
+            if guest.submitted is not None and not guest.deleted:
+                # Whether a guest's cancellation came in time is nobody's business.
+                self._check_kept(guest.submitted, JobPlan(guest.plan.seed, cancel_s=guest.plan.for_s), views)
         self._injector.end_faults()
         network = self.participants.network
         network.run(network.now + SETTLE_S, lambda: not self._is_busy() and not self._remains())
         self.participants.wrong += self._remains()
 
+    def _welcome(self, plan: GuestPlan) -> None:
+        self.participants.note(f"{plan.name} comes")
+        self.guests.append(Guest(plan, self.participants))
+
+    def _check_kept(self, job_id: str, job: JobPlan, views: dict[str, JobView]) -> None:
+        """Nobody's results go."""
+        if job_id in views:
+            self._check_result(job, views[job_id])
+        else:
+            self.participants.wrong.append(f"{job_id} is gone")
+
     def _submit(self, number: int, job: JobPlan) -> None:
         config, variables = self.participants.cast.job(job.seed)
-        table = self._patiently(lambda: self.client.upload(variables.encode()))
-        self._patiently(lambda: self.client.submit(f"job-{number}", "a simulated job", config, table, job.priority))
+        table = variables.encode()
+        self._patiently(lambda: self.client.hand_in(f"job-{number}", "a simulated job", config, table, job.priority))
         self.participants.note(f"job-{number} is submitted")
 
     def _cancel(self, number: int) -> None:
@@ -122,22 +143,36 @@ class ScheduleRun:
     def _finish(self) -> list[JobView]:
         """Follow all jobs to their ends."""
         while True:
+            is_quiet = len(self.guests) == len(self.participants.schedule.guests) and not self._guests_here()
             views = self._patiently(self.client.jobs)
-            if all(view.state in FINAL_STATES for view in views):
+            if is_quiet and all(view.state in FINAL_STATES for view in views):
                 return sorted(views, key=lambda view: view.job)
             if self.participants.network.now > self.participants.schedule.horizon_s + LIMIT_S:
-                raise StuckError(f"jobs do not end: {[(view.job, view.state, view.reason) for view in views]}")
+                open_ones = [(view.job, view.state, view.reason) for view in views]
+                raise StuckError(f"jobs do not end, or guests {self._guests_here()} wait: {open_ones}")
             self.client.pause(POLL_S)
 
+    def _guests_here(self) -> list[str]:
+        return [guest.plan.name for guest in self.guests if guest.is_here]
+
     def _patiently(self, ask: Callable[[], Any]) -> Any:
-        """Ask until there is an answer."""
+        """Ask until there is an answer that is not one of a full disk, which passes."""
         while self.participants.network.now < self.participants.schedule.horizon_s + LIMIT_S + 2 * POLL_S:
-            with suppress(UnreachableError):
+            try:
                 return ask()
+            except UnreachableError:
+                continue
+            except AtollError as error:
+                if not self._injector.struck["full-disk"] or FULL not in str(error):
+                    raise
+                self.client.pause(POLL_S)
         raise StuckError("the coordinator does not answer")
 
     def _check_result(self, job: JobPlan, view: JobView) -> None:
         is_cancelled = job.cancel_s is not None and view.state == "cancelled"
+        if view.state == "failed" and self._injector.struck["old-store"] and "version" in (view.reason or ""):
+            self.participants.note(f"{view.job} has failed: {view.reason}")
+            return
         if view.state != "done" and not is_cancelled:
             self.participants.wrong.append(f"{view.job} is {view.state}: {view.reason}")
             return

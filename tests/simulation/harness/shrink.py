@@ -41,6 +41,8 @@ def _candidates(schedule: Schedule) -> Iterator[Schedule]:
         yield replace(schedule, faults=faults[:half])
     for place in range(len(faults)):
         yield replace(schedule, faults=(*faults[:place], *faults[place + 1 :]))
+    for place in range(len(schedule.guests)):
+        yield replace(schedule, guests=(*schedule.guests[:place], *schedule.guests[place + 1 :]))
     if len(schedule.jobs) > 1:
         for place in range(len(schedule.jobs)):
             yield replace(schedule, jobs=(*schedule.jobs[:place], *schedule.jobs[place + 1 :]))

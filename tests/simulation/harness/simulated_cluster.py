@@ -71,14 +71,18 @@ class World:
         compute: type[StubCompute] = StubCompute,
         prepare: Preparer = prepare,
         refiner: Refiner = refine_once,
+        has_own_router: bool = False,
         **options: Any,
     ) -> None:
         """`options` are those of the workers' `compute`."""
+        self.has_own_router = has_own_router
         self.seed = seed
         self.compute = compute
         self.prepare = prepare
         self.refiner = refiner
         self.network = SimulatedNetwork(seed, plan)
+        if has_own_router:
+            self.network.bus("router", is_router=True)
         self.store = Store.open(None)
         self.expected = expected
         self.workers: dict[str, Worker] = {}
@@ -95,7 +99,7 @@ class World:
         return f"2026-01-01T00:00:{self.network.now:09.3f}"
 
     def start_service(self) -> Service:
-        bus = self.network.bus("coordinator", is_router=True)
+        bus = self.network.bus("coordinator", is_router=not self.has_own_router)
         ports = Ports(LocalPool(), self.clock, self.prepare, self.refiner, writer=call)
         service = Service(bus, self.store, expected_workers=self.expected, ports=ports)
 

@@ -7,13 +7,26 @@ import sqlite3
 from collections.abc import Callable
 from typing import Any, Final
 
+from atoll.config import Model
+from atoll.errors import StoreError
+from atoll.wire.codec import encode
 from atoll_coordinator.service.store.schema import _prepare
 from atoll_coordinator.service.store.store import Store
 
 READS: Final = frozenset({
-    "job", "jobs", "result", "cuts", "has_blob", "blob_size", "get_blob", "get_chunk", "missing_chunks",
-    "blob_bytes", "deaths", "oldest_ended_job", "used_bytes",
+    "job", "jobs", "job_page", "count_jobs", "submitter", "is_deleted", "result", "cuts", "checkpoints", "state",
+    "events", "has_blob", "get_blob", "get_chunk", "missing_chunks", "blob_bytes", "deaths",
+    "oldest_ended_job", "used_bytes", "unused_blobs", "timing", "check", "close",
 })  # fmt: skip
+"""What needs no room: it answers on a full disk as well, and no coordinator dies of it."""
+
+FULL: Final = "the job store cannot be written (the disk is full); make room, then start it again"
+
+
+class Elsewhere(Model):
+    """What another version of Atoll may have stored."""
+
+    another: str = "version"
 
 
 class CoordinatorDied(BaseException):
@@ -25,14 +38,15 @@ class Disk:
 
     def __init__(self) -> None:
         self.slow_s = 0.0
+        self.is_full = False
         self.commits = 0
         self._connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         self._death: tuple[int, bool] | None = None
 
-    def open(self, spend: Callable[[float], None]) -> "DiskStore":
-        """Open the store as a new incarnation; `spend` lets the coordinator be busy."""
+    def open(self, spend: Callable[[float], None], now: Callable[[], float] = lambda: 0.0) -> "DiskStore":
+        """Open the store as a new incarnation; `spend` lets the coordinator be busy, `now` gives seconds."""
         _prepare(self._connection, None)
-        return DiskStore(self, Store(self._connection, None, None), spend)
+        return DiskStore(self, Store(self._connection, None, None, now), spend)
 
     def close(self) -> None:
         self._connection.close()
@@ -50,6 +64,16 @@ class Disk:
             return False
         self._death = None
         return True
+
+    def grow_old(self) -> int:
+        """Turn what was stored of searches that go on into another version's; return of how many archipelagos."""
+        live = "job IN (SELECT id FROM jobs WHERE state NOT IN ('done', 'failed', 'cancelled'))"
+        words = encode(Elsewhere())
+        changes = (
+            f"UPDATE archipelagos SET cut = ? WHERE cut IS NOT NULL AND {live}",
+            f"UPDATE checkpoints SET progress = ? WHERE {live}",
+        )
+        return sum(self._connection.execute(each, (words,)).rowcount for each in changes)
 
     def cuts(self) -> int:
         """Return how many archipelagos have ended."""
@@ -96,6 +120,8 @@ class DiskStore:
             self._spend(self._disk.slow_s)
         if name in READS:
             return
+        if before and self._disk.is_full:
+            raise StoreError(FULL)
         self._disk.commits += before
         if self._disk.is_deadly(before):
             raise CoordinatorDied

@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
+from atoll.compilation.sources import WORKER, source_digest
 from atoll.config import JobConfig
 from atoll.errors import RemoteProtocolError
 from atoll.expression.operators import CONSTANT, COS, SIN, TANH
@@ -22,6 +23,9 @@ from atoll_island_worker.compute.run_queue import RunQueue, Work
 from atoll_island_worker.session.events import Computed, JobReady
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
 from tests.simulation.bus.network import SimulatedNetwork
+
+OURS = source_digest(WORKER)
+"""What workers of this installation show: the coordinator accepts no other."""
 
 SLOTS = 4
 """Solutions per island."""
@@ -153,7 +157,7 @@ class StubCompute:
     kill: Callable[[], None] | None = None
     hangs: tuple[str, int] | None = None
     progress: int = 0
-    fingerprint: str = "stub"
+    fingerprint: str = OURS
     rejected: int = 0
     turns: int = 0
     restored: list[tuple[int, int, int]] = field(default_factory=list)

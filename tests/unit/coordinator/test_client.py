@@ -17,6 +17,7 @@ from atoll.wire.messages.clients import (
     Failure,
     FailureKind,
     GetResult,
+    JobFound,
     JobList,
     Jobs,
     JobStatus,
@@ -100,6 +101,40 @@ def test_an_upload_sends_exactly_the_missing_chunks_and_returns_the_digest() -> 
     assert len(sent) == bodies
 
 
+def test_an_upload_goes_by_what_the_coordinator_says_is_missing() -> None:
+    """One whose chunks were deleted meanwhile is sent again; one that is never kept is given up."""
+    data = bytes(range(256)) * (CHUNK_SIZE // 128)
+    told = iter([(0, 1), (1,), (0, 1), (1,), ()])
+    sent: list[int] = []
+
+    def handle(body: Body) -> AnswerBody:
+        assert isinstance(body, Upload)
+        sent.extend([body.index] if body.data is not None else [])
+        return Uploaded(blob=body.blob, missing=next(told, (0, 1)))
+
+    client, _ = client_with(handle)
+    client.upload(data)
+    assert sent == [0, 1, 0, 1]
+    with pytest.raises(RefusedError, match="does not keep what is uploaded: 2 of 2 parts are still missing"):
+        client.upload(data)
+
+
+def test_a_table_that_was_deleted_before_its_job_came_is_uploaded_again() -> None:
+    seen: list[str] = []
+
+    def handle(body: Body) -> AnswerBody:
+        seen.append(body.kind)
+        if isinstance(body, Upload):
+            return Uploaded(blob=body.blob, missing=())
+        if seen.count("submit") == 1:
+            return Failure(failure="no-table", sentence="the table of job j1 has not been uploaded")
+        return JobStatus(job=job_view(job="j1"))
+
+    client, _ = client_with(handle)
+    assert client.hand_in("j1", "name", JobConfig(), b"t,x").job == "j1"
+    assert seen == ["upload", "submit", "upload", "submit"]
+
+
 def test_a_job_is_submitted_under_the_clients_id() -> None:
     seen: list[Submit] = []
 
@@ -167,11 +202,27 @@ def test_an_answer_that_is_not_in_our_words_is_refused() -> None:
         other.jobs()
 
 
-def test_the_beginning_of_an_id_is_enough_when_it_is_the_only_one() -> None:
-    client, _ = client_with(lambda body: JobList(jobs=tuple(job_view(job=each) for each in ("abc1", "abd2", "ab"))))
+def test_the_beginning_of_an_id_is_looked_up_by_the_coordinator() -> None:
+    client, _ = client_with(lambda body: JobFound(job="abc1"))
     assert client.resolve("abc") == "abc1"
-    assert client.resolve("ab") == "ab"
-    with pytest.raises(RefusedError, match="3 jobs begin with 'a'"):
-        client.resolve("a")
-    with pytest.raises(RefusedError, match="no job 'x'"):
-        client.resolve("x")
+    with pytest.raises(RefusedError, match="no job 'a/b': ids are 1 to 64 letters"):
+        client.resolve("a/b")
+    assert client.jobs("a/b") == ()
+
+
+def test_jobs_are_listed_page_by_page() -> None:
+    asked: list[Jobs] = []
+    ids = [f"j{number}" for number in range(7)]
+
+    def handle(body: Body) -> AnswerBody:
+        assert isinstance(body, Jobs)
+        asked.append(body)
+        end = len(ids) if body.before is None else body.before
+        start = max(0, end - min(body.limit, 3))
+        return JobList(jobs=tuple(job_view(job=each) for each in ids[start:end]), before=start or None)
+
+    client, _ = client_with(handle)
+    assert [view.job for view in client.jobs()] == ids
+    assert len(asked) == 3
+    assert [view.job for view in client.jobs(last=4)] == ids[-4:]
+    assert [each.limit for each in asked[3:]] == [4, 1]

@@ -3,7 +3,9 @@
 import os
 import re
 import shutil
+import socket
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -162,10 +164,39 @@ def test_slurm_starts_programs_with_options_that_they_have() -> None:
     submit = next(line for line in plain.splitlines() if line.startswith("coordinator submit"))
     worker = next(line for line in plain.splitlines() if "island-worker --" in line)
     options = arguments.parse(serve.split(">>")[0].split()[1:])
-    assert (options.verb, options.listen) == ("serve", "tcp/0.0.0.0:0")
+    assert (options.verb, options.listen) == ("serve", "tls/0.0.0.0:0")
     assert options.connect_file
     assert arguments.parse(submit.removesuffix("&").split()[1:]).id
     assert worker_cli._parse(worker.split("island-worker")[1].removesuffix("&").split()).connect_file
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_slurm_lets_in_only_who_may_read_the_folder_of_the_job(tmp_path: Path) -> None:
+    """Its programs are stand-ins, of which the coordinator looks at what it would listen with."""
+    programs, folder = tmp_path / "bin", tmp_path / "job"
+    programs.mkdir()
+    code = (
+        "import os; from pathlib import Path; from atoll.wire.security.credentials import credentials_of\n"
+        "sides = [credentials_of({}, os.environ, use) for use in ('serve', 'connect')]\n"
+        "Path(os.environ['SAID']).write_text(f'{sides[0].name} {\",\".join(sides[0].hosts)}')\n"
+    )
+    (programs / "coordinator").write_text(f'#!/bin/bash\n[[ $1 == serve ]] && {sys.executable} -c "$CODE"\nexit 1\n')
+    for name in ("srun", "scancel"):
+        (programs / name).write_text("#!/bin/bash\n")
+    for file in programs.iterdir():
+        file.chmod(0o755)
+    data = tmp_path / "data.csv"
+    data.write_text("t,x\n")
+    done = run(
+        "bash", SCRIPTS[2], data, PATH=f"{programs}:{os.environ['PATH']}", SLURM_JOB_ID="7", CODE=code,
+        ATOLL_DIR=str(folder), SAID=str(tmp_path / "said"),
+    )  # fmt: skip
+    assert done.returncode == 1
+    name, hosts = (tmp_path / "said").read_text().split()
+    assert name == "atoll"
+    assert {"localhost", "127.0.0.1", socket.gethostname()} <= set(hosts.split(","))
+    assert folder.stat().st_mode & 0o077 == 0
+    assert all(file.stat().st_mode & 0o077 == 0 for file in folder.rglob("*"))
 
 
 def test_slurm_ends_before_its_time_is_over() -> None:

@@ -16,7 +16,6 @@ from typing import Final, Self
 
 from atoll.command_line import TLS_OPTIONS
 from atoll.errors import AtollError
-from atoll.wire.addresses import bindable, parse_address
 
 _STOP_LIMIT_S: Final = 7.0
 """Longer than the process that watches over the workers gives these."""
@@ -24,11 +23,6 @@ _STOP_LIMIT_S: Final = 7.0
 _ENDED: Final = "the process that watches over the workers has ended, and they with it"
 _SPEAKER: Final = b"island-worker: "
 """Begins lines of the log that are for people."""
-
-
-def free_endpoint() -> str:
-    """Return an address of this machine, for this machine alone, on which nobody listens."""
-    return str(bindable(parse_address("tcp/127.0.0.1:0")))
 
 
 def plain_environment() -> dict[str, str]:

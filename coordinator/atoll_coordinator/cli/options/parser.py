@@ -8,7 +8,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
-from atoll.command_line import Parser, add_tls_options, whole_number
+from atoll.command_line import Parser, add_tls_options, seconds, whole_number
 from atoll.completion import SHELLS, complete
 from atoll.errors import UsageError
 from atoll_coordinator.cli.options.service import add_doctor, add_router, add_serve
@@ -18,6 +18,7 @@ HANDLERS: Final = {
     "serve": "atoll_coordinator.cli.verbs.serve",
     "router": "atoll_coordinator.cli.verbs.router",
     "submit": "atoll_coordinator.cli.verbs.submit",
+    "ping": "atoll_coordinator.cli.verbs.ping",
     "jobs": "atoll_coordinator.cli.verbs.jobs",
     "status": "atoll_coordinator.cli.verbs.jobs",
     "workers": "atoll_coordinator.cli.verbs.jobs",
@@ -89,6 +90,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_serve(_verb, verbs)
     add_router(_verb, verbs)
     _add_submit(verbs)
+    _add_ping(verbs)
     _add_readers(verbs)
     _add_simulate(verbs)
     _add_analyse(verbs)
@@ -144,6 +146,15 @@ def _add_submit(verbs: Any) -> None:
     )  # fmt: skip
 
 
+def _add_ping(verbs: Any) -> None:
+    parser = _verb(verbs, "ping", "ask whether a coordinator answers, as probes do; 3: it does not")
+    _add_connect(parser)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument(
+        "--wait", type=seconds, default=5.0, metavar="SECONDS", help="how long to wait for it (default: %(default)g)"
+    )
+
+
 def _add_readers(verbs: Any) -> None:
     texts = {
         "jobs": ("list the jobs of a coordinator", "only jobs whose id begins with this"),
@@ -162,6 +173,10 @@ def _add_readers(verbs: Any) -> None:
         parser.add_argument("job", metavar="ID", nargs=None if name in ("result", "delete") else "?", help=subject)
         _add_connect(parser)
         parser.add_argument("--json", action="store_true", help="print JSON")
+        if name == "jobs":
+            parser.add_argument(
+                "--last", type=whole_number(1, 10**9), metavar="N", help="only the N that came last (default: all)"
+            )
         if name == "result":
             _add_result(parser)
         if name in ("status", "logs"):
@@ -246,7 +261,9 @@ def _add_analyse(verbs: Any) -> None:
 
 def _add_report(verbs: Any) -> None:
     parser = _verb(verbs, "report", "a saved result as one HTML page that needs neither network nor script")
-    parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
+    parser.add_argument(
+        "result", nargs="+", metavar="RESULT", help="PATH/result.json, or its folder; several, if you like"
+    )
     _add_group(parser)
     parser.add_argument("-o", "--output", metavar="FILE", help="the page (default: report.html beside the result)")
     parser.add_argument("--pictures", metavar="DIR", help="also write every picture as an SVG file of its own")

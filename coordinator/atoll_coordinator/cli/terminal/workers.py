@@ -25,7 +25,7 @@ def coordinator_lines(view: CoordinatorView | None) -> str:
     lines = [
         f"coordinator {view.version}, start {view.incarnation}, for {duration(view.seconds)}",
         f"memory {size(counters.memory_bytes)}, CPU {duration(counters.cpu_s)}, "
-        f"{counters.refused} messages refused, {counters.dropped} dropped",
+        f"{counters.refused} messages refused, {counters.dropped} dropped, {counters.broken} events broke",
         f"store: {store.transactions} transactions, {1000 * mean:.1f} ms each, {1000 * store.worst_s:.1f} ms at most",
     ]
     rows = [

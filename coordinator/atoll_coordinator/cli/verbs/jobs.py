@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Sequence
+from typing import Final
 
 from atoll.config import Model
 from atoll.errors import UsageError
@@ -23,11 +24,14 @@ from atoll_coordinator.cli.terminal.progress import (
 from atoll_coordinator.cli.terminal.workers import coordinator_lines, worker_table
 from atoll_coordinator.client import Client, connected
 
+_SHOWN: Final = 20
+"""Jobs under way that are named when one is to be chosen."""
+
 
 def jobs(options: argparse.Namespace) -> int:
-    """List all jobs, or those whose id begins with ``options.job``."""
+    """List all jobs, or those whose id begins with ``options.job``, or the ``options.last`` of them."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
-        views = [view for view in client.jobs() if view.job.startswith(options.job or "")]
+        views = client.jobs(options.job or "", last=options.last)
     say(_json(views) if options.json else _job_table(views))
     return DONE
 
@@ -38,7 +42,7 @@ def status(options: argparse.Namespace) -> int:
     if options.follow:
         return _follow(options, address)
     with connected(address, CONNECT_LIMIT_S) as client:
-        views = _open_jobs(client) if options.job is None else [client.status(client.resolve(options.job))]
+        views = client.jobs(is_open=True) if options.job is None else [client.status(client.resolve(options.job))]
         workers = client.workers()
     if options.json:
         say(_json(views) if options.job is None else as_json(views[0].model_dump(mode="json")))
@@ -106,14 +110,11 @@ def delete(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _open_jobs(client: Client) -> list[JobView]:
-    return [view for view in client.jobs() if view.state not in FINAL_STATES]
-
-
 def _only_open_job(client: Client) -> str:
-    views = _open_jobs(client)
+    views = client.jobs(is_open=True, last=_SHOWN + 1)
     if len(views) != 1:
-        there = ", ".join(view.job for view in views) or "none"
+        there = ", ".join(view.job for view in views[-_SHOWN:]) or "none"
+        there += " and others" if len(views) > _SHOWN else ""
         raise UsageError(f"which job is meant? name one of those under way: {there}")
     return views[0].job
 

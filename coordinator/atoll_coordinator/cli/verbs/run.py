@@ -16,8 +16,9 @@ from typing import Final
 from atoll.errors import DataError, UsageError
 from atoll.logs import configure
 from atoll.machine.cores import usable_cores
+from atoll.wire.addresses import own_address
 from atoll_coordinator.cli.exit_codes import BAD_INPUT, INTERRUPTED
-from atoll_coordinator.cli.local.workers import LocalWorkers, free_endpoint
+from atoll_coordinator.cli.local.workers import LocalWorkers
 from atoll_coordinator.cli.options.names import job_id
 from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.cli.terminal.output import refuse_existing_result
@@ -50,16 +51,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
-    endpoint, number = free_endpoint(), options.workers or usable_cores(os.environ)[0]
+    number = options.workers or usable_cores(os.environ)[0]
     with (
         raising_interrupts(),
-        LocalWorkers(endpoint, number, folder / _WORKER_LOG) as workers,
+        own_address() as address,
+        LocalWorkers(str(address), number, folder / _WORKER_LOG) as workers,
         contextlib.closing(ProcessPool()) as pool,
     ):
         pool.preload(load_preparation)
         from atoll_coordinator.cli.local.local_run import LocalRun
 
-        return LocalRun(options, folder, endpoint, workers, pool, started).run()
+        return LocalRun(options, folder, str(address), workers, pool, started).run()
 
 
 @contextlib.contextmanager

@@ -138,6 +138,8 @@ def greeting(at: Destination, state: str, roster: Roster | None = None, is_behin
 
 def warnings_of(at: Destination, roster: Roster | None) -> list[str]:
     """Return in plain words who can do what, where that is more than this machine's own programs."""
+    if at.address.is_socket:
+        return ["whoever may use that socket may submit, read and cancel jobs, and join as a worker"]
     if at.credentials is None and not is_loopback(at.address.host):
         return [
             f"NOT ENCRYPTED: whoever reaches port {at.address.port} may submit, read and cancel jobs, join as a",
@@ -165,7 +167,7 @@ def is_loopback(host: str) -> bool:
 def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
     """Return the addresses to connect to, those for other machines first; with a certificate those that it names."""
     address, files = at.address, at.credentials
-    if is_behind_router:
+    if is_behind_router or address.is_socket:
         return [str(address)]
     hosts = (files.hosts if files is not None else ()) or heard_on(address.host)
     return [str(Address(address.protocol, host, address.port)) for host in hosts]

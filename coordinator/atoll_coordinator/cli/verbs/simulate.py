@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +14,7 @@ from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
 from atoll.errors import UsageError
 from atoll.model.model import ROWS, Model
-from atoll.model.simulation import MOST_NUMBERS
+from atoll.model.simulation import MOST_NUMBERS, EarlyEndWarning
 from atoll_coordinator.cli.exit_codes import DONE
 from atoll_coordinator.cli.terminal.output import as_json, note, say
 from atoll_coordinator.data.roles.options import TRAJECTORY_NAME
@@ -36,7 +37,9 @@ def simulate(options: argparse.Namespace) -> int:
             f"{'--each-path' if options.each_path else '--seed'} belongs to --paths; say how many there are"
         )
     if paths is None:
-        found = model.simulate(given.state, times, inputs)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", EarlyEndWarning)  # said in a line of its own
+            found = model.simulate(given.state, times, inputs)
         _deliver(as_json(found.as_dict()) if options.json else found.to_csv(), options.output)
         if model.result.get("process") is not None:
             note("coordinator: the drift was simulated, without the noise of the process; --paths draws paths with it")

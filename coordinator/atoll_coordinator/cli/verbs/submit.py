@@ -29,12 +29,21 @@ def submit(options: argparse.Namespace) -> int:
     if folder is not None:
         refuse_existing_result(folder)
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
-        view = request.submit(client, request.read())
+        try:
+            view = request.submit(client, request.read())
+        except KeyboardInterrupt:
+            note(f"interrupted before job {request.job} was known to be taken in: {_look(request, address)}")
+            return INTERRUPTED
         if options.no_wait:
             _say_what_it_waits_for(view, client, address)
             say(request.job)
             return DONE
         return _follow_to_result(request, client, address, folder, has_report=options.report)
+
+
+def _look(request: Request, address: Destination) -> str:
+    """Return the command that tells how the job is getting on."""
+    return f"coordinator status {request.job} --connect {address}"
 
 
 def _say_what_it_waits_for(view: JobView, client: Client, address: Destination) -> None:
@@ -51,7 +60,7 @@ def _follow_to_result(
     try:
         view = _follow(request, client, address)
     except KeyboardInterrupt:
-        note(f"detached; the job goes on: coordinator status {request.job} --connect {address}")
+        note(f"detached; the job goes on: {_look(request, address)}")
         return INTERRUPTED
     result = request.result(client, view)
     if result is not None:

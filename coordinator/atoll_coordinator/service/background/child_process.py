@@ -38,6 +38,10 @@ class ProcessDiedError(AtollError):
     """Raised when a task cannot be run because its process died; a few words that name the cause."""
 
 
+class TookTooLongError(ProcessDiedError):
+    """Raised when a task took longer than it may; in another process it would do so again."""
+
+
 class ChildProcess:
     """A process that runs tasks in the order in which they are sent; several may be sent, one be waited for."""
 
@@ -103,12 +107,19 @@ class ChildProcess:
             raise
 
     def answer(self, limit_s: float) -> Any:
-        """Wait for the outcome of the task that was sent; raises ProcessDiedError, after which the process is gone."""
+        """Wait for the outcome of the task that was sent.
+
+        Raises:
+            TookTooLongError: there was none in time; the process is gone.
+            ProcessDiedError: the process is gone.
+        """
         try:
             said = self._answers.get(timeout=limit_s)
         except queue.Empty:
-            self.kill(f"its process took longer than {limit_s:,.0f} s and was ended")
-            said = None
+            why = f"it took longer than {limit_s:,.0f} s and was ended"
+            self.kill(why)
+            self.wait()
+            raise TookTooLongError(why) from None
         if said is None:
             self.wait()
             raise ProcessDiedError(self._why or cause_of(self._process.returncode))

@@ -13,7 +13,7 @@ from typing import Final, TypeVar
 from atoll.errors import AtollError
 from atoll.logs import fields
 from atoll.machine.cores import usable_cores
-from atoll_coordinator.service.background.child_process import ChildProcess, ProcessDiedError
+from atoll_coordinator.service.background.child_process import ChildProcess, ProcessDiedError, TookTooLongError
 
 LIMIT_S: Final = 3_600.0
 """Far above what preparing or refining takes: a task that takes longer hangs, and is ended."""
@@ -134,9 +134,11 @@ class ProcessPool:
                 self._changed.wait()
 
     def _run_twice_at_most(self, task: _Task, function: Callable[[], T]) -> T:
-        """Run a task; when its process dies, run it again in a new one."""
+        """Run a task; when its process dies, run it again in a new one, but not what takes too long."""
         try:
             return self._run_once(task, function, self._take_any if task in self._queue else self._take_ready)
+        except TookTooLongError:
+            raise
         except ProcessDiedError as error:
             _LOG.warning("task lost, run again", extra=fields(job=task.job, why=str(error)))
         try:

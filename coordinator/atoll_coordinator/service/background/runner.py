@@ -10,6 +10,7 @@ from atoll_coordinator.service.background.child_main import load_refinement
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.tasks import preparation_failed, prepare_job, refine_job, refinement_failed
 from atoll_coordinator.service.jobs.job import Prepared
+from atoll_coordinator.service.monitoring.breakages import what_to_send
 from atoll_coordinator.service.search.archipelago import Checkpoint
 from atoll_coordinator.service.store.store import Store
 
@@ -53,17 +54,19 @@ class TaskRunner:
             self._post(outcome)
             self._ports.pool.preload(load_refinement)
 
+        to_send = what_to_send(config, is_certain=False)
         task = partial(prepare_job, self._ports.preparer, job, table, config)
-        self._ports.pool.submit(job, task, finish, lambda why: self._post(preparation_failed(job, why)))
+        self._ports.pool.submit(job, task, finish, lambda why: self._post(preparation_failed(job, why, to_send)))
 
     def refine(self, job: str, prepared: Prepared, pools: Pools, seconds: float | None = None) -> None:
         """Make the equations of the pools, in so many seconds if that is not None.
 
         `JobRefined` is posted unless the job is cancelled.
         """
+        to_send = what_to_send(prepared.config, is_certain=False)
         task = partial(refine_job, self._ports.refiner, job, prepared, pools, seconds)
         self._ports.pool.submit(
-            job, task, self._post, lambda why: self._post(refinement_failed(job, why)), is_queued=True
+            job, task, self._post, lambda why: self._post(refinement_failed(job, why, to_send)), is_queued=True
         )
 
     def cancel(self, job: str) -> None:

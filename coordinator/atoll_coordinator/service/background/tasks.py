@@ -15,6 +15,7 @@ from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
 from atoll_coordinator.model.result.known import known_entries, with_remarks
 from atoll_coordinator.service.jobs.defaults import resolve, with_units
 from atoll_coordinator.service.jobs.job import Fault, Prepared
+from atoll_coordinator.service.monitoring.breakages import what_to_send
 
 _LOG = logging.getLogger(__name__)
 
@@ -95,12 +96,12 @@ def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -
         return PreparationFailed(job, "data", str(error))
     except Exception as error:  # the job fails with it, the coordinator goes on
         _LOG.exception("preparing failed", extra=fields(job=job))
-        return preparation_failed(job, f"{type(error).__name__}: {error}")
+        return preparation_failed(job, _named(error), what_to_send(config))
 
 
-def preparation_failed(job: str, why: str) -> PreparationFailed:
+def preparation_failed(job: str, why: str, to_send: str) -> PreparationFailed:
     """Return the outcome of a preparation that ended with an error of ours or of this machine."""
-    return PreparationFailed(job, "internal", f"preparing the data broke ({why})")
+    return PreparationFailed(job, "internal", f"preparing the data broke ({why}){to_send}")
 
 
 def refine_job(
@@ -111,10 +112,14 @@ def refine_job(
         return JobRefined(job, refiner(prepared.preparation, prepared.config, pools, Deadline(seconds), prepared.laws))
     except Exception as error:  # the job is done all the same
         _LOG.exception("refining failed", extra=fields(job=job))
-        return refinement_failed(job, f"{type(error).__name__}: {error}")
+        return refinement_failed(job, _named(error), what_to_send(prepared.config))
 
 
-def refinement_failed(job: str, why: str) -> JobRefined:
+def refinement_failed(job: str, why: str, to_send: str) -> JobRefined:
     """Return the outcome of a refinement that failed: the selected members stay as they are."""
-    warning = f"Refining broke ({why}); equations are as found."
+    warning = f"Refining broke ({why}); equations are as found{to_send}."
     return JobRefined(job, Refinement(warnings=(warning,), end="not refined"))
+
+
+def _named(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())

@@ -6,6 +6,7 @@ from pydantic import ValidationError
 
 from atoll import ENGINE_REVISION, VERSION
 from atoll.config import JobConfig
+from atoll.errors import RemoteProtocolError
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.search.checkpoints import StoredSearchState
 
@@ -15,8 +16,16 @@ def settings_reason(error: ValidationError) -> str:
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"]) or "all of them"
     return (
-        f"its settings in the store are not understood by version {VERSION} ({where}: {first['msg']}); serve its "
-        "store with the version that it was submitted to, or submit it again under another id"
+        f"its settings in the store are not understood by version {VERSION} ({where}: {first['msg']}); "
+        "submit it again under another id"
+    )
+
+
+def stored_search_reason(error: RemoteProtocolError) -> str:
+    """Return why a search cannot go on from what is stored of it, from what reading that raised."""
+    return (
+        f"what the store keeps of its search is not understood by version {VERSION} ({error}); submit it again under "
+        "another id"
     )
 
 
@@ -43,6 +52,6 @@ def resume_reason(
     if engines:
         return (
             f"it was begun by engine revision {min(engines)}, and this is revision {ENGINE_REVISION}, which "
-            "computes otherwise; serve its store with the earlier version, or submit it again under another id"
+            "computes otherwise; submit it again under another id"
         )
     return None

@@ -24,16 +24,22 @@ def next_job(jobs: Iterable[Job]) -> Job | None:
     return next(iter(waiting_jobs(jobs)), None)
 
 
-def ahead_of(job: Job, jobs: Iterable[Job]) -> int | None:
-    """Return how many jobs are before this one in the line; None when it does not wait there."""
-    return waiting_jobs(jobs).index(job) if job.state == "queued" else None
+class Line:
+    """The jobs that wait as they stand in line, looked through once for any number of questions."""
 
+    def __init__(self, jobs: Iterable[Job]) -> None:
+        """`jobs` are all live ones, in the order in which they came."""
+        jobs = tuple(jobs)
+        self._ahead = {job.id: ahead for ahead, job in enumerate(waiting_jobs(jobs))}
+        self._under_way = sum(each.state in ("preparing", "running") for each in jobs)
 
-def waiting_reason(job: Job, jobs: Iterable[Job]) -> str:
-    """Return in words what a queued job waits for."""
-    jobs = tuple(jobs)
-    ahead = waiting_jobs(jobs).index(job)
-    if ahead:
-        return f"waits for its turn ({ahead} {'job' if ahead == 1 else 'jobs'} before it)"
-    running = sum(each.state in ("preparing", "running") for each in jobs)
-    return f"waits for its turn (it is next; {running} {'job is' if running == 1 else 'jobs are'} under way)"
+    def ahead_of(self, job: Job) -> int | None:
+        """Return how many jobs are before this one in the line; None when it does not wait there."""
+        return self._ahead.get(job.id)
+
+    def waiting_reason(self, job: Job) -> str:
+        """Return in words what a queued job waits for."""
+        ahead, running = self._ahead[job.id], self._under_way
+        if ahead:
+            return f"waits for its turn ({ahead} {'job' if ahead == 1 else 'jobs'} before it)"
+        return f"waits for its turn (it is next; {running} {'job is' if running == 1 else 'jobs are'} under way)"

@@ -1,7 +1,7 @@
 """What people are shown. Nothing here decides anything.
 
 ``event_log`` records what happens to jobs and workers, in the program's log and in the store; ``counters`` counts what
-live jobs cost; ``views`` makes what `coordinator jobs`, `status` and `result` show of a job.
+live jobs cost, ``breakages`` what broke; ``views`` makes what `coordinator jobs`, `status` and `result` show of a job.
 
 Controller, `workers` -> `EventLog`, `CounterRegistry`; `Job` -> `views.job_view` or `views.job_result` -> clients.
 """

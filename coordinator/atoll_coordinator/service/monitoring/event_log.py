@@ -25,7 +25,7 @@ _LOG = logging.getLogger("coordinator")
 MAX_REFUSALS: Final = 1000
 """Refusals of workers that are recorded, each once, so that a flood of them does not fill the log."""
 
-_WARNINGS: Final = frozenset({"failed", "stalled", "isolated", "unplaced", "worker-lost", "refused"})
+_WARNINGS: Final = frozenset({"failed", "stalled", "isolated", "unplaced", "worker-lost", "refused", "broken"})
 _COLUMNS: Final = ("variable", "island", "epoch", "term", "worker")
 _MAX_NAMES: Final = 8
 
@@ -56,9 +56,13 @@ class EventLog:
             self._store.add_events(pending)
 
     def read(self, job: str | None, after: int, limit: int) -> tuple[EventView, ...]:
-        """Return the events of a job, or all, after the one of that number; see `Store.events`."""
+        """Return the events of a job, or all, after the one of that number; see `Store.events`.
+
+        What another version has recorded in words that this one does not know is left out.
+        """
         self.flush()
-        return tuple(view_of(record) for record in self._store.events(job, after, limit))
+        views = (view_of(record) for record in self._store.events(job, after, limit))
+        return tuple(view for view in views if view is not None)
 
     # ---------------------------------------------------------------------------------------------- jobs
 
@@ -155,13 +159,16 @@ class EventLog:
         self.record("worker-back", "it is there again, as the same process", worker=worker)
 
 
-def view_of(record: EventRecord) -> EventView:
-    """Return a stored event as people are shown it."""
-    contents: dict[str, Any] = json.loads(record.contents)
-    named = {name: contents.pop(name, None) for name in _COLUMNS}
-    return EventView.model_validate(
-        {
-            "number": record.number, "time": record.time, "event": record.kind, "text": contents.pop("text", ""),
-            "job": record.job, **named, "details": contents,
-        }
-    )  # fmt: skip
+def view_of(record: EventRecord) -> EventView | None:
+    """Return a stored event as people are shown it; None for one that is not in the words of this version."""
+    try:
+        contents: dict[str, Any] = json.loads(record.contents)
+        named = {name: contents.pop(name, None) for name in _COLUMNS}
+        return EventView.model_validate(
+            {
+                "number": record.number, "time": record.time, "event": record.kind, "text": contents.pop("text", ""),
+                "job": record.job, **named, "details": contents,
+            }
+        )  # fmt: skip
+    except (ValueError, TypeError, AttributeError):
+        return None

@@ -14,8 +14,8 @@ from atoll.wire.messages.views import JobCounters, JobState, JobView, VariableVi
 from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from atoll_coordinator.model.result.trust import verdict
-from atoll_coordinator.service.jobs import queue
 from atoll_coordinator.service.jobs.job import Job, Prepared
+from atoll_coordinator.service.jobs.queue import Line
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.cut import Improvement, Why
 from atoll_coordinator.service.store.jobs import JobRecord
@@ -77,14 +77,14 @@ def _steps(improvements: Sequence[Improvement]) -> tuple[tuple[int, float], ...]
 
 
 def job_view(
-    job: Job, jobs: Sequence[Job], now: float, waiting_reason: str | None, counters: JobCounters,
+    job: Job, line: Line, now: float, waiting_reason: str | None, counters: JobCounters,
     stalls: tuple[str, ...],
 ) -> JobView:  # fmt: skip
     """Return what `jobs` and `status` show of a live job, or of one that ends now.
 
     Args:
-        job: any of `jobs`, or one that ends now.
-        jobs: all live ones.
+        job: a live one, or one that ends now.
+        line: in which it waits, if it does.
         now: the bus's seconds.
         waiting_reason: what its archipelagos without workers wait for, in words, if there are any.
         counters: of this job.
@@ -100,7 +100,7 @@ def job_view(
         state=job.state,
         seed=job.config.seed,
         preset=job.config.preset,
-        reason=queue.waiting_reason(job, jobs) if job.state == "queued" else job.reason or waiting_reason,
+        reason=line.waiting_reason(job) if job.state == "queued" else job.reason or waiting_reason,
         fault=job.fault,
         warnings=job.prepared.dataset.warnings if job.prepared else (),
         submitted=job.submitted,
@@ -110,7 +110,7 @@ def job_view(
         point_evaluations_per_second=evaluations / seconds if seconds > 0.0 and evaluations else None,
         variables=variables,
         priority=job.priority,
-        ahead=queue.ahead_of(job, jobs),
+        ahead=line.ahead_of(job),
         stalls=stalls,
         counters=counters,
         target_error=job.config.budget.target_error,

@@ -2,7 +2,8 @@
 
 ``router`` takes every query and tells by its key what it asks for; it answers workers that ask for a job, a placement,
 states or a dataset. ``handshake`` answers greetings, ``clients`` what the command line asks, ``authorization`` decides
-who may take part as what and who may cancel or delete which job, ``deletion`` deletes ended jobs, also by itself.
+who may take part as what and who may cancel or delete which job, ``uploads`` keeps the tables of jobs to come,
+``deletion`` deletes ended jobs, also by itself.
 
 Service (bus) -> `router.RequestRouter.answer` -> `clients.ClientRequests` or `handshake.Handshake` -> controller.
 """

@@ -1,10 +1,9 @@
 """Requests of clients: uploads, submissions, questions about jobs and workers. Whatever is wrong becomes a Failure."""
 
-import hashlib
 from collections.abc import Callable
 from typing import Final
 
-from atoll.errors import AtollError, RefusedError, RemoteProtocolError, StoreError
+from atoll.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll.wire.messages.clients import (
     Ask,
     Cancel,
@@ -13,8 +12,10 @@ from atoll.wire.messages.clients import (
     EventList,
     Failure,
     FailureKind,
+    FindJob,
     GetEvents,
     GetResult,
+    JobFound,
     JobList,
     Jobs,
     JobStatus,
@@ -26,16 +27,21 @@ from atoll.wire.messages.clients import (
     WorkerList,
     Workers,
 )
+from atoll.wire.messages.limits import CHUNK_SIZE
 from atoll.wire.messages.views import CoordinatorView, JobView
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
+from atoll_coordinator.service.requests.uploads import Uploads
 from atoll_coordinator.service.store.store import Store
 
-MAX_STORED_BYTES: Final = 16 * 1024**3
-"""Uploads are refused when all tables and datasets together would take more than this."""
+MAX_PAGE_BYTES: Final = CHUNK_SIZE
+"""Of a list of jobs, as JSON, unless a single one has more: each item of a message has two bytes of JSON at least, so
+that the list keeps to `atoll.wire.codec.MAX_ITEMS`."""
 
-Body = Uploaded | JobList | JobStatus | WorkerList | Result | Deleted | EventList | Failure
+_SHOWN: Final = 5
+
+Body = Uploaded | JobList | JobFound | JobStatus | WorkerList | Result | Deleted | EventList | Failure
 
 
 class ClientRequests:
@@ -50,6 +56,7 @@ class ClientRequests:
         self._store = store
         self._authorization = authorization
         self._deletion = deletion
+        self.uploads: Final = Uploads(store, now)
         self._now = now
         self._coordinator = coordinator
 
@@ -64,11 +71,13 @@ class ClientRequests:
             return Failure(failure="refused", sentence=refusal)
         try:
             return self._answer(ask, self._authorization.submitter(client))
+        except TableMissingError as error:
+            return Failure(failure="no-table", sentence=str(error))
         except (RefusedError, RemoteProtocolError) as error:
             return Failure(failure="refused", sentence=str(error)[:4000])
-        except AtollError as error:
+        except StoreError as error:
             # The job has left its search already, and only a coordinator that starts again finds its way back.
-            if isinstance(error, StoreError) and isinstance(ask.body, Cancel):
+            if isinstance(ask.body, Cancel):
                 raise
             return Failure(failure="internal", sentence=str(error)[:4000])
 
@@ -76,12 +85,26 @@ class ClientRequests:
         body = ask.body
         match body:
             case Upload():
-                return self._upload(body)
+                return self.uploads.take(body)
             case Submit():
                 self._controller.submit(body, self._now(), submitter)
                 return self._status(body.job)
+            case Cancel():
+                self._controller.cancel(body.job, self._now())
+                return self._status(body.job)
+            case Delete():
+                self._deletion.delete(body.job, "a client asked for it")
+                return Deleted(job=body.job)
+            case _:
+                return self._tell(body)
+
+    def _tell(self, body: Jobs | FindJob | Status | Workers | GetResult | GetEvents) -> Body:
+        """Answer a question that changes nothing."""
+        match body:
             case Jobs():
-                return JobList(jobs=self._views())
+                return self._page(body)
+            case FindJob():
+                return self._find(body.prefix)
             case Status():
                 return self._status(body.job)
             case Workers():
@@ -89,12 +112,6 @@ class ClientRequests:
                 return WorkerList(workers=views, coordinator=self._coordinator())
             case GetResult():
                 return self._result(body.job)
-            case Cancel():
-                self._controller.cancel(body.job, self._now())
-                return self._status(body.job)
-            case Delete():
-                self._deletion.delete(body.job, "a client asked for it")
-                return Deleted(job=body.job)
             case GetEvents():
                 return self._events(body)
 
@@ -104,35 +121,38 @@ class ClientRequests:
             return _unknown(question.job)
         return EventList(events=self._controller.events.read(question.job, question.after, question.limit))
 
-    def _upload(self, upload: Upload) -> Uploaded:
-        if upload.data is None:
-            self._check_room(upload)
-        else:
-            if hashlib.sha256(upload.data).hexdigest() != upload.sha256:
-                raise RefusedError(f"part {upload.index + 1} of an upload was damaged on its way; send it again")
-            self._check_room(upload)
-            self._store.put_chunk(upload.blob, upload.size, upload.index, upload.data)
-        return Uploaded(blob=upload.blob, missing=self._store.missing_chunks(upload.blob, upload.size))
+    def _page(self, question: Jobs) -> JobList:
+        """Return a page of jobs, newest last, that an answer bears."""
+        page = self._store.job_page(
+            question.prefix, is_open=question.is_open, before=question.before, limit=question.limit
+        )
+        numbers = {job: number for number, job in page}
+        views: list[JobView] = []
+        size = 0
+        for view in self._controller.views(numbers, self._now()):
+            size += len(view.model_dump_json())
+            if views and size > MAX_PAGE_BYTES:
+                return JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
+            views.append(view)
+        is_last = len(numbers) < question.limit
+        return JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
 
-    def _check_room(self, upload: Upload) -> None:
-        """Raise RefusedError for an upload that does not fit, also without the uploads that no job uses."""
-        if self._fits(upload):
-            return
-        self._store.delete_unused_blobs(upload.blob)
-        if not self._fits(upload):
-            raise RefusedError(
-                f"the coordinator's store holds {self._store.blob_bytes()} bytes of tables and datasets and takes at "
-                f"most {MAX_STORED_BYTES}; an upload of {upload.size} bytes does not fit: delete jobs that have ended "
-                "(coordinator delete ID), or have the coordinator started with a smaller --keep"
+    def _find(self, prefix: str) -> JobFound | Failure:
+        """Return the one job whose id is `prefix` or begins with it."""
+        if self._store.job(prefix) is not None:
+            return JobFound(job=prefix)
+        count = self._store.count_jobs(prefix)
+        ids = [job for _, job in self._store.job_page(prefix if count else "", limit=_SHOWN)]
+        if count == 1:
+            return JobFound(job=ids[0])
+        shown = ", ".join(reversed(ids))
+        if count:
+            shown += f" and {count - _SHOWN} more" if count > _SHOWN else ""
+            return Failure(
+                failure="refused", sentence=f"{count} jobs begin with {prefix!r} ({shown}); write more of the id"
             )
-
-    def _fits(self, upload: Upload) -> bool:
-        return self._store.has_blob(upload.blob) or self._store.blob_bytes() + upload.size <= MAX_STORED_BYTES
-
-    def _views(self) -> tuple[JobView, ...]:
-        ids = [*self._controller.ended, *self._controller.jobs]
-        views = [view for each in ids if (view := self._controller.view(each, self._now())) is not None]
-        return tuple(sorted(views, key=lambda view: (view.submitted, view.job)))
+        there = f"the last that came are {shown}" if ids else "there is none at all yet"
+        return Failure(failure="unknown-job", sentence=f"the coordinator has no job {prefix!r}; {there}")
 
     def _status(self, job: str) -> JobStatus | Failure:
         view = self._controller.view(job, self._now())

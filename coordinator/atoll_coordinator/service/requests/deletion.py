@@ -1,6 +1,5 @@
 """Deletes jobs that have ended: those that a client names, and those that the retention no longer keeps."""
 
-from collections.abc import Callable
 from typing import Final
 
 from atoll.errors import RefusedError
@@ -15,13 +14,10 @@ CHECK_INTERVAL_S: Final = 60.0
 class JobDeletion:
     """Deletes ended jobs, each in one transaction of the store."""
 
-    def __init__(
-        self, controller: Controller, store: Store, clock: Callable[[], str], retention: Retention = KEEP_ALL
-    ) -> None:
-        """`clock` gives the time of day as ISO text."""
+    def __init__(self, controller: Controller, store: Store, retention: Retention = KEEP_ALL) -> None:
+        """`retention` says which ended jobs are kept."""
         self._controller = controller
         self._store = store
-        self._clock = clock
         self._retention = retention
         self._check_at = 0.0
 
@@ -41,10 +37,11 @@ class JobDeletion:
         """Delete the oldest ended job if it is not to be kept, at most one in a call; `now` in seconds of the bus."""
         if self._retention == KEEP_ALL or now < self._check_at:
             return
+        self._store.keep_served()
         oldest = self._store.oldest_ended_job()
         reason = None
         if oldest is not None:
-            reason = self._retention.reason_to_delete(oldest, self._clock(), self._store.used_bytes())
+            reason = self._retention.reason_to_delete(oldest, self._store.served_s, self._store.used_bytes())
         if oldest is None or reason is None:
             self._check_at = now + CHECK_INTERVAL_S
         else:

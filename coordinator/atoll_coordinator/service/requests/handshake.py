@@ -40,7 +40,7 @@ class Handshake:
             hello = decode(payload, Greeting, MAX_MESSAGE).body
         except RemoteProtocolError as error:
             self._rejects.count(topics.HELLO, error)
-            return _refusal(
+            return refusal(
                 f"the coordinator is Atoll {VERSION} (protocol {PROTOCOL_VERSION}) and did not understand the "
                 "greeting; install the same version on both sides"
             )
@@ -48,7 +48,7 @@ class Handshake:
         if sentence is not None:
             if hello.role == "client":
                 _LOG.warning("client refused", extra=fields(client=hello.name, reason=sentence))
-            return _refusal(sentence)
+            return refusal(sentence)
         return Welcome(
             realm=self._store.realm,
             incarnation=self._store.incarnation,
@@ -67,5 +67,6 @@ class Handshake:
         return self._controller.workers.register(hello, self._now())
 
 
-def _refusal(sentence: str) -> Refusal:
+def refusal(sentence: str) -> Refusal:
+    """Return the answer to a greeting that is refused for this reason."""
     return Refusal(protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION, sentence=sentence[:4000])

@@ -12,7 +12,7 @@ from atoll.wire.rejects import Rejects
 from atoll.wire.state_transfer import split_states
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests.clients import Body, ClientRequests
-from atoll_coordinator.service.requests.handshake import Handshake
+from atoll_coordinator.service.requests.handshake import Handshake, refusal
 from atoll_coordinator.service.store.store import Store
 
 
@@ -32,12 +32,27 @@ class RequestRouter:
         """Why the store failed in the midst of a question, when it did: nothing can go on from there."""
 
     def answer(self, event: Query) -> bytes | None:
-        """Return the answer to a query; None when what it asks for is not there.
+        """Return the answer to a query; None when what it asks for is not there, or something of ours breaks over it.
+
+        A client or a greeting is told what broke.
 
         Raises:
             RemoteProtocolError: The query cannot be.
         """
         key = topics.parse(event.key)
+        try:
+            return self._answer(key, event)
+        except (RemoteProtocolError, StoreError):
+            raise
+        except Exception as error:
+            sentence = self._controller.breakages.add(f"answering a question ({type(key).__name__})", error)
+        if isinstance(key, topics.HelloKey):
+            return encode(GreetingAnswer(body=refusal(sentence)))
+        if isinstance(key, topics.ClientKey):
+            return encode(Answer(body=Failure(failure="internal", sentence=sentence)))
+        return None
+
+    def _answer(self, key: topics.Key, event: Query) -> bytes | None:
         match key:
             case topics.HelloKey():
                 return encode(GreetingAnswer(body=self._handshake.answer(event.payload, key.name)))

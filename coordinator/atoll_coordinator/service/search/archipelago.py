@@ -105,6 +105,10 @@ class Archipelago:
         """The workers that have islands of it, sorted; none without a placement."""
         return tuple(sorted(set(self.placement.workers))) if self.placement is not None else ()
 
+    def islands_of(self, worker: str) -> tuple[int, ...]:
+        """Return the islands that `worker` computes now."""
+        return self.placement.islands_of(worker) if self.placement is not None else ()
+
     @property
     def cut(self) -> Cut | None:
         """Where the search ended; None while it goes on."""

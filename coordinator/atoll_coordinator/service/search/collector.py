@@ -215,9 +215,12 @@ class Collector:
     def _is_whole(self, report: IslandReport) -> bool:
         """Tell whether a report has the counters of just those slices that it must have finished."""
         reached, order = report.generations, self.limits.commit_order
+        # Ends are listed of no more slices than the report itself lists: it may say that it reached generation 2**62.
+        if reached > order.generations or reached // order.stride > len(report.counters):
+            return False
         ends = order.ends(reached)
         at_end = report.hit is None or (report.hit.generation == reached and reached in ends)
-        return reached <= order.generations and at_end and tuple(each.generation for each in report.counters) == ends
+        return at_end and tuple(each.generation for each in report.counters) == ends
 
     def _is_complete(self, epoch: int) -> bool:
         """Tell whether every island has reported as much of an epoch as counts, by the hits that are known."""

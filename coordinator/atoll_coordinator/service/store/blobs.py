@@ -2,8 +2,8 @@
 
 import hashlib
 import sqlite3
-from collections.abc import Collection
-from typing import Literal, cast
+from collections.abc import Iterable
+from typing import Final, Literal, cast
 
 from atoll.errors import RemoteProtocolError
 from atoll.wire.messages.limits import CHUNK_SIZE, chunk_count
@@ -76,17 +76,34 @@ def put_chunk(sql: sqlite3.Connection, digest: str, size: int, index: int, data:
     return _finish(sql, digest) if count == chunk_count(size) else "partial"
 
 
-def total_bytes(sql: sqlite3.Connection) -> int:
-    """Return how many bytes all blobs have, announced ones included."""
-    (total,) = sql.execute("SELECT coalesce(sum(size), 0) FROM blobs").fetchone()
+def total_bytes(sql: sqlite3.Connection, but: str = "") -> int:
+    """Return how many bytes all blobs but one have, announced ones included."""
+    (total,) = sql.execute("SELECT coalesce(sum(size), 0) FROM blobs WHERE digest != ?", (but,)).fetchone()
     return cast(int, total)
 
 
-def delete_unused(sql: sqlite3.Connection, digests: Collection[str] | None = None, but: str = "") -> None:
-    """Delete those of these blobs (None: of all of them, also unfinished uploads) that no job uses, except `but`."""
-    used = "SELECT table_digest FROM jobs UNION SELECT dataset_digest FROM jobs WHERE dataset_digest IS NOT NULL"
-    which = "" if digests is None else f"AND digest IN ({', '.join('?' * len(digests))})"
-    sql.execute(f"DELETE FROM blobs WHERE digest != ? AND digest NOT IN ({used}) {which}", (but, *(digests or ())))
+_UNUSED: Final = (
+    "NOT EXISTS (SELECT 1 FROM jobs WHERE table_digest = digest) "
+    "AND NOT EXISTS (SELECT 1 FROM jobs WHERE dataset_digest = digest)"
+)
+
+
+def unused(sql: sqlite3.Connection) -> tuple[str, ...]:
+    """Return the digests of the blobs that no job uses: unfinished uploads, and those that were not submitted."""
+    return tuple(digest for (digest,) in sql.execute(f"SELECT digest FROM blobs WHERE {_UNUSED}").fetchall())
+
+
+def unused_bytes(sql: sqlite3.Connection) -> int:
+    """Return how many bytes are there of the blobs that no job uses."""
+    (total,) = sql.execute(
+        f"SELECT coalesce(sum(length(data)), 0) FROM chunks WHERE digest IN (SELECT digest FROM blobs WHERE {_UNUSED})"
+    ).fetchone()
+    return cast(int, total)
+
+
+def delete_unused(sql: sqlite3.Connection, digests: Iterable[str]) -> None:
+    """Delete those of these blobs that no job uses."""
+    sql.executemany(f"DELETE FROM blobs WHERE digest = ? AND {_UNUSED}", [(digest,) for digest in digests])
 
 
 def _begin(sql: sqlite3.Connection, digest: str, size: int) -> None:

@@ -11,6 +11,7 @@ from atoll.errors import LocalProtocolError
 @dataclass(frozen=True, slots=True)
 class JobRecord:
     """One job as it is kept. `spec` is JSON; `submitted` and `finished` are ISO times; `elapsed` is seconds of work.
+    `ended_at` is how many seconds the store had been served when it ended.
 
     `table_digest` names the uploaded table and `dataset_digest` the prepared dataset among the blobs. `priority` is
     from -10 to 10; each step doubles the job's share of the workers.
@@ -27,6 +28,7 @@ class JobRecord:
     elapsed: float = 0.0
     finished: str | None = None
     priority: int = 0
+    ended_at: float = 0.0
 
 
 _COLUMNS: Final = tuple(field.name for field in fields(JobRecord))
@@ -51,6 +53,32 @@ def read_all(sql: sqlite3.Connection) -> tuple[JobRecord, ...]:
     """Return all jobs, in the order in which they came."""
     rows = sql.execute(f"SELECT {', '.join(_COLUMNS)} FROM jobs ORDER BY number").fetchall()
     return tuple(JobRecord(*row) for row in rows)
+
+
+def page(
+    sql: sqlite3.Connection, prefix: str, is_open: bool, before: int | None, limit: int
+) -> tuple[tuple[int, str], ...]:
+    """Return numbers and ids of the last jobs, the last first, that begin with `prefix` and came before `before`."""
+    conditions: list[str] = []
+    values: list[str | int] = []
+    if prefix:
+        conditions, values = ["id >= ? AND id < ?"], [prefix, prefix + _BEYOND]
+    if is_open:
+        conditions.append("state IN ('queued', 'preparing', 'running', 'refining')")
+    if before is not None:
+        conditions, values = [*conditions, "number < ?"], [*values, before]
+    where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
+    return tuple(sql.execute(f"SELECT number, id FROM jobs {where} ORDER BY number DESC LIMIT ?", (*values, limit)))
+
+
+def matches(sql: sqlite3.Connection, prefix: str) -> int:
+    """Return how many ids begin with `prefix`."""
+    (count,) = sql.execute("SELECT count(*) FROM jobs WHERE id >= ? AND id < ?", (prefix, prefix + _BEYOND)).fetchone()
+    return cast(int, count)
+
+
+_BEYOND: Final = "~"
+"""Greater than every character of an id."""
 
 
 def require(sql: sqlite3.Connection, job: str) -> None:
@@ -105,7 +133,7 @@ def oldest_ended(sql: sqlite3.Connection) -> JobRecord | None:
     """Return the job that ended first of those that have ended; None when there is none."""
     row = sql.execute(
         f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE state IN ('done', 'failed', 'cancelled') "
-        "ORDER BY coalesce(finished, submitted), number LIMIT 1"
+        "ORDER BY ended_at, coalesce(finished, submitted), number LIMIT 1"
     ).fetchone()
     return JobRecord(*row) if row else None
 

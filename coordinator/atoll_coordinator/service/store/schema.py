@@ -65,11 +65,20 @@ CREATE TABLE deaths (
 
 _LAYOUT_4_DELETED_JOBS: Final = "CREATE TABLE deleted_jobs (id TEXT PRIMARY KEY)"
 
+_LAYOUT_5_SERVED: Final = """
+ALTER TABLE realm ADD COLUMN served REAL NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN ended_at REAL NOT NULL DEFAULT 0;
+CREATE INDEX jobs_by_table ON jobs (table_digest);
+CREATE INDEX jobs_by_dataset ON jobs (dataset_digest);
+CREATE INDEX jobs_by_state ON jobs (state)
+"""
+
 _LAYOUTS: Final = (
     _LAYOUT_1,
     ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
     _LAYOUT_3_DEATHS,
     _LAYOUT_4_DELETED_JOBS,
+    _LAYOUT_5_SERVED,
 )
 """What each version of the layout adds to the one before. A new store goes through all of them, an old one through
 those that it lacks."""

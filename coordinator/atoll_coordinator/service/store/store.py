@@ -36,26 +36,33 @@ class Store:
     realm: Final[str]
     incarnation: Final[int]
 
-    def __init__(self, connection: sqlite3.Connection, lock: Lock | None, directory: Path | None) -> None:
+    def __init__(
+        self, connection: sqlite3.Connection, lock: Lock | None, directory: Path | None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        """`now` gives seconds that only rise, whatever is done to the time of day."""
         self._connection = connection
         self._lock_on_directory = lock
         self._directory = directory
         self._lock = threading.RLock()
         self._timing = StoreView()
-        self.realm, self.incarnation = connection.execute("SELECT id, incarnation FROM realm").fetchone()
+        self._now = now
+        columns = "id, incarnation, served"
+        self.realm, self.incarnation, served = connection.execute(f"SELECT {columns} FROM realm").fetchone()
+        self._served_since = now() - float(served)
 
     @classmethod
-    def open(cls, directory: Path | None) -> Self:
+    def open(cls, directory: Path | None, now: Callable[[], float] = time.monotonic) -> Self:
         """Open the store in `directory`, making it if need be; None: in memory, gone when closed.
 
         Raises:
             StoreError: another coordinator serves from it, it is damaged, of a newer version, or cannot be written.
         """
         if directory is None:
-            return cls(connect(None), None, None)
+            return cls(connect(None), None, None, now)
         lock = Lock(directory)
         try:
-            return cls(connect(directory), lock, directory)
+            return cls(connect(directory), lock, directory, now)
         except BaseException:
             lock.release()
             raise
@@ -80,6 +87,16 @@ class Store:
         """Raise StoreError when another coordinator has opened the store since."""
         with self._transaction():
             pass
+
+    @property
+    def served_s(self) -> float:
+        """For how many seconds it has been open, in all coordinators' lives: by this, jobs that ended grow old."""
+        return self._now() - self._served_since
+
+    def keep_served(self) -> None:
+        """Make `served_s` durable; what is not is lost with the coordinator, and jobs are the younger for it."""
+        with self._transaction() as sql:
+            sql.execute("UPDATE realm SET served = ?", (self.served_s,))
 
     def timing(self) -> StoreView:
         """Return how many transactions there were since the store was opened, and how long they took."""
@@ -109,6 +126,18 @@ class Store:
         with self._transaction() as sql:
             return job_table.read_all(sql)
 
+    def job_page(
+        self, prefix: str = "", *, is_open: bool = False, before: int | None = None, limit: int = 1
+    ) -> tuple[tuple[int, str], ...]:
+        """Return numbers and ids of the last jobs that came, the last first; see `atoll.wire.messages.clients.Jobs`."""
+        with self._transaction() as sql:
+            return job_table.page(sql, prefix, is_open, before, limit)
+
+    def count_jobs(self, prefix: str) -> int:
+        """Return how many jobs have ids that begin with `prefix`."""
+        with self._transaction() as sql:
+            return job_table.matches(sql, prefix)
+
     def submitter(self, job: str) -> str | None:
         """Return who submitted a job; None when nobody proved it."""
         with self._transaction() as sql:
@@ -120,6 +149,14 @@ class Store:
         with self._transaction() as sql:
             job_table.require(sql, job)
             job_table.update(sql, job, changes)
+
+    def begin_search(self, job: str, dataset: bytes) -> None:
+        """Keep the dataset of a job, which is searched from now on; one without the other would be nobody's."""
+        digest = hashlib.sha256(dataset).hexdigest()
+        with self._transaction() as sql:
+            job_table.require(sql, job)
+            blob_table.add(sql, digest, dataset)
+            job_table.update(sql, job, {"state": "running", "dataset_digest": digest})
 
     def commit_result(
         self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None,
@@ -139,6 +176,8 @@ class Store:
             else:
                 checkpoint_table.forget(sql, job)
             death_table.forget(sql, job)
+            job_table.update(sql, job, {"ended_at": self.served_s})
+            sql.execute("UPDATE realm SET served = ?", (self.served_s,))
             return True
 
     def result(self, job: str) -> str | None:
@@ -179,12 +218,12 @@ class Store:
             return job_table.is_deleted(sql, job)
 
     def used_bytes(self) -> int:
-        """Return the size of the store's file without its free pages."""
+        """Return the size of the store's file without its free pages, and without what no job uses."""
         with self._transaction() as sql:
             pages, free, size = (
                 sql.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size")
             )
-            return int((pages - free) * size)
+            return int((pages - free) * size) - blob_table.unused_bytes(sql)
 
     # archipelagos
 
@@ -323,15 +362,20 @@ class Store:
             )
         return upload == "whole"
 
-    def blob_bytes(self) -> int:
-        """Return how many bytes all blobs have, announced ones included."""
+    def blob_bytes(self, but: str = "") -> int:
+        """Return how many bytes all blobs have, announced ones included, but for the one of the digest `but`."""
         with self._transaction() as sql:
-            return blob_table.total_bytes(sql)
+            return blob_table.total_bytes(sql, but)
 
-    def delete_unused_blobs(self, but: str) -> None:
-        """Delete all blobs, finished or not, that no job uses, except the one of the digest `but`."""
+    def unused_blobs(self) -> tuple[str, ...]:
+        """Return the digests of all blobs, finished or not, that no job uses."""
         with self._transaction() as sql:
-            blob_table.delete_unused(sql, but=but)
+            return blob_table.unused(sql)
+
+    def delete_unused_blobs(self, digests: Iterable[str]) -> None:
+        """Delete those of these blobs, finished or not, that no job uses."""
+        with self._transaction() as sql:
+            blob_table.delete_unused(sql, digests)
 
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:

@@ -6,6 +6,7 @@ A job that cannot go on because of its workers is handed to the `fail_job` given
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from atoll.compilation.sources import WORKER, source_digest
 from atoll.errors import RemoteProtocolError
 from atoll.wire.codec import encode
 from atoll.wire.messages.handshake import Hello
@@ -19,6 +20,7 @@ from atoll.wire.messages.workers import (
     WorkerStatus,
 )
 from atoll_coordinator.service.jobs.job import Fault, Job
+from atoll_coordinator.service.monitoring.breakages import what_to_send
 from atoll_coordinator.service.monitoring.counters import CounterRegistry
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
@@ -41,7 +43,7 @@ class WorkerController:
         fail_job: Callable[[str, Fault, str, float], None], expected_workers: int,
     ) -> None:  # fmt: skip
         """`jobs` are the live ones, by id, as they come and go; see `Scheduler` for the expected workers."""
-        self.membership: Final = Membership()
+        self.membership: Final = Membership(source_digest(WORKER))
         self.counters: Final = CounterRegistry()
         self.crash_loops: Final = CrashLoops(store, events)
         self._jobs = jobs
@@ -80,10 +82,12 @@ class WorkerController:
         Returns False when this process is not known; it is asked to greet.
 
         Raises:
-            RemoteProtocolError: The worker has heard of an incarnation that there is not.
+            RemoteProtocolError: The worker has heard of an incarnation that there is not, or speaks for islands that
+                are placed elsewhere.
             StoreError: There is: another coordinator has taken over.
         """
         self._check_incarnation(worker, status)
+        self._check_places(worker, status)
         was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
         if not self.membership.record_heartbeat(worker, status, now):
             self._channel.send(worker, Introduce())
@@ -95,7 +99,8 @@ class WorkerController:
             self.place(now)
         for failure in status.failures:
             if self._placed(failure.job, failure.variable, failure.term) is not None:
-                self._fail_job(failure.job, "internal", f"{failure.sentence} (on worker {worker})", now)
+                to_send = what_to_send(self._jobs[failure.job].config)
+                self._fail_job(failure.job, "internal", f"{failure.sentence} (on worker {worker}){to_send}", now)
         self._update_holdings(worker, status)
         for correction in corrections(self._jobs, worker, status):
             if isinstance(correction, PullReports):
@@ -112,6 +117,19 @@ class WorkerController:
             raise RemoteProtocolError(
                 f"worker {worker} has heard of incarnation {status.incarnation}, but this is {self._store.incarnation}"
             )
+
+    def _check_places(self, worker: str, status: WorkerStatus) -> None:
+        for holding in status.holdings:
+            archipelago = self._placed(holding.job, holding.variable, holding.term)
+            if archipelago is not None and worker not in archipelago.workers:
+                raise RemoteProtocolError(f"worker {worker} holds {archipelago.key}, which is placed elsewhere")
+        for failure in status.failures:
+            archipelago = self._placed(failure.job, failure.variable, failure.term)
+            if archipelago is not None and failure.island not in archipelago.islands_of(worker):
+                raise RemoteProtocolError(
+                    f"worker {worker} says that island {failure.island} of {archipelago.key} failed, which is placed "
+                    "elsewhere"
+                )
 
     def _update_holdings(self, worker: str, status: WorkerStatus) -> None:
         """Take in how far a worker is with what is placed on it; publish commits that are due by that."""

@@ -70,7 +70,9 @@ class Member:
 class Membership:
     """All workers by name."""
 
-    def __init__(self) -> None:
+    def __init__(self, fingerprint: str = "") -> None:
+        """`fingerprint` is that of this installation's kernels, which those of all workers must have; "": any."""
+        self._fingerprint = fingerprint
         self._members: dict[str, Member] = {}
         self._checked_at: float | None = None
 
@@ -201,17 +203,13 @@ class Membership:
         )
 
     def _fingerprint_refusal(self, hello: Hello) -> str | None:
-        """Refuse kernels other than those of the workers that are here: they might give other bits."""
-        for name, member in self._members.items():
-            other = member.hello.fingerprint
-            if member.state == "lost" or name == hello.name or not (other and hello.fingerprint):
-                continue
-            if other != hello.fingerprint:
-                return (
-                    f"worker {hello.name!r} computes with kernels {hello.fingerprint}, but the other workers with "
-                    f"{other}; install the same version {VERSION} of Atoll on all of them"
-                )
-        return None
+        """Refuse kernels other than ours: they might give other bits. No worker decides which are right."""
+        if not (self._fingerprint and hello.fingerprint) or hello.fingerprint == self._fingerprint:
+            return None
+        return (
+            f"worker {hello.name!r} computes with kernels {hello.fingerprint}, but the coordinator's installation has "
+            f"{self._fingerprint}; install the same version {VERSION} of Atoll on both"
+        )
 
 
 def lease_end(member: Member, now: float, factor: float) -> tuple[MemberStep, str] | None:

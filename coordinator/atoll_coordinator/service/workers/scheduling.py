@@ -1,6 +1,7 @@
 """Decides which archipelagos begin a term now, and on which workers. Pure; it decides about time, never about bits."""
 
-from collections.abc import Collection, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -67,43 +68,49 @@ class Scheduler:
         """
         self._quarantine.reserve([each for job in jobs for each in job.open_archipelagos])
         plan = Plan()
-        for job in jobs:
-            first = 0
-            for archipelago in job.archipelagos.values() if job.state == "running" else ():
-                # The term after the current one begins at the checkpoint that is being written.
-                if archipelago.cut is None and not archipelago.is_writing:
-                    self._plan_one(plan, job, archipelago, first, now)
-                first += archipelago.collector.limits.islands
+        # The term after the current one begins at the checkpoint that is being written.
+        changing = [
+            (job, archipelago)
+            for job in jobs
+            if job.state == "running"
+            for archipelago in job.open_archipelagos
+            if not archipelago.is_writing
+        ]
+        if changing:
+            self._update_expected(now)
+        load = _load(each for job in jobs for each in job.open_archipelagos)
+        held = {each.key: each.placement for _, each in changing if each.is_held}
+        for _, archipelago in changing:
+            if self.is_broken(archipelago):
+                plan.broken.append(archipelago.key)
+                _unplace(archipelago, load)
+            else:
+                self._prepare_change(archipelago, load, now)
+        for job, archipelago in changing:
+            workers = self.choose_workers(archipelago, load, now)
+            former = held.get(archipelago.key)
+            if workers is not None:
+                load.subtract(_islands(archipelago))
+                load.update(workers)
+                plan.assignments.append(Assignment(job, archipelago, workers))
+            elif former is not None:
+                plan.released.append(former)
         return plan
 
-    def _plan_one(self, plan: Plan, job: Job, archipelago: Archipelago, first: int, now: float) -> None:
-        held = archipelago.placement if archipelago.is_held else None
-        if self.is_broken(archipelago):
-            archipelago.unplace()
-            plan.broken.append(archipelago.key)
-        else:
-            self._prepare_change(archipelago, now)
-        self._update_expected(now)
-        workers = self.choose_workers(archipelago, first, now)
-        if workers is not None:
-            plan.assignments.append(Assignment(job, archipelago, workers))
-        elif held is not None:
-            plan.released.append(held)
-
-    def _prepare_change(self, archipelago: Archipelago, now: float) -> None:
-        """Prepare a change of placement that loses nothing, because workers leave or have joined.
+    def _prepare_change(self, archipelago: Archipelago, load: Counter[str], now: float) -> None:
+        """Prepare a change of placement that loses nothing, because workers leave or are idle.
 
         All islands are held at a checkpoint; when it is durable they are placed anew, or, if there is nobody left, kept
         until somebody comes. Soon after a placement it is quicker to compute the little that there is again.
         """
         if archipelago.is_held:
-            archipelago.unplace()
+            _unplace(archipelago, load)
         elif any(self._membership.is_leaving(worker) for worker in archipelago.workers):
             if archipelago.has_no_commit and self._is_young(archipelago, now) and self._membership.ready():
-                archipelago.unplace()
+                _unplace(archipelago, load)
             else:
                 archipelago.request_hold()
-        elif archipelago.may_plan and self._could_use_more(archipelago) and not self._is_young(archipelago, now):
+        elif archipelago.may_plan and not self._is_young(archipelago, now) and self._better(archipelago, load):
             archipelago.request_hold()
 
     def is_broken(self, archipelago: Archipelago) -> bool:
@@ -113,30 +120,38 @@ class Scheduler:
             for worker in archipelago.workers
         )
 
-    def choose_workers(self, archipelago: Archipelago, first: int, now: float) -> tuple[str, ...] | None:
+    def choose_workers(self, archipelago: Archipelago, load: Mapping[str, int], now: float) -> tuple[str, ...] | None:
         """Return the worker of each island, or None when the archipelago keeps its placement or must wait.
 
         Args:
             archipelago: not cut yet.
-            first: islands of the job's variables before this one.
+            load: how many islands each worker has of all archipelagos.
             now: the bus's seconds.
         """
+        if len(self._membership.ready()) < self._expected:
+            return None
+        if archipelago.placement is not None:
+            return self._better(archipelago, load) if self._is_young(archipelago, now) else None
         ready = self._quarantine.ready_for(archipelago.key)
-        if not ready or len(self._membership.ready()) < self._expected:
-            return None
-        is_placed = archipelago.placement is not None
-        if is_placed and not (self._is_young(archipelago, now) and self._could_use_more(archipelago)):
-            return None
-        return spread(archipelago.collector.limits.islands, first, ready)
+        return spread(archipelago.collector.limits.islands, load, ready) if ready else None
 
     def _is_young(self, archipelago: Archipelago, now: float) -> bool:
         """Tell whether little has been computed since the archipelago was placed."""
         return now - archipelago.placed_at <= REPLACE_WITHIN_S
 
-    def _could_use_more(self, archipelago: Archipelago) -> bool:
-        """Tell whether more workers could be used than are."""
-        ready = len(self._quarantine.ready_for(archipelago.key))
-        return min(ready, archipelago.collector.limits.islands) > len(archipelago.workers)
+    def _better(self, archipelago: Archipelago, load: Mapping[str, int]) -> tuple[str, ...] | None:
+        """Return a placement by which the busiest worker of a placed archipelago has less to do; None: there is none.
+
+        Each such move lowers the sum of squares of all loads, so that moves come to an end.
+        """
+        ready, own = self._quarantine.ready_for(archipelago.key), _islands(archipelago)
+        if not ready or not own:
+            return None
+        others = Counter(load)
+        others.subtract(own)
+        found = spread(archipelago.collector.limits.islands, others, ready)
+        busiest = max(others[worker] + islands for worker, islands in Counter(found).items())
+        return found if busiest < max(load.get(worker, 0) for worker in own) else None
 
     def _update_expected(self, now: float) -> None:
         """Expect one worker only, once all have been ready or the first one has waited long enough."""
@@ -149,14 +164,30 @@ class Scheduler:
             self._expected = 1
 
 
-def spread(islands: int, first: int, workers: Sequence[str]) -> tuple[str, ...]:
-    """Return for each island its worker: evenly, in turn over the sorted workers.
+def spread(islands: int, load: Mapping[str, int], workers: Sequence[str]) -> tuple[str, ...]:
+    """Return for each island its worker: evenly, in turn over the workers, the least loaded first.
+
+    So workers that are loaded evenly, but for one island, stay so; and each archipelago lies on as many as there are,
+    to go on whoever is lost and to have its share wherever jobs share workers by priority.
 
     Args:
         islands: how many there are.
-        first: islands placed before (of the job's other variables), so that the turn goes on where it stopped and
-            variables with fewer islands than workers come to lie on different workers.
+        load: how many islands each worker has already; none where it is not among them.
         workers: at least one, names unique.
     """
-    order = sorted(workers)
-    return tuple(order[(first + island) % len(order)] for island in range(islands))
+    order = sorted(workers, key=lambda worker: (load.get(worker, 0), worker))
+    return tuple(order[island % len(order)] for island in range(islands))
+
+
+def _islands(archipelago: Archipelago) -> Counter[str]:
+    """Return how many islands of it each worker has."""
+    return Counter(archipelago.placement.workers if archipelago.placement is not None else ())
+
+
+def _load(archipelagos: Iterable[Archipelago]) -> Counter[str]:
+    return sum(map(_islands, archipelagos), Counter())
+
+
+def _unplace(archipelago: Archipelago, load: Counter[str]) -> None:
+    load.subtract(_islands(archipelago))
+    archipelago.unplace()

@@ -1,5 +1,6 @@
 """Keyword arguments mean what the options of ``run`` mean; a Ctrl-C keeps the best so far."""
 
+import argparse
 import contextlib
 from collections.abc import Iterator
 from typing import Any
@@ -11,7 +12,7 @@ from atoll.wire.messages.views import JobView
 from atoll_coordinator.api import discover
 from atoll_coordinator.api.discover import config_of
 from atoll_coordinator.cli.options.job_config import job_config
-from atoll_coordinator.cli.options.parser import parse
+from atoll_coordinator.cli.options.parser import build_parser, parse
 from tests.unit.common.model.results import result
 
 
@@ -39,10 +40,26 @@ def test_keywords_are_the_options_of_run(options: dict, words: list[str]) -> Non
     assert config_of(options) == job_config(parse(["run", "data", *words]))
 
 
-@pytest.mark.parametrize("options", [{"sead": 3}, {"seed": "x"}, {"out": "folder"}, {"json": True}])
+@pytest.mark.parametrize("options", [{"sead": 3}, {"seed": "x"}, {"out": "folder"}, {"json": True}, {"report": True}])
 def test_what_is_no_option_is_refused(options: dict) -> None:
     with pytest.raises(UsageError):
         config_of(options)
+
+
+def test_every_option_of_run_changes_the_job_or_is_refused() -> None:
+    """None is taken and ignored: those that describe a job are in groups of their own, and a job file."""
+    verbs = next(each for each in build_parser()._actions if isinstance(each, argparse._SubParsersAction))
+    described = {"data", "search", "budget"}
+    for group in verbs.choices["run"]._action_groups:
+        for action in group._group_actions:
+            if group.title not in described and action.option_strings and action.dest != "config":
+                with pytest.raises(UsageError, match="is no option here"):
+                    config_of({action.dest: True})
+
+
+def test_a_page_is_written_by_the_model() -> None:
+    with pytest.raises(UsageError, match=r"report is no option here; .* model.report\(path\)"):
+        config_of({"report": True})
 
 
 VIEW = JobView(
@@ -58,11 +75,8 @@ class Client:
         self.found = found
         self.is_cancelled = False
 
-    def submit(self, *_: object) -> None:
-        pass
-
-    def upload(self, _: bytes) -> str:
-        return ""
+    def hand_in(self, *given: object) -> None:
+        self.given = given
 
     def now(self) -> float:
         return 0.0
@@ -104,4 +118,30 @@ def test_an_interrupt_ends_the_job_and_keeps_the_best_so_far(
         with pytest.raises(KeyboardInterrupt):
             discover.discover(table, connect="tcp/h:1")
     assert client.is_cancelled
+    assert client.given[-1] == 0
     assert capsys.readouterr().err == ""
+
+
+def test_a_priority_goes_with_the_job_and_a_wrong_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    client = Client(None)
+    monkeypatch.setattr(discover, "connected", lambda *_: contextlib.nullcontext(client))
+    table = {"t": [0.0, 1.0], "x": [1.0, 2.0]}
+    discover.submit(table, connect="tcp/h:1", priority=-3)
+    assert client.given[-1] == -3
+    for wrong in (11, -11, 0.5, True, "2"):
+        with pytest.raises(UsageError, match="priority must be a whole number from -10 to 10, but"):
+            discover.submit(table, connect="tcp/h:1", priority=wrong)  # type: ignore[arg-type]
+
+
+def test_who_is_interrupted_while_a_job_is_handed_in_learns_its_id(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Impatient(Client):
+        def hand_in(self, *given: object) -> None:
+            self.given = given
+            raise KeyboardInterrupt
+
+    client = Impatient(None)
+    monkeypatch.setattr(discover, "connected", lambda *_: contextlib.nullcontext(client))
+    with pytest.raises(KeyboardInterrupt) as caught:
+        discover.submit({"t": [0.0, 1.0], "x": [1.0, 2.0]}, connect="tcp/h:1")
+    (note,) = caught.value.__notes__
+    assert note.endswith(f"coordinator status {client.given[0]} --connect tcp/h:1")

@@ -67,7 +67,7 @@ def test_an_unexpected_error_is_one_sentence_that_names_the_log(
     sentence = capsys.readouterr().err
     assert sentence.startswith("coordinator: an unexpected error (ZeroDivisionError)")
     (log,) = (tmp_path / "atoll").iterdir()
-    assert str(log) in sentence
+    assert f"please report it with {log}, which has the details" in sentence
     assert "deep inside" in log.read_text()
 
 

@@ -78,6 +78,27 @@ def test_another_incarnation_or_realm_voids_what_is_held() -> None:
     assert made.requests.realm == "r"
 
 
+def test_a_late_welcome_of_a_former_coordinator_voids_nothing() -> None:
+    """It answers a greeting that was sent before the present coordinator's welcome came."""
+    made = Made()
+    made.connection.handle_answer("", welcome(), 0)
+    assert made.connection.handle_answer("", welcome(incarnation=2), 1) == Reset(2)
+    sent = len(made.requests.greetings)
+    assert made.connection.handle_answer("", welcome(), 1) is None
+    assert made.connection.handle_answer("", welcome(realm="s"), 1) is None
+    assert len(made.requests.greetings) == sent + 2, "what is there now is asked"
+    assert made.connection.handle_answer("", welcome(incarnation=3), 1) == Reset(3)
+    assert made.connection.handle_answer("", welcome(), 3) == Reset(1), "a store of before is in use again"
+
+
+def test_a_late_welcome_voids_nothing_that_a_later_coordinator_has_placed() -> None:
+    made = Made()
+    made.connection.handle_answer("", welcome(incarnation=2), 0)
+    made.connection.incarnation_heard(4)
+    assert made.connection.handle_answer("", welcome(incarnation=3), 1) is None
+    assert made.connection.handle_answer("", welcome(incarnation=4), 1) == Reset(4)
+
+
 def test_a_coordinator_that_is_away_for_too_long_ends_the_worker() -> None:
     made = Made()
     made.connection.handle_answer("", welcome())

@@ -151,6 +151,21 @@ def test_a_second_variable_does_not_fetch_the_job_again(session: Session) -> Non
     assert session.handle(placed("me", variable="y")) == []
 
 
+def test_a_job_that_loads_is_fetched_again_when_it_was_placed_elsewhere_in_between(session: Session) -> None:
+    session.handle(placed("me"))
+    session.handle(
+        placed("other", term=2)
+    )  # nobody wants the dataset now: an announcement that is missing is not asked for again
+    assert session.handle(placed("me", term=3)) == [FetchJob("job")]
+    assert tasks(session.handle(JobReady("job"))) == [key(0, 0, term=3)]
+
+
+def test_a_loaded_job_is_not_fetched_again_when_it_was_placed_elsewhere_in_between(session: Session) -> None:
+    begun(session, "me")
+    session.handle(placed("other", term=2))
+    assert tasks(session.handle(placed("me", term=3))) == [key(0, 0, term=3)]
+
+
 def test_a_placement_elsewhere_is_not_ours(session: Session) -> None:
     assert session.handle(placed("other", "peer")) == []
     assert session.holdings() == ()

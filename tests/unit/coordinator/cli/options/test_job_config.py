@@ -109,6 +109,9 @@ def test_a_job_file_may_hold_what_is_known_beforehand(tmp_path: Path) -> None:
         ("--islands many", ["--islands", "whole number", "'many'"]),
         ("--seed -1", ["--seed", "greater than or equal to 0", "-1"]),
         ("--max-epochs 0", ["--max-epochs"]),
+        (f"--max-epochs {2**63}", ["--max-epochs", f"less than {2**63}"]),  # more than a message can carry
+        (f"--max-epochs x={2**70}", ["--max-epochs", f"less than {2**63}"]),
+        (f"--holdout {2**63}", ["--holdout", f"less than {2**63}"]),
         ("--max-epochs x=0", ["--max-epochs"]),
         ("--max-epochs x=", ["--max-epochs", "whole number"]),
         ("--max-time 5x", ["--max-time", "60s", "'5x'"]),

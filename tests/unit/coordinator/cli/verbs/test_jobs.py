@@ -28,8 +28,10 @@ class FakeClient:
     def __init__(self, *jobs: JobView) -> None:
         self._jobs = {view.job: view for view in jobs}
 
-    def jobs(self) -> tuple[JobView, ...]:
-        return tuple(self._jobs.values())
+    def jobs(self, prefix: str = "", *, is_open: bool = False, last: int | None = None) -> tuple[JobView, ...]:
+        ended = ("done", "failed", "cancelled")
+        found = [view for name, view in self._jobs.items() if name.startswith(prefix)]
+        return tuple([view for view in found if not (is_open and view.state in ended)][-(last or len(found)) :])
 
     def status(self, name: str) -> JobView:
         return self._jobs[name]
@@ -87,6 +89,10 @@ class TestWithACoordinator:
         assert [view["job"] for view in json.loads(capsys.readouterr().out)] == ["alpha"]
         assert main(["workers", "lab", "--json"]) == 0
         assert [view["worker"] for view in json.loads(capsys.readouterr().out)] == ["lab-0", "lab-1"]
+
+    def test_the_last_jobs_may_be_listed_alone(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["jobs", "--last", "2", "--json"]) == 0
+        assert [view["job"] for view in json.loads(capsys.readouterr().out)] == ["beta", "gamma"]
 
     def test_status_shows_the_jobs_under_way(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["status"]) == 0

@@ -46,7 +46,7 @@ class FakeClient:
             point_evaluations=self.looks, target_error=1e-9,
         )  # fmt: skip
 
-    def jobs(self) -> tuple[JobView, ...]:
+    def jobs(self, prefix: str = "", **_: object) -> tuple[JobView, ...]:
         return (JobView.model_validate({**self.status("alpha").model_dump(), "state": "running"}),)
 
     def workers(self) -> tuple[WorkerView, ...]:

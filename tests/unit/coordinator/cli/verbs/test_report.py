@@ -25,6 +25,26 @@ def test_the_page_stands_beside_the_result_or_where_it_is_wanted(
     assert (saved / "page.html").read_text("utf-8") == (saved / "report.html").read_text("utf-8")
 
 
+def test_several_results_have_a_page_each_and_one_that_is_none_keeps_no_other_from_it(
+    saved: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (saved / "result.json").read_text("utf-8")
+    for name, contents in (("a", text), ("b", "no JSON"), ("c", text)):
+        (saved / name).mkdir()
+        (saved / name / "result.json").write_text(contents, "utf-8")
+    runs = [str(saved / name) for name in "abc"]
+    assert main(["report", *runs]) == 2
+    printed = capsys.readouterr().err.splitlines()
+    assert printed[0] == f"report in {saved / 'a' / 'report.html'}"
+    assert printed[1].startswith(f"coordinator: {saved / 'b'}")
+    assert (saved / "c" / "report.html").exists()
+    assert main(["report", runs[0], runs[2]]) == 0
+    assert main(["report", runs[0], runs[2], "-o", "page.html"]) == 2
+    assert "--output names one place, but 2 results were given" in capsys.readouterr().err
+    assert main(["report", runs[0], f"{runs[0]}/result.json"]) == 2
+    assert "two of these results would be written to" in capsys.readouterr().err
+
+
 def test_pictures_are_files_that_need_no_page(saved: Path) -> None:
     assert main(["report", str(saved), "--pictures", str(saved / "pictures")]) == 0
     assert sorted(path.name for path in (saved / "pictures").iterdir()) == ["fit-1.svg", "fit-2.svg", "front-1.svg"]

@@ -1,16 +1,34 @@
 """What preparing hands on to refining."""
 
+import ast
+import dataclasses
 import pickle
+from inspect import signature
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+from atoll import VERSION
 from atoll_coordinator.model import pipeline
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.selection.shortcut import with_laws
 from atoll_coordinator.model.sparse import laws
-from atoll_coordinator.service.background.tasks import JobPrepared, prepare_job, prepare_table, refine, refine_job
+from atoll_coordinator.service.background.tasks import (
+    JobPrepared,
+    PreparationFailed,
+    preparation_failed,
+    prepare_job,
+    prepare_table,
+    refine,
+    refine_job,
+    refinement_failed,
+)
 from atoll_coordinator.service.jobs.job import Prepared
+from atoll_coordinator.service.monitoring.breakages import Breakages, what_to_send
 from tests.unit.coordinator.model.sparse.ring import RING, SUMS, ring
+
+ROOT = Path(__file__).resolve().parents[5]
 
 
 def prepared() -> Prepared:
@@ -34,3 +52,38 @@ def test_laws_among_many_variables_are_sought_once_in_a_job_and_are_the_same_aft
     pipeline.refine_all(job.preparation, job.config, pools)
     assert len(sought) == 3 * len(RING)
     assert pickle.dumps(tasks[1].laws) == pickle.dumps(tasks[0].laws)
+
+
+def test_what_breaks_says_what_to_send_and_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(*_: object) -> Any:
+        raise ZeroDivisionError("planted\nin two lines")
+
+    config = SUMS.model_copy(update={"seed": 77})
+    failed = prepare_job(breaks, "j", b"", config)
+    assert isinstance(failed, PreparationFailed)
+    job = prepared()
+    refined = refine_job(breaks, "j", dataclasses.replace(job, config=config), {})
+    (warning,) = refined.refinement.warnings
+    assert (failed.fault, refined.refinement.end) == ("internal", "not refined")
+    assert "equations are as found" in warning
+    for sentence in (failed.sentence, warning):
+        assert "broke (ZeroDivisionError: planted in two lines)" in sentence
+        assert all(each in sentence for each in (f"Atoll {VERSION}", "seed 77", "command", "to_csv"))
+        assert "\n" not in sentence
+
+
+def test_sentences_that_something_broke_are_made_where_they_are_told_what_to_send() -> None:
+    """By `tasks` (above) and `breakages`; what an island says, `workers/controller.py` completes."""
+    sources = [path for folder in ("common", "coordinator", "island_worker") for path in (ROOT / folder).rglob("*.py")]
+    found = {path.name for path in sources for its in ast.walk(ast.parse(path.read_text("utf-8")))
+             if isinstance(its, ast.JoinedStr) and " broke " in ast.unparse(its)}  # fmt: skip
+    assert found == {"tasks.py", "breakages.py", "run_queue.py"}
+    assert all("to_send" in signature(each).parameters for each in (preparation_failed, refinement_failed))
+    assert "please report it with" in Breakages().add("a task", ValueError("planted"))
+
+
+@pytest.mark.parametrize("is_certain", [False, True])
+def test_a_report_names_version_command_seed_and_data(is_certain: bool) -> None:
+    sentence = what_to_send(SUMS.model_copy(update={"seed": 77}), is_certain=is_certain)
+    assert ("a mistake of Atoll" in sentence) is is_certain
+    assert all(each in sentence for each in (f"Atoll {VERSION}", "command or call", "seed 77", "the data", "to_csv"))

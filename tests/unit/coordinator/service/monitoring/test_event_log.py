@@ -6,6 +6,7 @@ import pytest
 
 from atoll.logs import fields_of
 from atoll_coordinator.service.monitoring.event_log import EventLog
+from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.store import Store
 
 
@@ -39,3 +40,15 @@ def test_nothing_is_written_when_nothing_happened() -> None:
         before = store.timing().transactions
         events.flush()
         assert store.timing().transactions == before
+
+
+@pytest.mark.parametrize(
+    ("kind", "contents"),
+    [("danced", "{}"), ("done", '{"island": "second"}'), ("done", '["done"]'), ("done", "{"), ("done", '{"a": [1]}')],
+)
+def test_what_another_version_recorded_hides_nothing_else(kind: str, contents: str) -> None:
+    with Store.open(None) as store:
+        events = EventLog(store, lambda: "2026-01-01T00:00:00")
+        store.add_events([EventRecord("a", "2026-01-01T00:00:00", kind, contents)])
+        events.record("done", "done", "a")
+        assert [each.text for each in events.read("a", 0, 9)] == ["done"]

@@ -7,13 +7,17 @@ import pytest
 
 from atoll.config import JobConfig
 from atoll.errors import StoreError
+from atoll.wire.codec import decode, encode
 from atoll.wire.messages.clients import (
+    Answer,
     Ask,
     Cancel,
     Delete,
     Deleted,
     Failure,
+    FindJob,
     GetResult,
+    JobFound,
     JobList,
     Jobs,
     JobStatus,
@@ -24,8 +28,10 @@ from atoll.wire.messages.clients import (
     WorkerList,
     Workers,
 )
+from atoll.wire.messages.limits import CHUNK_SIZE
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests import clients as clients_module
+from atoll_coordinator.service.requests import uploads as uploads_module
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
@@ -49,6 +55,12 @@ class Tasks:
         return [(job, table) for name, job, table, *_ in (call for call in self.calls if call[0] == "prepare")]
 
 
+class Now:
+    """The bus's seconds."""
+
+    s = 5.0
+
+
 def controller_of(store: Store, tasks: Tasks, time: str = "2026-01-01T00:00:00") -> Controller:
     """Return a controller that reaches no workers and starts no processes."""
     return Controller(store, tasks, tasks, lambda: time)
@@ -61,10 +73,11 @@ def tasks() -> Tasks:
 
 @pytest.fixture
 def clients(tasks: Tasks) -> Iterator[ClientRequests]:
+    Now.s = 5.0
     with Store.open(None) as store:
         controller = controller_of(store, tasks)
-        deletion = JobDeletion(controller, store, lambda: "2026-01-01T00:00:00")
-        yield ClientRequests(controller, store, Authorization(None, store), deletion, lambda: 5.0)
+        deletion = JobDeletion(controller, store)
+        yield ClientRequests(controller, store, Authorization(None, store), deletion, lambda: Now.s)
 
 
 def chunk(data: bytes = TABLE, **changes: object) -> Ask:
@@ -101,20 +114,54 @@ def test_chunks_that_are_not_what_they_claim_are_refused(clients: ClientRequests
 def test_an_upload_that_does_not_fit_the_store_is_refused(
     clients: ClientRequests, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(clients_module, "MAX_STORED_BYTES", 5)
+    monkeypatch.setattr(uploads_module, "MAX_STORED_BYTES", 5)
     answer = failure(clients.answer("ann", Ask(body=Upload(blob=BLOB, size=len(TABLE)))))
     assert "at most 5" in answer.sentence
 
 
-def test_uploads_that_no_job_uses_make_room(clients: ClientRequests, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clients_module, "MAX_STORED_BYTES", len(TABLE))
-    other = hashlib.sha256(b"left behind").hexdigest()
-    clients._store.put_blob(b"left")
-    clients._store.put_chunk(other, 11, 0, b"left behind")
+def test_uploads_that_were_given_up_make_room_and_those_that_go_on_do_not(
+    clients: ClientRequests, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(uploads_module, "MAX_STORED_BYTES", len(TABLE))
+    other = hashlib.sha256(b"left").hexdigest()
+    clients.answer("bob", chunk())
+    for _ in range(3):  # ann needs the room that bob takes, who goes on with his
+        Now.s += uploads_module.LEASE_S - 1.0
+        clients.answer("bob", Ask(body=Upload(blob=BLOB, size=len(TABLE))))
+        assert "in 10 minutes" in failure(clients.answer("ann", Ask(body=Upload(blob=other, size=4)))).sentence
+        clients.uploads.expire()
+        assert clients._store.has_blob(BLOB)
+    Now.s += uploads_module.LEASE_S + 1.0
+    assert clients.answer("ann", Ask(body=Upload(blob=other, size=4))) == Uploaded(blob=other, missing=(0,))
+    assert not clients._store.has_blob(BLOB)
     assert clients.answer("ann", chunk()) == Uploaded(blob=BLOB, missing=())
     clients.answer("ann", Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    sentence = failure(clients.answer("ann", Ask(body=Upload(blob=other, size=11)))).sentence
+    sentence = failure(clients.answer("ann", Ask(body=Upload(blob=other, size=4)))).sentence
     assert "coordinator delete ID" in sentence
+
+
+def test_the_last_chunk_of_an_upload_finds_the_room_that_was_kept_for_it(
+    clients: ClientRequests, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = bytes(CHUNK_SIZE + 7)
+    monkeypatch.setattr(uploads_module, "MAX_STORED_BYTES", len(data))
+    blob = hashlib.sha256(data).hexdigest()
+    for index, missing in ((0, (1,)), (1, ())):
+        part = data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]
+        answer = clients.answer("ann", chunk(part, blob=blob, size=len(data), index=index))
+        assert answer == Uploaded(blob=blob, missing=missing)
+
+
+def test_an_upload_that_is_never_submitted_is_deleted_after_its_lease(clients: ClientRequests) -> None:
+    clients.answer("ann", chunk())
+    for _ in range(3):
+        clients.uploads.expire()
+        assert clients._store.has_blob(BLOB)
+        Now.s += uploads_module.LEASE_S / 3 + 1.0
+    clients.uploads.expire()
+    assert not clients._store.has_blob(BLOB)
+    answer = failure(clients.answer("ann", Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB))))
+    assert answer.failure == "no-table"
 
 
 def test_an_ended_job_is_deleted_and_a_live_one_refused(clients: ClientRequests) -> None:
@@ -156,9 +203,76 @@ def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
     assert "before its search began" in failure(clients.answer("ann", Ask(body=GetResult(job="a")))).sentence
 
 
+@pytest.mark.parametrize("is_deleted", [False, True])
+def test_the_dataset_of_a_job_that_ended_while_it_was_prepared_is_not_kept(
+    clients: ClientRequests, is_deleted: bool
+) -> None:
+    """Nobody would ever delete it."""
+    clients.answer("ann", chunk())
+    clients.answer("ann", Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    clients.answer("ann", Ask(body=Cancel(job="j")))
+    if is_deleted:
+        clients.answer("ann", Ask(body=Delete(job="j")))
+    controller, store = clients._controller, clients._store
+    before = store.blob_bytes()
+    controller.start_search("j", None, b"its dataset", 6.0)  # type: ignore[arg-type]
+    assert store.blob_bytes() == before
+    assert not store.has_blob(hashlib.sha256(b"its dataset").hexdigest())
+    assert controller.jobs == {}
+
+
 def test_questions_about_unknown_jobs_say_so(clients: ClientRequests) -> None:
     for body in (Status(job="j"), GetResult(job="j"), Cancel(job="j")):
         assert failure(clients.answer("ann", Ask(body=body))).failure == "unknown-job"
+
+
+def test_twenty_thousand_jobs_are_listed_in_pages_and_found_by_the_beginnings_of_their_ids(tasks: Tasks) -> None:
+    with Store.open(None) as store:
+        spec = JobConfig().model_dump_json()
+        with store._transaction() as sql:
+            states = ("queued", *["done"] * 99) * 200
+            rows = [(f"job-{n:05}", "n", spec, BLOB, "2026", state, 0.0) for n, state in enumerate(states)]
+            columns = "id, name, spec, table_digest, submitted, state, elapsed"
+            sql.executemany(f"INSERT INTO jobs ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
+        controller = controller_of(store, tasks)
+        controller.recover(0.0)
+        clients = ClientRequests(
+            controller, store, Authorization(None, store), JobDeletion(controller, store), lambda: 5.0
+        )
+
+        def listed(question: Jobs) -> list[str]:
+            answer = decode(encode(Answer(body=clients.answer("ann", Ask(body=question)))), Answer).body
+            assert isinstance(answer, JobList)
+            rest = () if answer.before is None else listed(question.model_copy(update={"before": answer.before}))
+            return [*rest, *(view.job for view in answer.jobs)]
+
+        def found(prefix: str) -> object:
+            return clients.answer("ann", Ask(body=FindJob(prefix=prefix)))
+
+        assert listed(Jobs(prefix="job-19")) == [row[0] for row in rows[19_000:]]
+        assert listed(Jobs(is_open=True)) == [row[0] for row in rows[::100]]
+        assert listed(Jobs(prefix="job-1999")) == [row[0] for row in rows[19_990:]]
+        assert found("job-12345") == found("job-12345") == JobFound(job="job-12345")
+        assert isinstance(clients.answer("ann", Ask(body=Status(job="job-12344"))), JobStatus)
+        assert "20000 jobs begin with 'job' (job-19995, job-19996" in failure(found("job")).sentence
+        assert "and 19995 more" in failure(found("job")).sentence
+        assert "no job 'other'; the last that came are job-19995" in failure(found("other")).sentence
+
+
+def test_a_page_of_jobs_is_no_larger_than_an_answer_bears(
+    clients: ClientRequests, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clients.answer("ann", chunk())
+    for name in "abc":
+        clients.answer("ann", Ask(body=Submit(job=name, name="n" * 200, config=JobConfig(), table=BLOB)))
+    monkeypatch.setattr(clients_module, "MAX_PAGE_BYTES", 700)
+    seen, before = [], None
+    for _ in range(3):
+        page = clients.answer("ann", Ask(body=Jobs(before=before)))
+        assert isinstance(page, JobList)
+        seen += [view.job for view in page.jobs]
+        before = page.before
+    assert (seen, before) == (["c", "b", "a"], None)
 
 
 def test_without_workers_the_list_is_empty(clients: ClientRequests) -> None:

@@ -7,6 +7,7 @@ import pytest
 from atoll.config import JobConfig
 from atoll.errors import RefusedError
 from atoll.wire.messages.clients import Ask, Cancel, Delete, Submit
+from atoll.wire.messages.limits import CHUNK_SIZE
 from atoll.wire.security.access_control import Roster
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests.authorization import Authorization
@@ -19,29 +20,38 @@ from tests.unit.coordinator.service.requests.test_clients import Tasks, controll
 DAY = 86400.0
 
 
+class Now:
+    """Seconds for which the store has been served."""
+
+    s = 0.0
+
+
 @pytest.fixture
 def store() -> Iterator[Store]:
-    with Store.open(None) as opened:
+    Now.s = 0.0
+    with Store.open(None, lambda: Now.s) as opened:
         yield opened
 
 
 def add(store: Store, name: str, finished: str | None) -> None:
-    """Add a job, which has ended on a day of January 2026 if that is given."""
+    """Add a job, which has ended on a day of January 2026 if that is given; the store is served from the first."""
     table = store.put_blob(name.encode() * 100_000)
     store.add_job(JobRecord(name, name, JobConfig().model_dump_json(), table, "2026-01-01T00:00:00+00:00"), "ann")
     if finished is not None:
+        Now.s = int(finished) * DAY
         store.commit_result(name, "done", "{}", finished=f"2026-01-{finished}T00:00:00.000+00:00")
 
 
 def deletion(store: Store, retention: Retention = Retention()) -> tuple[JobDeletion, Controller]:  # noqa: B008
     controller = controller_of(store, Tasks(), "2026-01-31T00:00:00.000+00:00")
     controller.recover(0.0)
-    return JobDeletion(controller, store, lambda: "2026-01-31T00:00:00.000+00:00", retention), controller
+    return JobDeletion(controller, store, retention), controller
 
 
 def deleted_in_turn(store: Store, retention: Retention) -> list[str]:
     """Return which jobs are deleted, in order."""
     deletes, _ = deletion(store, retention)
+    Now.s = 31 * DAY
     found: list[str] = []
     while True:
         before = {job.id for job in store.jobs()}
@@ -96,6 +106,27 @@ def test_jobs_beyond_a_size_are_deleted_oldest_first(store: Store) -> None:
     assert deleted_in_turn(store, Retention(size_bytes=store.used_bytes() - 900_000)) == ["first", "second"]
 
 
+def test_a_clock_that_is_set_to_another_year_deletes_nothing(store: Store) -> None:
+    """Neither while the coordinator runs, nor at the next start; what is left of the age is what it served."""
+    add(store, "mine", "01")
+    controller = controller_of(store, Tasks(), "2099-01-01T00:00:00.000+00:00")
+    controller.recover(0.0)
+    JobDeletion(controller, store, Retention(age_s=2 * DAY)).delete_expired(0.0)
+    assert store.job("mine") is not None
+    Now.s += 2 * DAY + 1.0
+    JobDeletion(controller, store, Retention(age_s=2 * DAY)).delete_expired(0.0)
+    assert store.job("mine") is None
+
+
+def test_uploads_that_no_job_uses_cost_no_job_its_life(store: Store) -> None:
+    """Six uploads, each begun and never submitted, take more than the store is to hold."""
+    add(store, "mine", "10")
+    size = store.used_bytes() + 100_000
+    for number in range(6):
+        store.put_chunk(str(number) * 64, 2 * CHUNK_SIZE, 0, bytes(CHUNK_SIZE))
+    assert deleted_in_turn(store, Retention(size_bytes=size)) == []
+
+
 def test_everything_is_kept_unless_it_is_said_otherwise(store: Store) -> None:
     add(store, "a", "02")
     assert deleted_in_turn(store, Retention()) == []
@@ -106,6 +137,7 @@ def test_the_store_is_asked_now_and_then(store: Store) -> None:
     deletes, _ = deletion(store, Retention(age_s=2 * DAY))
     deletes.delete_expired(0.0)
     add(store, "old", "01")
+    Now.s = 31 * DAY
     deletes._controller.ended["old"] = None
     deletes.delete_expired(CHECK_INTERVAL_S - 1.0)
     assert store.job("old") is not None

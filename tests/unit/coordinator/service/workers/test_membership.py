@@ -111,11 +111,12 @@ def test_the_same_name_is_free_again_when_its_bearer_is_gone() -> None:
 
 
 def test_other_kernels_are_refused_and_both_fingerprints_named() -> None:
-    membership = with_worker()
+    membership = Membership("f")
     refusal = membership.register(hello("w1", fingerprint="g"), 1.0)
     assert refusal is not None
     assert " g," in refusal
-    assert "with f;" in refusal
+    assert "has f;" in refusal
+    assert membership.register(hello("w0", fingerprint="f"), 1.0) is None
     assert membership.register(hello("w1", fingerprint=""), 1.0) is None
 
 

@@ -1,5 +1,6 @@
 """Islands are spread evenly and always in the same way, when enough workers are there."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import cast
@@ -27,23 +28,24 @@ COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 NAMES = st.lists(st.text("abc", min_size=1), min_size=1, unique=True)
 
 
-@given(st.integers(1, 40), st.integers(0, 100), NAMES)
-def test_no_worker_has_two_islands_more_than_another(islands: int, first: int, workers: list[str]) -> None:
-    placed = spread(islands, first, workers)
-    counts = [placed.count(worker) for worker in workers]
-    assert len(placed) == islands
-    assert max(counts) - min(counts) <= 1
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=8), NAMES)
+def test_no_worker_has_two_islands_more_than_another(sizes: list[int], workers: list[str]) -> None:
+    load = Counter[str]()
+    for islands in sizes:
+        placed = spread(islands, load, workers)
+        counts = [placed.count(worker) for worker in workers]
+        load.update(placed)
+        loads = [load[worker] for worker in workers]
+        assert len(placed) == islands
+        assert max(counts) - min(counts) <= 1
+        assert max(loads) - min(loads) <= 1
 
 
-@given(st.integers(1, 40), st.integers(0, 100), NAMES)
-def test_the_order_in_which_workers_are_named_does_not_matter(islands: int, first: int, workers: list[str]) -> None:
-    assert spread(islands, first, workers) == spread(islands, first, workers[::-1])
-
-
-def test_variables_with_fewer_islands_than_workers_lie_on_different_workers() -> None:
-    workers = ["a", "b", "c", "d"]
-    assert spread(2, 0, workers) == ("a", "b")
-    assert spread(2, 2, workers) == ("c", "d")
+@given(st.integers(1, 40), st.dictionaries(st.text("abc", min_size=1), st.integers(0, 9)), NAMES)
+def test_the_order_in_which_workers_are_named_does_not_matter(
+    islands: int, load: dict[str, int], workers: list[str]
+) -> None:
+    assert spread(islands, load, workers) == spread(islands, load, workers[::-1])
 
 
 def members(*names: str) -> Membership:
@@ -61,9 +63,9 @@ def join(membership: Membership, name: str) -> None:
     membership.record_heartbeat(name, WorkerStatus(instance="i", incarnation=1, state="ready", progress=0), 0.0)
 
 
-def archipelago(*workers: str, islands: int = 4) -> Archipelago:
+def archipelago(*workers: str, islands: int = 4, job: str = "job", variable: str = "x") -> Archipelago:
     limits = Limits(islands=islands, epochs=10, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
-    made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
+    made = Archipelago(job, variable, limits, lambda front: 0.0, lambda program: None)
     if workers:
         placement = Placement(
             incarnation=1,
@@ -92,6 +94,16 @@ def plan_of(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) 
     by_name = {str(number): each for number, each in enumerate(archipelagos)}
     job = SimpleNamespace(state="running", archipelagos=by_name, open_archipelagos=archipelagos)
     return scheduler.plan([cast(Job, job)], now)
+
+
+def running(*archipelagos: Archipelago) -> Job:
+    by_name = {each.variable: each for each in archipelagos}
+    return cast(Job, SimpleNamespace(state="running", archipelagos=by_name, open_archipelagos=archipelagos))
+
+
+def carry_out(plan: Plan, term: int, now: float) -> None:
+    for each in plan.assignments:
+        each.archipelago.place(each.placement(1, term), now)
 
 
 def placed(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) -> list[tuple[str, ...]]:
@@ -151,3 +163,69 @@ def test_a_placement_is_broken_when_one_of_its_workers_is_lost(scheduler_of: Cal
     assert plan.broken == [made.key]
     assert [each.workers for each in plan.assignments] == [("a", "a", "a", "a")]
     assert plan.released == []
+
+
+def four_jobs() -> list[Job]:
+    """Return jobs of two variables with eight islands each, none of them placed."""
+    return [
+        running(*(archipelago(islands=8, job=f"job{number}", variable=name) for name in "xy")) for number in range(4)
+    ]
+
+
+def islands_of(jobs: list[Job]) -> Counter[str]:
+    archipelagos = [each for job in jobs for each in job.open_archipelagos]
+    return Counter(name for each in archipelagos if each.placement is not None for name in each.placement.workers)
+
+
+def test_jobs_lie_on_different_workers_as_long_as_there_are_idle_ones(scheduler_of: Callable[..., Scheduler]) -> None:
+    scheduler, jobs = scheduler_of(members(*(f"w{number:02}" for number in range(64)))), four_jobs()
+    for number in range(4):  # they come one after the other
+        carry_out(scheduler.plan(jobs[: number + 1], 10.0 * number), 1, 10.0 * number)
+    assert islands_of(jobs) == Counter({f"w{number:02}": 1 for number in range(64)})
+
+
+def test_what_a_lost_worker_had_goes_to_those_with_the_least_to_do(scheduler_of: Callable[..., Scheduler]) -> None:
+    membership = members("a", "b", "c")
+    scheduler = scheduler_of(membership)
+    jobs = [
+        running(archipelago("a", islands=1, job="p")),
+        running(archipelago("a", islands=1, job="q")),
+        running(archipelago("b", islands=1, job="r")),
+    ]
+    membership.record_presence("a", False, 0.0)
+    membership.expire(ABSENCE_S)
+    plan = scheduler.plan(jobs, 60.0)
+    assert plan.broken == [("p", "x"), ("q", "x")]
+    assert [each.workers for each in plan.assignments] == [("c",), ("b",)]
+
+
+def test_workers_that_come_later_get_islands_where_others_have_several(scheduler_of: Callable[..., Scheduler]) -> None:
+    """Two archipelagos share the same workers, each with one island on each; then as many workers join."""
+    membership = members("a", "b")
+    scheduler = scheduler_of(membership)
+    jobs = [running(archipelago("a", "b", islands=2, job=name)) for name in "pq"]
+    assert not any(scheduler.plan(jobs, 60.0).assignments)
+    assert not any(each.is_planned for job in jobs for each in job.open_archipelagos)
+    join(membership, "c")
+    join(membership, "d")
+    scheduler.plan(jobs, 60.0)
+    assert any(each.is_planned for job in jobs for each in job.open_archipelagos)
+    carry_out(scheduler.plan(jobs, REPLACE_WITHIN_S), 2, REPLACE_WITHIN_S)
+    assert islands_of(jobs) == Counter("abcd")
+    assert scheduler.plan(jobs, REPLACE_WITHIN_S).assignments == []
+
+
+@given(st.lists(st.tuples(st.sampled_from("abcd"), st.integers(1, 6)), min_size=1, max_size=6), st.integers(1, 4))
+def test_moves_come_to_an_end(placements: list[tuple[str, int]], workers: int) -> None:
+    """Wherever archipelagos lie, they are moved a few times at most, and then not again."""
+    with Store.open(None) as store:
+        membership = members(*"abcd"[:workers])
+        crash_loops = CrashLoops(store, EventLog(store, lambda: ""))
+        scheduler = Scheduler(membership, Quarantine(membership, crash_loops))
+        jobs = [
+            running(archipelago(*worker * islands, islands=islands, job=f"job{number}"))
+            for number, (worker, islands) in enumerate(placements)
+        ]
+        for _ in range(1 + len(jobs) * 8):
+            carry_out(scheduler.plan(jobs, 0.0), 2, 0.0)
+        assert scheduler.plan(jobs, 0.0).assignments == []

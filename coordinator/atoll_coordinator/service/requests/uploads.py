@@ -1,0 +1,73 @@
+"""Uploads of tables, and what becomes of those that no job uses: each has a lease, which every message about it renews.
+
+They count neither in the retention of jobs nor are they deleted while they go on, whatever else the store needs.
+"""
+
+import hashlib
+from collections.abc import Callable
+from typing import Final
+
+from atoll.errors import RefusedError
+from atoll.wire.messages.clients import Upload, Uploaded
+from atoll.wire.messages.limits import CHUNK_LIMIT_S
+from atoll_coordinator.service.store.store import Store
+
+MAX_STORED_BYTES: Final = 16 * 1024**3
+"""Uploads are refused when all tables and datasets together would take more than this."""
+
+LEASE_S: Final = 5 * CHUNK_LIMIT_S
+"""A client that goes on says something within `CHUNK_LIMIT_S`, or gives up; the factor is for one that tries again."""
+
+CHECK_INTERVAL_S: Final = 60.0
+"""How often uploads whose leases are over are looked for."""
+
+
+class Uploads:
+    """All tables that are uploaded or have been, and that no job uses yet."""
+
+    def __init__(self, store: Store, now: Callable[[], float]) -> None:
+        """`now` gives the bus's seconds. What the store has already counts as heard of at the first look."""
+        self._store = store
+        self._now = now
+        self._heard: dict[str, float] = {}
+        self._check_at = 0.0
+
+    def take(self, upload: Upload) -> Uploaded:
+        """Keep a chunk, or only tell which are missing; raises RefusedError for what is damaged or does not fit."""
+        if upload.data is not None and hashlib.sha256(upload.data).hexdigest() != upload.sha256:
+            raise RefusedError(f"part {upload.index + 1} of an upload was damaged on its way; send it again")
+        self._check_room(upload)
+        self._heard[upload.blob] = self._now()
+        if upload.data is not None:
+            self._store.put_chunk(upload.blob, upload.size, upload.index, upload.data)
+        return Uploaded(blob=upload.blob, missing=self._store.missing_chunks(upload.blob, upload.size))
+
+    def expire(self) -> None:
+        """Delete uploads whose leases are over, if it is time to look for them."""
+        if self._now() >= self._check_at:
+            self._delete_expired()
+
+    def _delete_expired(self) -> None:
+        now = self._now()
+        self._check_at = now + CHECK_INTERVAL_S
+        self._heard = {digest: self._heard.get(digest, now) for digest in self._store.unused_blobs()}
+        expired = [digest for digest, heard in self._heard.items() if now - heard > LEASE_S]
+        if expired:
+            self._store.delete_unused_blobs(expired)
+
+    def _check_room(self, upload: Upload) -> None:
+        """Raise RefusedError for an upload that does not fit, also without those that were given up."""
+        if self._fits(upload):
+            return
+        self._delete_expired()
+        if not self._fits(upload):
+            raise RefusedError(
+                f"the coordinator's store holds {self._store.blob_bytes(upload.blob)} bytes of tables and datasets and "
+                f"takes at most {MAX_STORED_BYTES}; an upload of {upload.size} bytes does not fit: delete jobs that "
+                "have ended (coordinator delete ID), have the coordinator started with a smaller --keep, or try again "
+                f"in {LEASE_S / 60:.0f} minutes, when uploads that were given up are deleted"
+            )
+
+    def _fits(self, upload: Upload) -> bool:
+        others = self._store.blob_bytes(upload.blob)
+        return self._store.has_blob(upload.blob) or others + upload.size <= MAX_STORED_BYTES

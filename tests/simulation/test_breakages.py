@@ -1,0 +1,259 @@
+"""What breaks over one event ends the job that it concerns at most: the loop goes on, and who asked is answered.
+
+An exception is injected, once, into every handler that an event of any kind reaches.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any, get_args
+
+import msgpack
+import pytest
+
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll.errors import AtollError, RefusedError
+from atoll.wire import topics
+from atoll.wire.bus.interface import Event, Link, Reply
+from atoll.wire.codec import encode
+from atoll.wire.messages.workers import EpochReport, IslandReport, Pull, PullStates
+from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.jobs.job import Job
+from atoll_coordinator.service.monitoring.event_log import EventLog
+from atoll_coordinator.service.requests.authorization import Authorization
+from atoll_coordinator.service.requests.deletion import JobDeletion
+from atoll_coordinator.service.requests.handshake import Handshake
+from atoll_coordinator.service.requests.router import RequestRouter
+from atoll_coordinator.service.search.archipelago import Archipelago
+from atoll_coordinator.service.search.collector import Collector
+from atoll_coordinator.service.search.pull_budget import PullBudget
+from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.workers.controller import WorkerController
+from atoll_coordinator.service.workers.membership import Membership
+from tests.simulation.harness.schedule_run import hurried
+from tests.simulation.harness.simulated_cluster import World
+
+HANDLERS: list[tuple[type, str]] = [
+    (Service, "_check_time"),
+    (Service, "_add_states"),
+    (RequestRouter, "_chunk"),
+    (RequestRouter, "_states"),
+    (Handshake, "answer"),
+    (Authorization, "refuse_ask"),
+    (JobDeletion, "delete_expired"),
+    (Controller, "_change"),
+    (Controller, "start_search"),
+    (Controller, "finish_job"),
+    (Controller, "add_states"),
+    (Controller, "commit_checkpoint"),
+    (Controller, "_start"),
+    (Controller, "_commit_cuts"),
+    (Controller, "_commit_result"),
+    (Controller, "_prepare"),
+    (Controller, "_live_view"),
+    (Controller, "announcement"),
+    (Controller, "placements"),
+    (Controller, "result"),
+    (EventLog, "flush"),
+    (EventLog, "record_submission"),
+    (EventLog, "record_cut"),
+    (Job, "add_report"),
+    (Job, "tick"),
+    (Job, "start"),
+    (Job, "start_preparing"),
+    (Job, "finish"),
+    (Job, "_refine_if_cut"),
+    (Collector, "_merge_epoch"),
+    (Archipelago, "_update_latest"),
+    (Archipelago, "mark_durable"),
+    (PullBudget, "next_pulls"),
+    (PullBudget, "add_states"),
+    (PullBudget, "take_complete_checkpoint"),
+    (PullBudget, "mark_written"),
+    (Store, "has_blob"),
+    (Store, "put_chunk"),
+    (Store, "begin_search"),
+    (Store, "add_job"),
+    (Store, "commit_cuts"),
+    (Store, "commit_checkpoint"),
+    (Store, "begin_terms"),
+    (WorkerController, "place"),
+    (WorkerController, "add_heartbeat"),
+    (WorkerController, "expire"),
+    (WorkerController, "check_stalls"),
+    (WorkerController, "_update_holdings"),
+    (Membership, "record_presence"),
+    (Membership, "record_heartbeat"),
+    (Membership, "register"),
+]
+
+
+def config(seed: int = 1) -> JobConfig:
+    return JobConfig(
+        seed=seed,
+        evolution=EvolutionConfig(islands=3),
+        migration=MigrationConfig(generations=20),
+        budget=BudgetConfig(max_epochs=8, stagnation=1000),
+    )
+
+
+@pytest.fixture(autouse=True)
+def no_hits(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr("tests.simulation.harness.stub_islands.HIT_EPOCHS", 10**9)
+    with hurried():
+        yield
+
+
+@contextlib.contextmanager
+def broken_once(owner: type, name: str) -> Iterator[list[int]]:
+    """Let one call of a method raise what nobody expects; the list gets an entry when it has."""
+    real: Callable[..., Any] = getattr(owner, name)
+    calls: list[int] = []
+
+    def breaks(*arguments: Any, **options: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 1:
+            raise ZeroDivisionError("float division by zero")
+        return real(*arguments, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(owner, name, breaks)
+        yield calls
+
+
+def ask_everything(world: World) -> None:
+    """Ask all that clients and workers ask."""
+    realm = world.store.realm
+    stranger = world.network.bus(f"stranger-{world.network.now}")
+    pull = Pull(body=PullStates(job="first", variable="x", term=1, epoch=2, islands=(0,), offset=0))
+    for key, payload in (
+        (topics.job(realm, "first"), b""), (topics.placement(realm, "first"), b""),
+        (topics.state(realm, "first"), encode(pull)), (topics.blob(realm, "0" * 64, 0), b""),
+    ):  # fmt: skip
+        stranger.get(key, payload)
+    for ask in (
+        world.client.jobs, world.client.workers, lambda: world.client.status("first"),
+        lambda: world.client.result("first"), lambda: world.client.events("first"),
+    ):  # fmt: skip
+        with contextlib.suppress(AtollError):  # a sentence
+            ask()
+    stranger.close()
+
+
+def assert_it_goes_on(world: World, calls: list[int]) -> None:
+    """Submit two jobs while something breaks once: the first ends, and the second has its result."""
+    with contextlib.suppress(AtollError):
+        world.submit(config(), job="first")
+    for _ in range(3):
+        ask_everything(world)
+        world.client.pause(0.5)
+    with contextlib.suppress(RefusedError):  # it was not taken in
+        view = world.finish("first", 120.0)
+        assert view.state == "done" or "float division by zero" in (view.reason or ""), view
+    assert calls, "it was never called"
+    world.submit(config(), job="second")
+    assert world.finish("second", 120.0).state == "done"
+    assert not world.service.controller.jobs
+    assert world.client.coordinator().counters.broken == 1
+
+
+@pytest.mark.parametrize(("owner", "name"), HANDLERS, ids=lambda each: getattr(each, "__name__", each))
+def test_what_breaks_in_a_handler_ends_one_job_at_most(owner: type, name: str) -> None:
+    world = World(workers=2)
+    with broken_once(owner, name) as calls:
+        assert_it_goes_on(world, calls)
+
+
+@pytest.mark.parametrize("kind", get_args(Event), ids=lambda kind: kind.__name__)
+def test_what_breaks_over_an_event_of_any_kind_ends_one_job_at_most(
+    kind: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, calls = World(workers=2), []
+    # What a reply answers is looked up first, and its loss would be one that no network has: each `get` ends with one.
+    owner, name = (world.service._bus, "count_received") if kind is Reply else (world.service, "_on")
+    real = getattr(owner, name)
+
+    def breaks(event: Event) -> None:
+        if isinstance(event, kind):
+            calls.append(1)
+            if len(calls) == 1:
+                raise ZeroDivisionError("float division by zero")
+        real(event)
+
+    monkeypatch.setattr(owner, name, breaks)
+    world.service.step(Link(True))
+    assert_it_goes_on(world, calls)
+
+
+def test_a_report_of_generations_without_end_is_refused() -> None:
+    """Their slices are not even listed."""
+    world = World(workers=2)
+    world.submit(config(), job="first")
+    while not world.service.controller.placements("first").placements:
+        world.client.pause(0.01)
+    its = world.service.controller.placements("first").placements[0]
+    said = IslandReport(
+        island=its.islands_of("w0")[0], generations=2**62, hit=None, additions=(), counters=(), best_error=None,
+        digest="ab" * 16,
+    )  # fmt: skip
+    report = EpochReport(job="first", variable=its.variable, term=its.term, epoch=its.epoch, islands=(said,))
+    stranger = world.network.bus("stranger")
+    stranger.put(topics.worker(world.store.realm, "w0", "report"), encode(report))
+    assert world.finish("first").state == "done"
+    assert world.service.rejects.total == 1
+    assert world.service.controller.breakages.total == 0
+
+
+Tree = dict[str, Any]
+"""A message as plain data."""
+
+
+def _claim_islands_of_strangers(status: Tree, size: int) -> None:
+    its = {"variable": "x", "term": 1, "islands": size, "reported": size, "commit": 0, "snapshots": [size] * 8}
+    status["holdings"] = [*status["holdings"], *({"job": f"no{number}", **its} for number in range(9))]
+
+
+def _claim_evaluations(report: Tree, size: int) -> None:
+    for island in report["islands"]:
+        for slice_ in island["counters"]:
+            slice_["evaluations"] = dict.fromkeys(slice_["evaluations"], size)
+
+
+def _claim_work(status: Tree, size: int) -> None:
+    status |= {"progress": size, "counters": {"dropped": size, "memory_bytes": size, "cpu_s": 1e308, "waited_s": 1e308}}
+
+
+def _claim_waits(status: Tree, size: int) -> None:
+    for holding in status["holdings"]:
+        holding |= {"waited_s": 9.9e11, "commit": size, "snapshots": [size] * 8}
+
+
+@pytest.mark.parametrize("size", [2**53 - 1, 2**62, 2**63 - 1, 2**63, 2**64 - 1])
+@pytest.mark.parametrize(
+    ("part", "spoil"),
+    [
+        ("status", _claim_islands_of_strangers), ("report", _claim_evaluations), ("status", _claim_work),
+        ("status", _claim_waits),
+    ],
+)  # fmt: skip
+def test_what_a_peer_claims_breaks_no_sum_of_it(part: str, spoil: Callable[[Tree, int], None], size: int) -> None:
+    """A worker lies for a while, then speaks the truth: everybody is answered, and the job ends."""
+    world = World(workers=1)
+    publish, spoilt = world.network.publish, []
+
+    def lie(sender: Any, key: str, payload: bytes) -> None:
+        tree = msgpack.unpackb(payload) if key.endswith(f"/w0/{part}") and world.network.now < 1.2 else {}
+        if tree.get("holdings") or tree.get("islands"):
+            spoil(tree, size)
+            spoilt.append(key)
+            payload = msgpack.packb(tree)
+        publish(sender, key, payload)
+
+    world.network.publish = lie  # type: ignore[method-assign]
+    world.submit(config(), job="first")
+    for _ in range(9):
+        ask_everything(world)
+        world.client.pause(0.2)
+    assert world.finish("first").state == "done"
+    assert spoilt
+    assert world.service.controller.breakages.total == 0
