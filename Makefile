@@ -10,7 +10,7 @@ DOCS := $(VENV)/atoll-docs-installed
 BROWSER := $(VENV)/atoll-browser-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-wheel quick kernels check soak bench docs browser lock release-rehearsal deploy-rehearsal clean
+.PHONY: help demo test test-wheel quick kernels check soak bench compare figures docs browser lock release-rehearsal deploy-rehearsal clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
@@ -18,9 +18,14 @@ help:
 	@echo "make test-wheel  all tests against the wheel, in an environment of its own"
 	@echo "make quick   the tests that take less than about ten seconds each"
 	@echo "make check   style, formatting, types, import contracts"
-	@echo "make soak    schedules of faults, simulated, on all cores: make soak SCHEDULES=10000"
+	@echo "make soak    schedules of faults, simulated, on all cores, and drawn tables with drawn options:"
+	@echo "             make soak SCHEDULES=10000 CASES=10000"
 	@echo "make bench   the short benchmarks; benchmarks/RESULTS.md has the long ones"
 	@echo "             with STROGATZ=folder also the label files there"
+	@echo "make compare REVISION=v0.1.0   quick benchmarks of this tree beside another revision, in turn, ten minutes:"
+	@echo "             times, ratios, digests; also OTHER=revision MINUTES=5 ROUNDS=1 STROGATZ=folder ONLY=name"
+	@echo "make figures STROGATZ=folder DYSTS=folder   measure again what README and docs quote, about 100 minutes;"
+	@echo "             QUICK=1 few seeds, half an hour; MINUTES=35 a bound; then python -m benchmarks.figures quote"
 	@echo "make docs    the documentation as a site, site/index.html, to be read without network"
 	@echo "make browser the site and reports in Chromium: no network, readable by everybody, printable"
 	@echo "make lock    the newest versions of the development tools into requirements-dev.txt"
@@ -68,8 +73,12 @@ check: $(STAMP)
 	@$(BIN)/lint-imports
 
 SCHEDULES ?= 1000
+CASES ?= 10000
+# Goes on where it was interrupted; remove build/pipelines.jsonl to begin anew.
 soak: $(STAMP) kernels
 	@$(BIN)/python -m tests.simulation.soak --schedules $(SCHEDULES)
+	@$(BIN)/python -m tests.simulation.every_method
+	@$(BIN)/python -m benchmarks.operations.pipelines --cases $(CASES) --out build/pipelines.jsonl
 
 bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.kernels.elementary
@@ -86,6 +95,18 @@ bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.peers.srbench --file lv2 --file vdp2
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0 --noise 0.001 --max-time 5
+
+# Fails when a digest differs.
+compare: $(STAMP)
+	@test -n "$(REVISION)" || { echo "make compare: name a commit, a tag or a branch: make compare REVISION=v0.1.0"; exit 2; }
+	@$(BIN)/python -m benchmarks.operations.side_by_side "$(REVISION)" $(if $(OTHER),--other "$(OTHER)") \
+	  $(if $(MINUTES),--minutes "$(MINUTES)") $(if $(ROUNDS),--rounds "$(ROUNDS)") \
+	  $(if $(STROGATZ),--strogatz "$(STROGATZ)") $(if $(ONLY),--only "$(ONLY)")
+
+# Goes on where it was interrupted. Fails where a figure could not be measured, or not to its end.
+figures: $(STAMP)
+	@$(BIN)/python -m benchmarks.figures measure $(if $(STROGATZ),--strogatz "$(STROGATZ)") \
+	  $(if $(DYSTS),--dysts "$(DYSTS)") $(if $(QUICK),--quick) $(if $(MINUTES),--minutes "$(MINUTES)")
 
 # One file for all systems and versions of Python, with hashes; what is packaged keeps its ranges.
 $(DOCS): $(STAMP)

@@ -13,7 +13,7 @@ from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.joint_search import ModellingTask
-from atoll_coordinator.model.selection.stretches import in_stretches, is_nearly_clean
+from atoll_coordinator.model.selection.stretches import in_stretches
 
 
 def excess_of_truth(
@@ -37,7 +37,7 @@ def excess_of_truth(
         task = ModellingTask(preparation.dataset, preparation.recording, config, dict.fromkeys(truths, CandidateSet()))
         systems = [[shortest(from_infix(text, names)) for text in each] for each in (truths.values(), texts)]
         with np.errstate(all="ignore"):
-            if is_nearly_clean(task):
+            if task.is_nearly_clean:
                 task = in_stretches(task, systems[1])
             comparison = task.compare(task.measurements(variables), variables)
             models = [comparison.fit_model(each, 40) for each in systems]

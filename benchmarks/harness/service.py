@@ -46,6 +46,15 @@ sys.exit(main(sys.argv[2:]))
 _SAY_S: Final = 15.0
 
 
+class JobEndedError(AtollError):
+    """Raised when a job ended without a result; `view` is its last state."""
+
+    def __init__(self, name: str, view: JobView) -> None:
+        """Say how the job called `name` ended."""
+        super().__init__(f"the job {name} is {view.state}: {view.reason}")
+        self.view: Final = view
+
+
 class Searches:
     """Gives jobs to a coordinator, one after the other."""
 
@@ -89,7 +98,7 @@ class Searches:
             self._client.cancel(job)
             raise AtollError(f"the job {name} was cancelled: {error}") from error
         if view.state != "done":
-            raise AtollError(f"the job {name} is {view.state}: {view.reason}")
+            raise JobEndedError(name, view)
         return self._client.result(job)
 
     def warm_up(self) -> None:

@@ -22,6 +22,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from atoll.compilation.sources import WORKER, source_digest
 from atoll.config import JobConfig
 from atoll.search.commit_order import CommitOrder, Position
 from atoll.wire.bus.interface import Bus
@@ -35,7 +36,7 @@ from benchmarks.operations.island_samples import Samples
 
 CONNECT_LIMIT_S: Final = 30.0
 WAIT_S: Final = 60.0
-FINGERPRINT: Final = "simulated"
+FINGERPRINT: Final = source_digest(WORKER)
 TICK_S: Final = 1.0
 
 

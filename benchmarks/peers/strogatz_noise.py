@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.config import JobConfig
+from atoll.errors import AtollError
 from atoll_coordinator.cli.terminal.output import count, note, say, table
 from benchmarks.harness.record import Record
 from benchmarks.harness.service import Searches
@@ -28,6 +29,14 @@ PUBLISHED: Final = {
 Of the methods, AFP_FE alone evolves fitness predictors; its figures, Operon's, AIFeynman's and DSR's are from the
 results of SRBench (La Cava et al. 2021, ten runs for each file). PySR and ParFam were run once for each file.
 """
+
+
+NOTHING: Final[Mapping[str, Any]] = {
+    "equations": ({"expression": None, "front": (), "complexity": None, "why": None, "point_evaluations": 0},),
+    "search_seconds": 0.0,
+    "seconds": 0.0,
+}
+"""The result of a job that has none."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +78,11 @@ def run(
             for seed in options.seeds:
                 rows = split(rows_of(options.data, name), name, seed, level)
                 title = f"{name} noise {level:g} seed {seed}"
-                result = searches.solve(title, rows.training, configs[seed])
+                try:
+                    result: Mapping[str, Any] = searches.solve(title, rows.training, configs[seed])
+                except AtollError as error:  # no equation in the time that is allowed is a miss
+                    note(str(error))
+                    result = NOTHING
                 outcomes.append(outcome(result, rows, (name, seed, level), known[name]))
                 records.add(outcomes[-1])
                 note(_line(title, outcomes[-1]))

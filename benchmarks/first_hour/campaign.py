@@ -1,0 +1,151 @@
+"""All tables one after the other, each as the command line would hand it over, and the figures of what came of them."""
+
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from atoll.errors import AtollError, DataError, UsageError
+from atoll_coordinator.cli.options.parser import parse
+from atoll_coordinator.cli.request import Request, request_of
+from atoll_coordinator.cli.terminal.output import note, table
+from atoll_coordinator.data.reading.files import read_table
+from benchmarks.first_hour.cases import CASES, GROUPS, Case
+from benchmarks.first_hour.outcomes import End, EquationOutcome, Outcome, judge
+from benchmarks.first_hour.tables import csv_of
+from benchmarks.harness.journal import Journal
+from benchmarks.harness.service import JobEndedError, Searches, searching
+from benchmarks.harness.stopwatch import Stopwatch
+
+BROKE = "broke ("
+"""What a sentence or warning says when something of ours failed."""
+
+
+def run(names: Sequence[str], journal: Journal[Outcome], workers: int, limit_s: float) -> list[Outcome]:
+    """Do what the journal does not have; return the outcomes of all."""
+    missing = [name for name in names if name not in journal.outcomes]
+    note(f"{len(names)} tables, {len(names) - len(missing)} of them done before")
+    if missing:
+        with searching(workers) as searches:
+            for number, name in enumerate(missing, start=1):
+                _one(searches, CASES[name], journal, limit_s)
+                note(f"{number} of {len(missing)}: {line(journal.outcomes[name])}")
+    return [journal.outcomes[name] for name in names]
+
+
+def judge_again(names: Sequence[str], journal: Journal[Outcome]) -> None:
+    """Judge the answers that the journal has by the present rules and cases."""
+    for name in names:
+        old, answer = journal.outcomes.get(name), journal.answers.get(name)
+        if old is not None and answer is not None:
+            judged = judge(CASES[name], answer)
+            journal.add(Outcome(name, old.end, old.sentence, judged, old.seconds, old.processor, old.digest), answer)
+
+
+def request(case: Case, folder: Path) -> Request:
+    """Write the file of a case into `folder` and return what the command line makes of it."""
+    path = folder / "table.csv"
+    path.write_text(csv_of(case.make(), case.header), "utf-8")
+    return request_of(parse(["run", str(path), *case.words]))
+
+
+def _one(searches: Searches, case: Case, journal: Journal[Outcome], limit_s: float) -> None:
+    stopwatch, begun = Stopwatch(limit_s=limit_s, counts=True), time.monotonic()
+    answer: dict[str, Any] = {}
+    end: End
+    with TemporaryDirectory() as folder:
+        try:
+            its = request(case, Path(folder))
+            begun = time.monotonic()
+            answer = searches.solve(case.name, read_table(its.files, its.config.data), its.config, stopwatch.watch)
+            broken = [each for each in answer["warnings"] if BROKE in each]
+            end, sentence = ("broke", broken[0]) if broken else ("done", "")
+        except (DataError, UsageError) as error:
+            end, sentence = "refused", str(error)
+        except JobEndedError as error:
+            end, sentence = "refused" if error.view.fault == "data" else "broke", str(error)
+        except AtollError as error:
+            searches.check()  # without a coordinator no job is to blame
+            end, sentence = "late", str(error)
+    seconds = time.monotonic() - begun
+    outcome = Outcome(
+        case.name, end, sentence, judge(case, answer), seconds, sum(stopwatch.processor.values()),
+        answer.get("digest"),
+    )  # fmt: skip
+    journal.add(outcome, answer or None)
+
+
+def line(outcome: Outcome) -> str:
+    """Return how one table came out."""
+    marks = [f"{its.state}' = {its.expression} ({_mark(its)})" for its in outcome.equations]
+    said = f": {outcome.sentence}" if outcome.sentence else ""
+    return f"{outcome.case}, {outcome.seconds:.1f} s, {outcome.end}{said}; {'; '.join(marks)}"
+
+
+def _mark(its: EquationOutcome) -> str:
+    kind = "none to find" if its.law is None else "FOUND" if its.is_found else f"not {its.law}, {its.form}"
+    return f"{kind}, {its.verdict or '-'}"
+
+
+def figures(outcomes: Sequence[Outcome]) -> str:
+    """Return the table by groups, and below it what must not be."""
+    group_of = {case.name: title for title, cases in GROUPS.items() for case in cases}
+    rows = [
+        _row(title, [each for each in outcomes if group_of[each.case] == title])
+        for title in GROUPS
+        if any(group_of[each.case] == title for each in outcomes)
+    ]
+    heads = ("tables", "number", "broke", "refused", "identified laws found", "right ones relied on",
+             "others relied on", "no law, relied on", "median s", "longest s")  # fmt: skip
+    return "\n".join([table(heads, [*rows, _row("all", outcomes)]), "", *_faults(outcomes)])
+
+
+def _row(title: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+    equations = [its for each in outcomes for its in each.equations]
+    identified = [its for its in equations if its.is_identified]
+    found = [its for its in identified if its.is_found]
+    others = [its for its in equations if its.law is not None and not its.is_found]
+    lawless = [its for its in equations if its.law is None]
+    seconds = [each.seconds for each in outcomes]
+    return (
+        title,
+        str(len(outcomes)),
+        str(sum(each.end in ("broke", "late") for each in outcomes)),
+        str(sum(each.end == "refused" for each in outcomes)),
+        _share(len(found), len(identified)),
+        _share(sum(its.is_confident for its in found), len(found)),
+        _share(sum(its.is_confident for its in others), len(others)),
+        _share(sum(its.is_confident for its in lawless), len(lawless)),
+        f"{np.median(seconds):.1f}",
+        f"{max(seconds):.0f}",
+    )
+
+
+def _share(count: int, whole: int) -> str:
+    return f"{count} of {whole}" if whole else "-"
+
+
+def _faults(outcomes: Iterable[Outcome]) -> list[str]:
+    """Return lines on every table that broke, law that was missed, and equation that is wrongly relied on."""
+    lines = []
+    for outcome in outcomes:
+        if outcome.end in ("broke", "late"):
+            lines.append(f"{outcome.end.upper()} {outcome.case}: {outcome.sentence}")
+        for its in outcome.equations:
+            if its.is_confident and not its.is_found:
+                lines.append(f"WRONGLY {its.verdict} {outcome.case}: {its.state}' = {its.expression}, not {its.law}")
+            elif its.is_identified and not its.is_found:
+                why = f" ({outcome.sentence})" if outcome.sentence else ""
+                lines.append(f"MISSED {outcome.case}: {its.state}' = {its.expression}, not {its.law}{why}")
+    return lines
+
+
+def is_as_it_should_be(outcomes: Sequence[Outcome]) -> bool:
+    """Tell whether nothing broke, and nothing is relied on where there is no law."""
+    return not any(
+        each.end in ("broke", "late") or any(its.is_confident and its.law is None for its in each.equations)
+        for each in outcomes
+    )

@@ -1,0 +1,366 @@
+"""Tables made of structure and options in every combination, from the upload to the text that a user reads.
+
+``python -m benchmarks.operations.pipelines --cases 10000 --out FILE.jsonl`` draws table, options and what a search may
+have found of each seed, prepares, refines within one of `SECONDS`, writes the result and prints it. Each case ends with
+a result or is refused with one sentence; nothing broke, nothing took more than `LIMIT_S` of processor time. Most
+options of a case fit each other and its table, so that at least three quarters get to their result. A file
+that exists is gone on with. ``--seed 123`` plays one case and shows what it is and where it ended. Returns 1 when any
+case broke or was late, else 0.
+"""
+
+import argparse
+import json
+import logging
+import os
+import signal
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from atoll.config import PRESETS, Angle, DataConfig, JobConfig
+from atoll.data.dataset import FloatArray
+from atoll.data.table import Table
+from atoll.expression.text.parsing import from_infix
+from atoll.machine.cores import usable_cores
+from atoll.search.pareto import FrontEntry
+from atoll_coordinator.cli.terminal.output import note, say
+from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.refinement import LawsByGroup, Pool, Pools, Refinement
+from atoll_coordinator.model.result.render import render_text
+from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.service.background.tasks import (
+    PreparationFailed,
+    Refiner,
+    prepare_job,
+    prepare_table,
+    refine,
+    refine_job,
+)
+from atoll_coordinator.service.jobs.job import Prepared
+from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.journal import Journal
+from benchmarks.harness.parallel import in_parallel
+
+SECONDS: Final = (0.1, 0.2, 0.2, 0.5, 2.0)
+"""For refining, of processor time, as --max-time leaves them: a stage may be cut short anywhere, and what else a
+machine does changes no case much."""
+
+LIMIT_S: Final = 60.0
+"""Processor seconds of a whole case: what --max-time ends early has a last stage, and Python starts slowly."""
+
+ROWS: Final = (4, *(5, 6, 8, 12, 20, 20, 40, 40, 60, 60, 100, 120) * 3)
+SIZES: Final = (*[1.0] * 40, *(-1e-5, 1e-12, 1e12, 1e-30, 1e30) * 2, 1e-100, 1e100, 1e-160, 1e160, 1e300)
+UNFIT: Final = 0.03
+"""Share of the cases whose options are drawn without a look at the table and at each other; most are refused."""
+FRONTS: Final = ("{x}", "{x} + 1", "0.5", "{x}*{y}", "1/{x}", "sin({x})", "{x}*{x} - {y}", "{x}/({y} - {y})")
+End = Literal["done", "refused", "broke", "late"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one case ended, with the sentence or the last line of the traceback."""
+
+    seed: int
+    end: End
+    sentence: str
+    processor: float
+
+    @property
+    def key(self) -> int:
+        """The seed."""
+        return self.seed
+
+
+class LateError(BaseException):
+    """Raised in the middle of a case that takes too long; no handler of errors is to catch it."""
+
+
+def column(draw: np.random.Generator, times: FloatArray, others: Sequence[FloatArray]) -> FloatArray:
+    """Return a column made of structure: a constant, a ramp, a period, steps, ties, another column, or noise."""
+    rows, phases = len(times), np.arange(len(times))
+    period = int(draw.integers(2, 21))
+    kinds = [
+        lambda: np.full(rows, float(draw.choice([0.0, 1.0, -7.5]))),
+        lambda: draw.integers(-5, 6) * phases + float(draw.integers(0, 3)),
+        lambda: np.cos(2.0 * np.pi * phases / period),
+        lambda: -np.sin(2.0 * np.pi * phases / period),
+        lambda: np.exp(-0.1 * phases),
+        lambda: 2.0 ** (phases % 60),
+        lambda: 1.0 * (phases % 2),
+        lambda: np.floor(phases / period),
+        lambda: np.where(phases < rows // 2, 1.0, np.exp(-0.3 * np.maximum(phases - rows // 2, 0))),
+        lambda: 1.0 * phases * phases,
+        lambda: np.round(draw.normal(size=rows), int(draw.integers(0, 3))),
+        lambda: draw.normal(size=rows),
+        lambda: np.cumsum(draw.normal(size=rows)),
+        lambda: np.tanh(0.3 * (phases - rows / 2)),
+        lambda: np.cos(0.3 * phases) + 0.01 * draw.normal(size=rows),
+        lambda: (0.7 * phases) % (2.0 * np.pi),
+        lambda: 1.0 / (1.0 + phases),
+        lambda: times + 0.0,
+    ]
+    if others:
+        kinds += [
+            lambda: others[-1] + 0.0,
+            lambda: 2.0 * others[-1],
+            lambda: 1.0 - others[0],
+            lambda: 1.0 - np.sum(others, axis=0),
+            lambda: np.gradient(others[0]),
+        ] * 2
+    return np.asarray(kinds[int(draw.integers(len(kinds)))](), dtype=np.float64)
+
+
+def table_of(draw: np.random.Generator) -> Table:
+    """Return a table: times, some columns, one that counts runs, one of weights; perhaps ties, zeros, holes."""
+    rows = int(draw.choice(ROWS))
+    steps = [np.ones(rows), draw.uniform(0.1, 3.0, rows), np.where(draw.uniform(size=rows) < 0.1, 60.0, 1.0)]
+    with np.errstate(all="ignore"):
+        times = np.cumsum(steps[int(draw.choice([0, 0, 0, 1, 2]))]) * draw.choice([0.1, 1.0, 1e-9, 1e9])
+        columns: dict[str, FloatArray] = {}
+        for name in "xyz"[: int(draw.choice([1, 2, 2, 3]))]:
+            columns[name] = column(draw, times, [*columns.values()])
+        for name, values in columns.items():
+            columns[name] = _spoilt(draw, values) * draw.choice(SIZES)
+    runs = np.repeat([1.0, 2.0], [rows // 2, rows - rows // 2])
+    whole = {"t": times, **columns, "run": runs, "w": draw.choice([0.0, 0.5, 1.0, 1.0, 1e6], rows)}
+    values = np.ascontiguousarray([*whole.values()])
+    numbers = np.arange(rows, dtype=np.int64)
+    starts = (0, rows // 2) if draw.uniform() < 0.2 and rows > 11 else (0,)
+    units = {"x": "m", "t": "s", "y": "m/s"} if draw.uniform() < 0.2 else {}
+    return Table(tuple(whole), tuple(units.get(name, "") for name in whole), values, starts, ("drawn.csv",),
+                 0 * numbers, numbers + 2)  # fmt: skip
+
+
+def _spoilt(draw: np.random.Generator, values: FloatArray) -> FloatArray:
+    rows, kind = len(values), int(draw.integers(12))
+    if kind == 0:
+        return np.repeat(values[::2], 2)[:rows]  # each row twice
+    if kind == 1:
+        return np.where(draw.uniform(size=rows) < 0.2, 0.0, values)
+    if kind == 2:
+        return np.where(draw.uniform(size=rows) < 0.1, np.nan, values)
+    if kind == 3:
+        return np.where(draw.uniform(size=rows) < 0.1, 100.0 * values, values)
+    return values
+
+
+def config_of(draw: np.random.Generator, table: Table) -> JobConfig:
+    """Return options, most of which go together."""
+    columns = dict(zip(table.names, table.columns, strict=True))
+    named = [name for name in table.names if name in "xyz"]
+    is_unfit = bool(draw.uniform() < UNFIT)
+    moving = [name for name in named if is_unfit or _changes(columns[name])] or named
+    some = tuple(moving[: int(draw.integers(1, len(moving) + 1))])
+    its: dict[str, Any] = {"states": some}
+    rest = tuple(name for name in named if name not in some)
+    if rest and draw.uniform() < 0.7:
+        its["inputs"] = rest
+    is_timed = False
+    if draw.uniform() < 0.1:
+        its = {"target": moving[0], "inputs": tuple(each for each in named if each != moving[0]) or ("run",)}
+    elif draw.uniform() < 0.1 and len(moving) > 1:
+        its = {"states": (moving[0],), "derivatives": (moving[1],)}
+    else:
+        is_timed = True
+        its["order"] = int(draw.choice([1, 1, 1, 2]))
+        its["stochastic"] = bool(draw.uniform() < 0.1 and its["order"] == 1 and table.rows > 100)
+        if draw.uniform() < 0.15:
+            its["angles"] = (Angle(column=some[0], degrees=bool(draw.integers(2))),)
+        if draw.uniform() < 0.1:
+            its["offsets"] = some[:1]
+    choices: dict[str, Any] = {"robust": True, "missing": "drop", "weights": "w"}
+    its |= {name: value for name, value in choices.items() if draw.uniform() < (0.95 if name == "missing" else 0.06)}
+    its |= _parts_of(draw, len(table.starts) > 1, is_timed and table.rows > 11, is_unfit)
+    preset = PRESETS["paper" if draw.uniform() < 0.1 else "default"]
+    operators = (("+", "-", "*", "/", "sin", "cos"), ("+", "*"), ("+", "-", "*", "/", "exp", "log", "sqrt", "pow"))
+    space = preset.space.model_copy(update={"operators": operators[int(draw.choice([0, 0, 1, 2]))]})
+    prior = {}
+    if draw.uniform() < 0.1 and "target" not in its:
+        prior["guesses"] = {some[0]: (f"{some[0]}*0.3",)}
+    if draw.uniform() < 0.1:
+        prior["bounds"] = {"*": ("c > 0",)}
+    update = {"seed": 1, "data": DataConfig(**its), "space": space, "prior": preset.prior.model_copy(update=prior)}
+    return preset.model_copy(update=update)
+
+
+def _parts_of(draw: np.random.Generator, is_cut: bool, may_differ: bool, is_unfit: bool) -> dict[str, Any]:
+    """Return options about trajectories: of a table that `is_cut` into two, of which more `may_differ` than times."""
+    marked = {"trajectory": "run"}
+    kinds: list[dict[str, Any]] = [{"holdout": 1}, {"group": "run"}, {"per_trajectory": True}]
+    if is_unfit:
+        return {name: value for each in (marked, *kinds) for name, value in each.items() if draw.uniform() < 0.3}
+    if not may_differ or draw.uniform() < 0.75:
+        return {}
+    chosen = kinds[int(draw.integers(3))] if draw.uniform() < 0.8 else {}
+    return chosen | ({} if is_cut and chosen else marked)
+
+
+def _changes(values: FloatArray) -> bool:
+    """Tell whether a column has two values and a size to compute with."""
+    known = values[np.isfinite(values)]
+    return len(known) > 4 and bool(np.ptp(known) > 0.0) and 1e-120 < float(np.abs(known).max()) < 1e120
+
+
+def pools_of(draw: np.random.Generator, prepared: Prepared) -> dict[str, Pool]:
+    """Return what a search might hand on: nothing, lines, products, poles."""
+    dataset = prepared.preparation.dataset
+    pools = {}
+    for problem in map(dataset.problem, dataset.variables):
+        chosen = draw.choice(len(FRONTS), int(draw.integers(0, 4)), replace=False)
+        names = dict(zip("xy", draw.choice(dataset.names, 2), strict=True))
+        programs = [from_infix(FRONTS[place].format(**names), dataset.names) for place in chosen]
+        size = problem.target.standard_deviation
+        front = [
+            FrontEntry(1 + place, size / (1 + place), size * size / (1 + place), 0, 1, 0, each.to_bytes())
+            for place, each in enumerate(programs)
+        ]
+        pools[problem.target.variable] = Pool(tuple(front[:2]), tuple(front[2:]))
+    return pools
+
+
+def played(seed: int) -> tuple[End, str]:
+    """Play one case; return how it ended, and with which sentence."""
+    draw = np.random.default_rng(seed)
+    table = table_of(draw)
+    try:
+        config = config_of(draw, table)
+    except ValueError as error:  # options that no configuration has
+        return "refused", str(error).splitlines()[0]
+    outcome = prepare_job(prepare_table, "job", table.to_bytes(), config)
+    if isinstance(outcome, PreparationFailed):
+        return ("refused" if outcome.fault == "data" and "\n" not in outcome.sentence else "broke"), outcome.sentence
+    prepared, pools = outcome.prepared, pools_of(draw, outcome.prepared)
+    refinement = refine_job(_timed(float(draw.choice(SECONDS))), "job", prepared, pools).refinement
+    outcomes = [
+        VariableOutcome(name, pool.front, 1, refined=refinement.equations.get(name)) for name, pool in pools.items()
+    ]
+    preparation = prepared.preparation
+    result = build_result("drawn", prepared.config, preparation, outcomes, Account("done", 1.0, 1.0), refinement)
+    render_text(json.loads(json.dumps(result, allow_nan=False)))
+    broken = [each for each in result["warnings"] if "broke (" in each]
+    return ("broke", broken[0]) if broken else ("done", "")
+
+
+def _timed(seconds: float) -> Refiner:
+    """Return what refines within so many seconds of processor time."""
+
+    def refiner(
+        preparation: Preparation, config: JobConfig, pools: Pools, _: Deadline, laws: LawsByGroup | None
+    ) -> Refinement:
+        return refine(preparation, config, pools, Deadline(seconds, time.process_time), laws)
+
+    return refiner
+
+
+def play(seed: int) -> Outcome:
+    """Play one case within its limit, in whichever process; nothing that it raises gets out."""
+    began = time.process_time()
+    end: End
+    try:
+        with limited(LIMIT_S), np.errstate(all="ignore"), _unlogged():
+            end, sentence = played(seed)
+    except LateError:
+        end, sentence = "late", _where()
+    except Exception as error:
+        end, sentence = "broke", f"{type(error).__name__}: {error} {_where()}"
+    return Outcome(seed, end, sentence[:300], time.process_time() - began)
+
+
+def _where() -> str:
+    frames = [each for each in traceback.extract_tb(sys.exc_info()[2]) if "atoll" in each.filename]
+    return " < ".join(f"{Path(each.filename).name}:{each.lineno}" for each in reversed(frames[-6:]))
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """Have nothing logged in the block."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logging.disable(before)
+
+
+@contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """Raise LateError in the block after so many processor seconds, where the system has a timer for it."""
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    def ring(*_: object) -> None:
+        raise LateError
+
+    before = signal.signal(signal.SIGPROF, ring)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def tell(seed: int) -> int:
+    """Say what a case is and how it ends; return the exit code."""
+    draw = np.random.default_rng(seed)
+    table = table_of(draw)
+    for name, values in zip(table.names, table.columns, strict=True):
+        say(f"{name}: {values.tolist()}")
+    say(config_of(draw, table).model_dump_json(exclude_defaults=True))
+    outcome = play(seed)
+    say(f"{outcome.end} after {outcome.processor:.1f} s: {outcome.sentence}")
+    return int(outcome.end in ("broke", "late"))
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Play the cases that the file does not have, and sum up."""
+    arguments = sys.argv[1:] if words is None else list(words)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.operations.pipelines", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("--cases", type=whole, default=1000, help="how many (%(default)s)")
+    parser.add_argument("--first", type=int, default=0, help="the first seed (%(default)s)")
+    cores, _ = usable_cores(os.environ)
+    parser.add_argument("--processes", type=whole, default=cores, help="at a time (%(default)s)")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="file of JSON lines, gone on with if it exists")
+    parser.add_argument("--seed", type=int, help="play this one and show it")
+    options = parser.parse_args(arguments)
+    if options.seed is not None:
+        return tell(options.seed)
+    with plain_errors("benchmarks.operations.pipelines"):
+        out = options.out
+        journal = Journal("pipelines", Outcome, out, arguments, resume=out is not None and out.exists())
+        seeds = range(options.first, options.first + options.cases)
+        missing = [seed for seed in seeds if seed not in journal.outcomes]
+        for count, outcome in enumerate(in_parallel(play, missing, options.processes), start=1):
+            journal.add(outcome)
+            if outcome.end in ("broke", "late"):
+                note(f"seed {outcome.seed} {outcome.end}: {outcome.sentence}")
+            if count % 100 == 0:
+                note(f"{count} of {len(missing)}")
+        return _summed([journal.outcomes[seed] for seed in seeds])
+
+
+def _summed(outcomes: Sequence[Outcome]) -> int:
+    ends = Counter(each.end for each in outcomes)
+    bad = [each for each in outcomes if each.end in ("broke", "late")]
+    seconds = sorted(each.processor for each in outcomes)
+    say(f"{len(outcomes)} cases: {', '.join(f'{count} {end}' for end, count in sorted(ends.items()))}; "
+        f"{seconds[len(seconds) // 2]:.2f} s of processor time in the median, {seconds[-1]:.0f} s at most")  # fmt: skip
+    for each in bad:
+        say(f"seed {each.seed} {each.end}: {each.sentence}")
+    return int(bool(bad))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,87 @@
+"""Tables of the first hour: their files say what the cases mean, and what comes back is judged by the law."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.data.reading.files import read_table
+from benchmarks.first_hour.campaign import figures, is_as_it_should_be, request
+from benchmarks.first_hour.cases import CASES, GROUPS
+from benchmarks.first_hour.outcomes import Outcome, judge
+
+
+def result(verdict: str, symbols: dict[str, str], **equations: str) -> dict[str, object]:
+    rows = [
+        {"variable": name, "expression": text, "verdict": verdict, "reason": ""} for name, text in equations.items()
+    ]
+    return {"equations": rows, "symbols": symbols, "warnings": []}
+
+
+def outcome(name: str, its: dict[str, object]) -> Outcome:
+    return Outcome(name, "done", "", judge(CASES[name], its), 1.0, 1.0)
+
+
+def test_there_are_a_hundred_tables_and_more_of_names_of_their_own() -> None:
+    assert len(CASES) == sum(map(len, GROUPS.values())) >= 100
+    assert all(case.has_law or not case.is_identified or set(case.laws.values()) == {None} for case in CASES.values())
+
+
+@pytest.mark.parametrize("name", [case.name for case in GROUPS["names"]])
+def test_a_file_gives_back_what_was_written(name: str, tmp_path: Path) -> None:
+    case = CASES[name]
+    its = request(case, tmp_path)
+    table = read_table(its.files, its.config.data)
+    for row, values in zip(table.columns, case.make().values(), strict=True):
+        assert row.tolist() == values.tolist()
+
+
+def test_the_law_is_found_under_any_name() -> None:
+    symbols = {"lambda": "lambda_", "class": "class_"}
+    its = result("good", symbols, **{"lambda": "lambda_*(1.1 - 0.4*class_)", "class": "class_*(0.1*lambda_ - 0.4)"})
+    prey, hunter = judge(CASES["called lambda, class"], its)
+    assert (prey.is_found, hunter.is_found) == (True, True)
+    assert (prey.form, prey.expression) == ("right", "x*(1.1 - 0.4*y)")
+
+
+def test_another_law_is_not_found_unless_the_columns_determine_each_other() -> None:
+    (free,) = judge(CASES["decay"], result("good", {"y": "y"}, y="-0.5*y + 0.001*y*y"))
+    assert not free.is_found
+    symbols = {"A": "A", "B": "B"}
+    bound = judge(CASES["reaction, A + B = 1"], result("good", symbols, A="0.7*B - 0.7", B="0.7*(1 - B)"))
+    assert [its.is_found for its in bound] == [True, True]
+    (near,) = judge(CASES["decay"], result("good", {"y": "y"}, y="-0.52*y"))
+    assert (near.form, near.is_found) == ("right", False)
+
+
+def test_the_velocity_may_stand_in_an_equation_of_second_order() -> None:
+    name = "spiral, position alone"
+    its = result("exact", {"x": "x", "x_dot": "x_dot"}, x="-4*x - 0.4*x_dot")
+    assert judge(CASES[name], its)[0].is_found
+
+
+def test_what_is_relied_on_without_a_law_is_a_fault() -> None:
+    name = "white noise, seed 0"
+    good = outcome(name, result("good", {"x": "x"}, x="-2*x"))
+    doubtful = outcome(name, result("doubtful", {"x": "x"}, x="-2*x"))
+    assert (is_as_it_should_be([doubtful]), is_as_it_should_be([good])) == (True, False)
+    assert "WRONGLY good white noise, seed 0: x' = -2.0*x" in figures([good, doubtful])
+
+
+def test_what_broke_is_a_fault_and_what_is_refused_is_not() -> None:
+    ends = [Outcome("decay", end, "a sentence", judge(CASES["decay"], {}), 1.0, 1.0) for end in ("broke", "refused")]
+    assert [is_as_it_should_be([each]) for each in ends] == [False, True]
+    assert "BROKE decay: a sentence" in figures(ends)
+
+
+def test_processes_without_a_law_are_what_they_are_called() -> None:
+    ball = CASES["bouncing ball"].make()
+    energy = 9.81 * ball["h"] + 0.5 * ball["v"] ** 2
+    assert (ball["h"] >= 0.0).all()
+    losses = energy[1:] / energy[:-1]
+    assert np.all((np.abs(losses - 1.0) < 1e-9) | (np.abs(losses - 0.81) < 1e-9))
+    room = CASES["a room with a thermostat, heater unknown"].make()["T"]
+    assert 18.9 < room[100:].min() < 19.1 < 20.9 < room[100:].max() < 21.1
+    fed_back = CASES["delayed feedback"].make()
+    slopes = np.gradient(fed_back["x"], fed_back["t"])
+    assert np.allclose(slopes[20:-1], -1.5 * fed_back["x"][10:-11], atol=0.02 * np.abs(slopes).max())

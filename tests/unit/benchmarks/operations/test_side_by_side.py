@@ -1,0 +1,76 @@
+"""Two revisions side by side: turns, medians, ratios, and what ends it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from atoll.errors import UsageError
+from benchmarks.operations.side_by_side import Beside, Took, in_turn, jobs, median, program_of, shown
+
+TOOK = Took(0.2, 2.0, 3.0, "abc", ("x",), 1000)
+
+
+def recording(log: list[str], who: str, took: Took) -> Callable[[str], Took]:
+    def run(job: str) -> Took:
+        log.append(f"{who} {job}")
+        return took
+
+    return run
+
+
+def test_jobs_take_turns_and_who_begins_changes() -> None:
+    log: list[str] = []
+    found = in_turn(["a", "b"], recording(log, "ours", TOOK), recording(log, "theirs", TOOK), 2, lambda: True)
+    assert log[:4] == ["ours a", "theirs a", "theirs b", "ours b"]
+    assert len(log) == 8
+    assert [each.job for each in found] == ["a", "b"]
+
+
+def test_no_job_begins_after_the_time_is_up() -> None:
+    log: list[str] = []
+    left = iter([True, False])
+    found = in_turn(["a", "b"], recording(log, "o", TOOK), recording(log, "t", TOOK), 3, lambda: next(left))
+    assert log == ["o a", "t a"]
+    assert [each.job for each in found] == ["a"]
+
+
+def test_each_side_has_its_own_times() -> None:
+    slower = replace(TOOK, search=0.1, command=4.0)
+    (first, second) = in_turn(["a", "b"], lambda _: TOOK, lambda _: slower, 1, lambda: True)
+    for each in (first, second):
+        assert (each.ratio("search"), each.ratio("command"), each.ratio("processor")) == (2.0, 0.5, 1.0)
+
+
+def test_medians_are_of_times_and_a_digest_that_changes_is_seen() -> None:
+    runs = [replace(TOOK, search=1.0), replace(TOOK, search=5.0, digest="other"), replace(TOOK, search=2.0)]
+    found = median(runs)
+    assert (found.search, found.command, found.digest) == (2.0, 2.0, "abc other")
+    assert not Beside("a", found, TOOK).is_same
+
+
+def test_the_table_has_ratios_and_their_geometric_mean_and_says_what_differs() -> None:
+    found = [
+        Beside("fast", replace(TOOK, search=0.4), TOOK),
+        Beside("slow", replace(TOOK, search=0.1, digest="z", equations=("y",)), TOOK),
+    ]
+    fast, slow, mean = shown(found).splitlines()[-3:]
+    assert fast.split()[:4] == ["fast", "0.400", "0.200", "2.00"]
+    assert fast.split()[-2:] == ["same", "same"]
+    assert slow.split()[-2:] == ["DIFFERS", "DIFFER"]
+    assert mean.split()[:5] == ["geometric", "mean", "0.200", "0.200", "1.000"]
+
+
+def test_label_files_of_the_paper_s_equations_are_made_where_there_is_no_folder_of_them(tmp_path: Path) -> None:
+    made = jobs(tmp_path, None, range(2))
+    labels = [each for each in made.values() if "--target" in each]
+    assert len(labels) == 28
+    name, *numbers = Path(labels[0][0]).read_text("utf-8").splitlines()[:2]
+    assert name == "label,v,theta"
+    assert len(numbers[0].split(",")) == 3
+
+
+def test_a_revision_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(UsageError, match="no revision 'nothing-like-this'"):
+        program_of("nothing-like-this")
