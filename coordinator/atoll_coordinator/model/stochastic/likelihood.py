@@ -101,9 +101,14 @@ class FittedProcess:
 
     @property
     def covariance(self) -> FloatArray:
-        """The covariance (K, K) of the parameters; of those that the data do not determine it is huge."""
-        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-200))
-        unit = self.information / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+        """The covariance (K, K) of the parameters; of those that the data do not determine it is huge.
+
+        Nothing determines those by which the likelihood has no finite derivative: the model ends next to them.
+        """
+        known = np.isfinite(np.diag(self.information))
+        information = np.where(np.outer(known, known), self.information, 0.0)
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-200))
+        unit = information / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
         return np.asarray(np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale))
 
 
@@ -148,15 +153,21 @@ class ProcessLikelihood:
         return covariance
 
     def smoothed(self, model: ProcessModel) -> FloatArray:
-        """Return the states (S, N) where steps begin, without the errors of measurement as far as can be told."""
+        """Return the states (S, N) where steps begin, without the errors of measurement as far as can be told.
+
+        By a model that no covariance is positive by, nothing can: they stay as they are.
+        """
         from scipy import linalg
 
         moments = model.moments(self._points, self.steps.lengths)
         residuals, band = self._system(model, moments)
         states, count = residuals.shape
-        if not np.isfinite(band).all():
+        if not (np.isfinite(band).all() and np.isfinite(residuals).all()):
             return self._points[:states]
-        solved = linalg.solveh_banded(band, residuals.T.ravel(), lower=True).reshape(count, states).T
+        try:
+            solved = linalg.solveh_banded(band, residuals.T.ravel(), lower=True).reshape(count, states).T
+        except np.linalg.LinAlgError:
+            return self._points[:states]
         errors = -np.einsum("jir,jr->ir", moments.jacobian, solved)
         follows = np.flatnonzero(self.steps.follows)
         errors[:, follows] += solved[:, follows - 1]
@@ -265,7 +276,7 @@ def _solved(
     scale[scale == 0.0] = 1.0
     unit = information / np.outer(scale, scale)
     np.fill_diagonal(unit, 1.0 + damping)
-    if not np.isfinite(unit).all():
+    if not (np.isfinite(unit).all() and np.isfinite(scale).all() and np.isfinite(gradient).all()):
         return np.zeros_like(gradient)
     return np.asarray(np.linalg.lstsq(unit, -gradient / scale, rcond=None)[0] / scale)
 

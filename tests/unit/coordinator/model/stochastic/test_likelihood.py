@@ -1,9 +1,12 @@
 import numpy as np
 from scipy import stats
 
+from atoll.expression.text.parsing import from_infix
 from atoll.stochastic.moments import step_moments
 from atoll_coordinator.model.stochastic.likelihood import ProcessLikelihood, ProcessModel
 from tests.unit.coordinator.model.stochastic.processes import model_of, ornstein_uhlenbeck, steps_of
+
+NAMES = ("x", "y")
 
 
 def test_the_misfit_is_minus_the_logarithm_of_the_transition_densities() -> None:
@@ -68,3 +71,33 @@ def test_without_errors_of_measurement_steps_begin_where_they_were_measured_what
     smoothed = ProcessLikelihood(steps).smoothed(model_of("-1*x", "0.25", noise=0.04))
     model = model_of("-1*x", "0.25")
     assert ProcessLikelihood(steps, smoothed).whitened(model).misfit == ProcessLikelihood(steps).whitened(model).misfit
+
+
+def test_a_constant_beside_which_the_likelihood_is_not_finite_is_not_determined() -> None:
+    """A variance that is all but zero at the farthest state is negative there once its constant is a little less."""
+    states = ornstein_uhlenbeck(200, 0.1, seed=1)
+    edge = float(np.max(states[:-1] ** 2)) * (1.0 + 1e-7)
+    model = model_of("-1*x", f"{edge!r} - x*x")
+    fitted = ProcessLikelihood(steps_of(states[None], 0.1)).fit(model, (0, 1))
+    assert np.isfinite(fitted.misfit)
+    assert not np.isfinite(fitted.information).all()
+    drift, variance = np.sqrt(np.diag(fitted.covariance)).tolist()
+    assert drift < 1.0
+    assert variance > 1e100
+
+
+def test_a_fit_without_a_finite_derivative_ends_where_it_began() -> None:
+    states = ornstein_uhlenbeck(200, 0.1, seed=1)
+    model = model_of("-1*x", f"{float(np.max(states[:-1] ** 2)) * (1.0 + 1e-7)!r} - x*x")
+    fitted = ProcessLikelihood(steps_of(states[None], 0.1)).fit(model, (1,))
+    assert fitted.model.diffusion[0].constants.tolist() == model.diffusion[0].constants.tolist()
+    assert np.sqrt(np.diag(fitted.covariance)).tolist()[0] > 1e100
+
+
+def test_by_a_covariance_that_is_not_positive_no_states_are_smoothed() -> None:
+    """Of two noises with a correlation of 5, beside errors of measurement."""
+    steps = steps_of(np.array([ornstein_uhlenbeck(100, 0.1, seed) for seed in (1, 2)]), 0.1)
+    drift = tuple(from_infix(f"-1*{name}", NAMES) for name in NAMES)
+    diffusion = tuple(from_infix(value, NAMES) for value in ("0.2", "1", "0.2"))
+    model = ProcessModel(drift, diffusion, ((0, 0), (0, 1), (1, 1)), (1e-6, 1e-6))
+    assert np.array_equal(ProcessLikelihood(steps).smoothed(model), steps.points)
