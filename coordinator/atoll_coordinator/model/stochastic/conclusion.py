@@ -50,6 +50,10 @@ from atoll_coordinator.settings import SETTINGS
 _NO_COVARIANCE: Final = "The noises of these states show no correlation that is worth its description."
 _NO_VARIANCE: Final = "This state has no noise of its own: the noise of the states that it follows explains its steps."
 _CERTAIN: Final = "Steps follow this equation but for rounding."
+_NO_NOISE: Final = (
+    "No noise is seen in any state, so that these are no equations of a process: leave out --stochastic to have those "
+    "of the motion itself judged."
+)
 _SAME: Final = 1e-9
 """Share of the mean square of a function that what is the same in other words differs by: where fits have settled."""
 
@@ -215,35 +219,53 @@ def _origin(program: Program, candidates: CandidateSet) -> Origin:
 
 def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equation]) -> list[tuple[Grade, str]]:
     """Return grade and reason of each equation."""
+    if not _has_noise(chosen, model):
+        return [("doubtful", _NO_NOISE)] * len(equations)
     residuals = chosen.likelihood.whitened(model).residuals
     steps = chosen.likelihood.steps
     bins = split_into_bins(steps.points, SETTINGS.effort.kept)
     states = len(model.drift)
     driven = _without_noise(model)
-    certain = driven if model.discretisation == "Euler-Maruyama" else []
+    is_certain = [
+        state in driven and model.discretisation == "Euler-Maruyama" and float(np.mean(residuals[state] ** 2)) < 1.0
+        for state in range(states)
+    ]
+
+    def objections(state: int) -> list[str]:
+        if is_certain[state]:
+            return []
+        clauses = _drift_objections(residuals[state], bins, steps.follows)
+        return clauses + joint_objections(residuals, state, chosen.process.states, has_noise=state not in driven)
+
     found: list[tuple[Grade, str]] = []
     for number, equation in enumerate(equations):
-        if number >= states and is_zero(equation.program):
+        good = "The steps it leaves are independent and without a pattern over the states"
+        if number < states and is_certain[number]:
+            clauses, good = [], _CERTAIN
+        elif number < states:
+            clauses, good = objections(number) + _doubts(chosen, number, equation), f"{good}."
+        elif is_zero(equation.program):
             i, j = model.pairs[number - states]
-            found.append(("good", _NO_COVARIANCE if i != j else _NO_VARIANCE))
-            continue
-        if number in certain and float(np.mean(residuals[number] ** 2)) < 1.0:
-            found.append(("good", _CERTAIN))
-            continue
-        if number < states:
-            clauses = _drift_objections(residuals[number], bins, steps.follows)
-            clauses += joint_objections(residuals, number, chosen.process.states, has_noise=number not in driven)
+            clauses, good = ([], _NO_COVARIANCE) if i != j else (objections(i), _NO_VARIANCE)
         else:
             i, j = model.pairs[number - states]
             clauses = _diffusion_objections(residuals[i], residuals[j], bins, is_variance=i == j)
-        clauses += _doubts(chosen, number, equation)
-        if not clauses:
-            good = "The steps it leaves are independent and without a pattern over the states"
-            found.append(("good", good + (", and their sizes are normal." if number >= states else ".")))
-        else:
-            text = ", and ".join(clauses[:2])
-            found.append(("doubtful", text[0].upper() + text[1:] + "."))
+            clauses, good = clauses + _doubts(chosen, number, equation), f"{good}, and their sizes are normal."
+        text = ", and ".join(clauses[:2])
+        found.append(("doubtful", f"{text[0].upper()}{text[1:]}.") if clauses else ("good", good))
     return found
+
+
+def _has_noise(chosen: ChosenProcess, model: ProcessModel) -> bool:
+    """Tell whether a state has noise that counts as such: of less, steps are those of a motion without any.
+
+    The output of a numerical method and what repeats itself after a few rows follow a law exactly, and no noise is
+    there to speak for or against it.
+    """
+    steps = chosen.likelihood.steps
+    covariance = model.moments(steps.points, steps.lengths).covariance
+    own = np.median(np.diagonal(covariance), axis=0)
+    return any(model.noise) or not bool((own <= steps.least_variances).all())
 
 
 def _without_noise(model: ProcessModel) -> list[int]:
@@ -309,6 +331,8 @@ def _pattern(parts: Sequence[FloatArray]) -> float:
     from scipy import special
 
     variance = float(np.var(np.concatenate(parts)))
+    if not variance > 0.0:
+        return 1.0  # all the same, as what exact steps leave: there is no pattern, whatever the mean
     squares = [len(part) * float(np.mean(part)) ** 2 / variance for part in parts if len(part)]
     return float(special.chdtrc(len(squares), math.fsum(squares)))
 

@@ -1,13 +1,23 @@
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from scipy import stats
 
 from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll.data.dataset import FloatArray
 from atoll.expression.evaluation import values_of
+from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.stochastic.conclusion import joint_objections
+from atoll_coordinator.model.refinement import Grade
+from atoll_coordinator.model.regression.covariance import Known
+from atoll_coordinator.model.stochastic.choice import ChosenProcess
+from atoll_coordinator.model.stochastic.conclusion import _Equation, _judge, _pattern, joint_objections
+from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from tests.unit.coordinator.data.tables import table_of
-from tests.unit.coordinator.model.stochastic.processes import ornstein_uhlenbeck
+from tests.unit.coordinator.model.stochastic.processes import ornstein_uhlenbeck, steps_of
 
 NAMES = ("x", "v", "w")
 
@@ -56,3 +66,49 @@ def test_the_log_likelihood_of_a_step_is_that_of_its_density_also_on_trajectorie
     process = refine_all(prepare(table_of(columns), config), config, {}).process
     assert abs(process.log_likelihood - exact[:119].mean()) < 1e-5
     assert abs(process.held_out - exact[120:].mean()) < 1e-5
+
+
+ROWS = np.arange(101.0)
+EXACT = {"a ramp": 2.0 * (0.1 * ROWS), "back and forth": ROWS % 2.0}
+
+
+@pytest.mark.parametrize("states", EXACT.values(), ids=[*EXACT])
+def test_exact_tables_have_equations_of_which_none_is_said_to_be_the_law_of_a_process(states: FloatArray) -> None:
+    config = JobConfig(data=DataConfig(stochastic=True), space=SpaceConfig(operators=("+", "*")))
+    prepared = prepare(table_of({"t": 0.1 * ROWS, "x": states}), config)
+    found = refine_all(prepared, config, {}).equations
+    assert [*found] == ["x", "[x]"]
+    assert {(each.grade, (each.reason or "")[:16]) for each in found.values()} == {("doubtful", "No noise is seen")}
+
+
+def test_what_is_the_same_everywhere_has_no_pattern() -> None:
+    assert [_pattern([np.full(8, value), np.full(9, value)]) for value in (0.0, -1.0)] == [1.0, 1.0]
+
+
+def judged(rows_a_period: int, model: ProcessModel) -> list[Grade]:
+    """Return the grades of the equations of a process, x = cos t and y = -sin t exactly."""
+    times = 2.0 * np.pi / rows_a_period * ROWS
+    steps = steps_of(np.array([np.cos(times), -np.sin(times)]), float(times[1]))
+    process = ProcessRecording(("x", "y"), ("x", "y"), (), (), 0.0, (), pairs=model.pairs)
+    fitted, count = FittedProcess(model, 0.0, np.zeros((0, 0))), len(model.programs)
+    chosen = ChosenProcess(
+        process, ("x", "y", *process.components), (*range(count),), (), ProcessLikelihood(steps), fitted,
+        ((),) * count, (), 0.0,
+    )  # fmt: skip
+    return [grade for grade, _ in _judge(chosen, model, [_Equation(each, Known((), ())) for each in model.programs])]
+
+
+def two_states(*equations: str) -> ProcessModel:
+    programs = tuple(from_infix(each, ("x", "y")) for each in equations)
+    return ProcessModel(programs[:2], programs[2:], ((0, 0), (1, 1)), (0.0, 0.0))
+
+
+def test_steps_that_follow_eulers_method_exactly_are_not_those_of_a_process() -> None:
+    share = 2.0 / np.pi
+    model = two_states(f"{share!r}*y - {share!r}*x", f"-{share!r}*x - {share!r}*y", "0", "0")
+    assert judged(4, replace(model, discretisation="Euler-Maruyama")) == ["doubtful"] * 4
+
+
+def test_a_variance_is_not_said_to_be_none_where_steps_are_not_those_that_other_states_make() -> None:
+    """What the integration of ten steps a period misses has been taken for noise of the other state."""
+    assert judged(10, two_states("1.001*y", "-1.001*x", "0", "6.5e-8")) == ["doubtful"] * 4
