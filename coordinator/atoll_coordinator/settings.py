@@ -199,7 +199,7 @@ class SparseSettings:
     least_windows: int = 4
     """Half widths in the longest trajectory, at least."""
     pursued_rows: int = 256
-    """Rows that sums with functions are pursued on: enough to decide some twenty terms."""
+    """About the rows that sums with functions are pursued on, less than twice as many: enough for some twenty terms."""
     most_shapes: int = 600
     """Larger dictionaries of products with functions are not tried: with all operators one of two states has up to
     190, of three 530."""

@@ -23,6 +23,7 @@ from atoll_coordinator.model.refinement import Prediction
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Unsimulated
 from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 
 
@@ -82,7 +83,8 @@ def foretell(
 
 _MOST_ROWS: Final = 500
 _STRIDE: Final = 4
-"""Rows whose distances are measured: so many measured ones at most, and every fourth simulated one."""
+"""Rows whose distances are measured: about so many measured ones, and of four simulated ones one. Taken in step with a
+period they would all be the same state."""
 
 
 Course = FloatArray | Unsimulated
@@ -123,7 +125,7 @@ class _Elsewhere:
             moved = SETTINGS.common.negligible * self._measurements.scales
             return np.asarray(self._measurements.smoothed[:, rows].T + moved)
         count = SETTINGS.effort.beam
-        known = self._measurements.smoothed.T[:: max(1, self._measurements.rows // _MOST_ROWS)]
+        known = self._measurements.smoothed.T[thinned_places(self._measurements.rows, _MOST_ROWS)]
         outer = known[_far_apart(known / self._width, 2 * count)]
         one, other, share = _latin_hypercube(count, 3).T
         first, second = (outer[(each * len(outer)).astype(int)] for each in (one, other))
@@ -159,10 +161,14 @@ class _Elsewhere:
         """Return how far rows of each course are from the nearest measured one, over the widths of the box."""
         observed = self._measurements.observed
         width = self._width[observed]
-        known = self._measurements.smoothed[observed].T[:: max(1, self._measurements.rows // _MOST_ROWS)] / width
+        known = self._measurements.smoothed[observed].T[thinned_places(self._measurements.rows, _MOST_ROWS)] / width
+
+        def looked_at(course: FloatArray) -> FloatArray:
+            count = course.shape[1]
+            return np.asarray(course[:, thinned_places(count, max(1, count // _STRIDE))].T / width)
+
         return [
-            np.array([float(np.abs(known - row).max(axis=1).min()) for row in course[:, ::_STRIDE].T / width])
-            for course in courses
+            np.array([float(np.abs(known - row).max(axis=1).min()) for row in looked_at(course)]) for course in courses
         ]
 
     def reached(self, courses: Sequence[FloatArray], state: int) -> float | None:

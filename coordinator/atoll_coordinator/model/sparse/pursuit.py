@@ -24,6 +24,7 @@ from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.damping import FIRST_DAMPING
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes, sum_program
+from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 
 _DEGREE: Final = SETTINGS.sparse.degree - 1
@@ -71,7 +72,7 @@ def pursue(problem: Problem, columns: Sequence[int], operators: Collection[int])
     if not {ADD, MULTIPLY} <= set(operators) or not columns:
         return []
     its = SETTINGS.sparse
-    rows = np.unique(np.linspace(0, problem.inputs.shape[1] - 1, its.pursued_rows).astype(int))
+    rows = thinned_places(problem.inputs.shape[1], its.pursued_rows)
     inputs = np.ascontiguousarray(problem.inputs[:, rows])
     with np.errstate(all="ignore"):
         pursuit = _Pursuit(inputs, columns, operators, problem.target.values[rows])

@@ -174,6 +174,20 @@ def test_however_long_a_process_rests_the_way_there_is_begun_from():
     assert np.median(np.linalg.norm(spread_of(resting), axis=1)) > 0.2
 
 
+@pytest.mark.parametrize(("rows_a_period", "rows"), [(10, 5000), (20, 10_000)])
+def test_rows_in_step_with_a_period_are_not_one_state(rows_a_period, rows):
+    """Every tenth and every twentieth of these rows are the same state."""
+    times = np.arange(float(rows)) / rows_a_period
+    phases = 2.0 * np.pi * (np.arange(rows) % rows_a_period) / rows_a_period
+    cycle = np.array([np.cos(phases), -np.sin(phases)])
+    its = measurements(WAVE, [[1.0, 0.0]], TIMES)
+    its = replace(its, smoothed=cycle, times=times, bounds=np.array([[0, rows]]))
+    found = _Elsewhere(its, 1e-6, is_near=False)
+    assert (np.ptp(found.starts, axis=0) > 1.0).all()
+    (distances,) = found.distances([cycle[:, : 4 * rows_a_period]])
+    assert distances.max() < 1e-12
+
+
 def test_each_part_of_each_dimension_has_one_point():
     points = _latin_hypercube(12, 3)
     assert points.shape == (12, 3)

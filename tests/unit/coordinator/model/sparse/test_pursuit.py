@@ -67,3 +67,14 @@ def test_inputs_that_do_not_vary_have_constant_sums(rows):
         found = pursue(Problem(NAMES, inputs, Target("x", "dx/dt", values, 0.0, 1.0)), (0, 1), ALL)
         assert found
         assert all(np.ptp(values_of(each, inputs)) == 0.0 for each in found)
+
+
+def test_rows_in_step_with_a_period_are_not_one_state():
+    """Every 51st of 13,006 rows, 51 to a period, would be the same point."""
+    phases = 2.0 * np.pi * (np.arange(255 * 51 + 1) % 51) / 51.0
+    inputs = np.array([1.5 + np.cos(phases), 1.5 - np.sin(phases)])
+    values = 0.6 * inputs[1] - 1.2 * inputs[0]
+    target = Target("x", "dx/dt", values, 0.0, float(values.std()))
+    found = pursue(Problem(NAMES, inputs, target), (0, 1), {BY_NAME["+"].code, BY_NAME["*"].code})
+    errors = [np.abs(values_of(each, inputs) - values).max() for each in found if len(constant_places(each)) <= 2]
+    assert min(errors) < 1e-8
