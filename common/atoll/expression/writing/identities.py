@@ -26,10 +26,12 @@ from atoll.expression.writing.sums import (
     distribute,
     divided,
     function,
+    kept,
     merged,
     multiply,
     power,
     product,
+    times,
 )
 
 _MOST_TERMS: Final = 7
@@ -183,9 +185,9 @@ def _divided_out(its: Sum, best: Best) -> Iterator[Sum]:
             for lead, factor in atom[1]:
                 if lead == ONE or not _divides(lead, monomial):
                     continue
-                quotient = product([coefficient / factor, *merged([*divided(monomial, lead), (atom, 1)])])
+                quotient = product([kept(coefficient / factor), *merged([*divided(monomial, lead), (atom, 1)])])
                 rest = _without(atom[1], (lead, factor))
-                over = product([-coefficient / factor, *divided(monomial, lead)])
+                over = product([kept(-coefficient / factor), *divided(monomial, lead)])
                 yield add((1.0, _without(its, term)), (1.0, quotient), (1.0, distribute(over, rest)))
 
 
@@ -247,7 +249,7 @@ def _double_angles(its: Sum, best: Best) -> Iterator[Sum]:
         for atom, exponent in monomial:
             partner = (COS, atom[1]) if atom[0] == SIN else None
             if partner in exponents and exponent > 0 and exponents[partner] > 0:
-                rest = product([0.5 * coefficient, *merged([*monomial, (atom, -1), (partner, -1)])])
+                rest = product([times(0.5, coefficient), *merged([*monomial, (atom, -1), (partner, -1)])])
                 whole = multiply(rest, function(SIN, add((2.0, atom[1]))))
                 yield add((1.0, _without(its, term)), (1.0, whole))
             if atom[0] in (SIN, COS) and exponent > 0:
@@ -338,10 +340,10 @@ def _roots(its: Sum, best: Best) -> Iterator[Sum]:
     """sqrt a sqrt b as sqrt(a b), and likewise for quotients and absolute values."""
     for term in its:
         monomial, coefficient = term
-        for (one, count), (other, times) in combinations(monomial, 2):
-            if one[0] == other[0] and one[0] in (SQRT, ABS) and abs(count) == abs(times) == 1:
-                inner = multiply(power(one[1], count), power(other[1], times))
-                rest = product([coefficient, *merged([*monomial, (one, -count), (other, -times)])])
+        for (one, count), (other, other_count) in combinations(monomial, 2):
+            if one[0] == other[0] and one[0] in (SQRT, ABS) and abs(count) == abs(other_count) == 1:
+                inner = multiply(power(one[1], count), power(other[1], other_count))
+                rest = product([coefficient, *merged([*monomial, (one, -count), (other, -other_count)])])
                 yield add((1.0, _without(its, term)), (1.0, multiply(rest, function(one[0], best(inner)))))
 
 

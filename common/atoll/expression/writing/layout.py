@@ -23,7 +23,7 @@ from atoll.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll.expression.writing.sums import ONE, Atom, Monomial, Sum, cleaned, raised_number, scaled
+from atoll.expression.writing.sums import ONE, Atom, Monomial, Sum, cleaned, raised_number, scaled, times
 
 NODE: Final = 1 << 36
 """What a node costs; the other costs decide between writings of as many nodes."""
@@ -145,7 +145,7 @@ def _term(monomial: Monomial, coefficient: float) -> tuple[bool, int, Expression
     for atom, exponent in brackets.items():
         if abs(exponent) == 1:
             others = math.prod(raised_number(scales[other], -brackets[other]) for other in brackets if other != atom)
-            own = cleaned(raised_number(coefficient * others, exponent))
+            own = cleaned(raised_number(times(coefficient, others), exponent))
             found = _laid_out(monomial, coefficient, {**scales, atom: own})
             best = min(best, found, key=lambda each: each[1])
     return best
@@ -179,7 +179,7 @@ def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float])
     above: list[Written] = []
     below: list[Written] = []
     for atom, scale in scales.items():
-        coefficient *= raised_number(scale, -dict(monomial)[atom])
+        coefficient = times(coefficient, raised_number(scale, -dict(monomial)[atom]))
     coefficient = cleaned(coefficient)
     for atom, exponent in sorted(_with_tangents(monomial), key=lambda item: _factor_place(item[0])):
         flips, written_atom = _atom(atom, scales.get(atom, 1.0), wants_flip=coefficient < 0.0 and exponent % 2 == 1)

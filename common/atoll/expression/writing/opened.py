@@ -27,7 +27,18 @@ from atoll.expression.operators import (
 from atoll.expression.program import MAX_NODES, Program
 from atoll.expression.writing.layout import in_order
 from atoll.expression.writing.shortest import sum_of
-from atoll.expression.writing.sums import ONE, Atom, Monomial, Sum, UndefinedError, add, contained, distribute, merged
+from atoll.expression.writing.sums import (
+    ONE,
+    Atom,
+    Monomial,
+    Sum,
+    UndefinedError,
+    add,
+    contained,
+    distribute,
+    kept,
+    merged,
+)
 
 MOST_TERMS: Final = 40
 """Sums of more terms are not opened."""
@@ -149,7 +160,7 @@ def raised_quotients(its: Sum) -> Iterator[tuple[Shape, Sum]]:
                 others = tuple(term for term in its if term[0] != monomial)
                 with suppress(UndefinedError):
                     raised = merged([*rest, *lead, (atom, -1)])
-                    instead = ((rest, factor / constant), (raised, -factor * number / constant))
+                    instead = ((rest, kept(factor / constant)), (raised, kept(-factor * number / constant)))
                     yield shape_of(raised), add((1.0, others), (1.0, instead))
 
 
@@ -283,5 +294,7 @@ def _factored(its: Sum, lead: int) -> Program:
     factor = its[lead][1]
     builder = _Builder(lambda *_: False)
     scale = builder.append(CONSTANT, value=factor)
-    inner = tuple((monomial, 1.0 if place == lead else number / factor) for place, (monomial, number) in enumerate(its))
+    inner = tuple(
+        (monomial, 1.0 if place == lead else kept(number / factor)) for place, (monomial, number) in enumerate(its)
+    )
     return builder.program(builder.operate(MULTIPLY, scale, builder.sum_of_terms(inner)))

@@ -98,25 +98,45 @@ def cleaned(value: float) -> float:
     return short if abs(short - value) <= 4.0 * math.ulp(value) else value
 
 
+def kept(value: float) -> float:
+    """Return what numbers other than 0 make; raises UndefinedError when it is 0 or not finite.
+
+    A coefficient that doubles cannot hold may be one that variables would have made up for: (1e-170 x)(1e-170 y).
+    """
+    if not value or not math.isfinite(value):
+        raise UndefinedError
+    return value
+
+
+def times(one: float, other: float) -> float:
+    """Return the product; raises UndefinedError when it is not finite, or 0 without a factor that is."""
+    return kept(one * other) if one and other else 0.0
+
+
 def add(*parts: tuple[float, Sum]) -> Sum:
     """Return the sum of multiples of sums."""
-    return collect((monomial, factor * coefficient) for factor, its in parts for monomial, coefficient in its)
+    return collect((monomial, times(factor, coefficient)) for factor, its in parts for monomial, coefficient in its)
 
 
 def collect(terms: Iterable[tuple[Monomial, float]]) -> Sum:
-    """Return the sum of terms, like ones joined, lone brackets opened, what cancels left out."""
+    """Return the sum of terms, like ones joined, lone brackets opened, what cancels left out.
+
+    Raises UndefinedError where what is added is too large: whether it cancels cannot be told.
+    """
     total: dict[Monomial, float] = {}
     size: dict[Monomial, float] = {}
     waiting = list(terms)
     while waiting:
         monomial, coefficient = waiting.pop()
         if len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == ADD:
-            waiting += [(inner, coefficient * factor) for inner, factor in monomial[0][0][1]]
+            waiting += [(inner, times(coefficient, factor)) for inner, factor in monomial[0][0][1]]
         else:
             total[monomial] = total.get(monomial, 0.0) + coefficient
             size[monomial] = size.get(monomial, 0.0) + abs(coefficient)
-    kept = [(monomial, cleaned(value)) for monomial, value in total.items() if abs(value) > _ROUNDING * size[monomial]]
-    return tuple(sorted(kept))
+    if not all(map(math.isfinite, size.values())):
+        raise UndefinedError
+    left = [(monomial, cleaned(value)) for monomial, value in total.items() if abs(value) > _ROUNDING * size[monomial]]
+    return tuple(sorted(left))
 
 
 def multiply(left: Sum, right: Sum) -> Sum:
@@ -132,16 +152,14 @@ def scaled(its: Sum, factor: float) -> Sum:
     """Return a multiple of a sum; the factor is not 0. Raises UndefinedError where a term would vanish."""
     if factor == 1.0:
         return its
-    found = tuple((monomial, cleaned(factor * coefficient)) for monomial, coefficient in its)
-    if not all(coefficient for _, coefficient in found):
-        raise UndefinedError
-    return found
+    return tuple((monomial, cleaned(kept(factor * coefficient))) for monomial, coefficient in its)
 
 
 def raised_number(value: float, exponent: int) -> float:
-    """Return a whole power of a number; raises UndefinedError when it is not finite."""
+    """Return a whole power of a number; raises UndefinedError when it is not finite, or 0 as that of no zero."""
     try:
-        return float(value**exponent)
+        found = float(value**exponent)
+        return kept(found) if value else found
     except (OverflowError, ZeroDivisionError):
         raise UndefinedError from None
 
@@ -162,7 +180,7 @@ def distribute(left: Sum, right: Sum) -> Sum:
     parts: list[tuple[float, Sum]] = []
     for monomial, coefficient in left:
         for other, factor in right:
-            parts.append((coefficient * factor, product([*monomial, *other])))
+            parts.append((times(coefficient, factor), product([*monomial, *other])))
     return add(*parts)
 
 
@@ -182,7 +200,7 @@ def bracket(its: Sum) -> tuple[float, Monomial]:
     if len(rest) < 2:
         return (rest[0][1], merged([*shared, *rest[0][0]])) if rest else (0.0, ONE)
     lead = next(coefficient for monomial, coefficient in rest if monomial != ONE)
-    unit = tuple((monomial, cleaned(coefficient / lead)) for monomial, coefficient in rest)
+    unit = tuple((monomial, cleaned(kept(coefficient / lead))) for monomial, coefficient in rest)
     return lead, merged([*shared, ((ADD, unit), 1)])
 
 
@@ -218,7 +236,7 @@ def product(factors: Iterable[tuple[Atom, int] | float]) -> Sum:
     coefficient, powers = 1.0, []
     for factor in factors:
         if isinstance(factor, float):
-            coefficient *= factor
+            coefficient = times(coefficient, factor)
         else:
             powers.append(factor)
     monomial = merged(powers)
@@ -252,7 +270,7 @@ def _reduced(coefficient: float, monomial: Monomial) -> Sum:
         elif atom[0] == ABS:
             odd = int(math.fmod(count, 2))
             known[atom] = known.get(atom, 0) + odd
-            coefficient *= _multiplied(known, atom[1], count - odd)
+            coefficient = times(coefficient, _multiplied(known, atom[1], count - odd))
         else:
             known[atom] = known.get(atom, 0) + count
     for argument, count in roots:
@@ -262,12 +280,12 @@ def _reduced(coefficient: float, monomial: Monomial) -> Sum:
         halves = count + 2 * known.pop(_lone_atom(argument), 0)
         odd = int(math.fmod(halves, 2))
         known[(SQRT, argument)] = odd
-        coefficient *= _multiplied(known, argument, (halves - odd) // 2)
+        coefficient = times(coefficient, _multiplied(known, argument, (halves - odd) // 2))
     if exponents:
-        coefficient *= _multiplied(known, function(EXP, add(*exponents)), 1)
+        coefficient = times(coefficient, _multiplied(known, function(EXP, add(*exponents)), 1))
     for base, parts in powers.items():
         whole = float(known.pop(_lone_atom(base), 0))
-        coefficient *= _multiplied(known, raised(base, add(*parts, (whole, constant(1.0)))), 1)
+        coefficient = times(coefficient, _multiplied(known, raised(base, add(*parts, (whole, constant(1.0)))), 1))
     return collect([(merged(known.items()), cleaned(coefficient))]) if coefficient else ZERO
 
 
@@ -353,18 +371,18 @@ def _exponential(argument: Sum) -> Sum:
     if not 0.0 < number < math.inf:
         raise UndefinedError
     whole: list[tuple[Atom, int]] = []
-    kept: list[tuple[Monomial, float]] = []
+    left: list[tuple[Monomial, float]] = []
     for monomial, coefficient in rest:
         is_log = len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == LOG
         if is_log and coefficient.is_integer() and abs(coefficient) <= LARGEST_POWER:
             scale, its = bracket_or_term(monomial[0][0][1])
-            number *= raised_number(scale, int(coefficient))
+            number = times(number, raised_number(scale, int(coefficient)))
             whole += [(atom, exponent * int(coefficient)) for atom, exponent in its]
         else:
-            kept.append((monomial, coefficient))
-    if not kept:
+            left.append((monomial, coefficient))
+    if not left:
         return product([number, *whole])
-    return product([number, *whole, ((EXP, tuple(kept)), 1)]) if whole else atom_sum((EXP, tuple(kept)), number)
+    return product([number, *whole, ((EXP, tuple(left)), 1)]) if whole else atom_sum((EXP, tuple(left)), number)
 
 
 def _logarithm(argument: Sum) -> Sum:
@@ -432,7 +450,7 @@ def raised(base: Sum, exponent: Sum) -> Sum:
         if abs(number) == 0.5:
             return power(function(SQRT, base), 1 if number > 0.0 else -1)
         if len(base) == 1 and base[0][1] > 0.0 and base[0][1] != 1.0:
-            scale = value_of(POW, base[0][1], number)
+            scale = kept(value_of(POW, base[0][1], number))
             return multiply(constant(scale), atom_sum((POW, ((base[0][0], 1.0),), exponent)))
     if basis == 1.0:
         return constant(1.0)

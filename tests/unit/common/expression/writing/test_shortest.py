@@ -207,3 +207,29 @@ def test_terms_that_cancel_under_a_function_do_not_end_the_search_for_a_writing(
     text = "0.4*((y*x - x)/((x + sin(x))/y)) + 9.9*sin(x) + 0.6*(y*x) - 9.8*x - 0.005"
     before = from_infix(text, NAMES)
     np.testing.assert_allclose(values_of(shortest(before), ROWS), values_of(before, ROWS), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1e308*x + 1e308*x",
+        "1e308*x + 1e308*x - y",
+        "(1e-170*x)*(1e-170*y) + x",
+        "(1e-100*x + 1e-105)**4",
+        "x*1e-200*(1e-200*y + 1e-190*x) + y",
+        "(1e-300*x)**1.5 + y",
+        "abs(1e-200*x)**3 + y",
+        "sqrt(1e-200*x)*sqrt(1e-200*y)*x*1e-250 + y",
+    ],
+)
+def test_no_term_goes_where_its_factor_is_too_large_or_too_small_for_a_number(text):
+    program = from_infix(text, NAMES)
+    assert shortest(program) == simplify_program(program)
+    shown = from_infix(to_infix(program, NAMES, digits=6), NAMES)
+    rows = np.array([[1e200, 1e-5], [1e-100, 1e180], [0.0, 0.0]])
+    with np.errstate(all="ignore"):
+        np.testing.assert_allclose(values_of(shown, rows), values_of(program, rows), rtol=1e-5)
+
+
+def test_what_cancels_beside_large_numbers_is_left_out():
+    assert shortened("1e307*x - 1e307*x + y") == "y"
