@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, get_args
@@ -88,6 +89,10 @@ _NEVER_NULL: Final = frozenset(
 """Other keys may be null, as unknown and non-finite values are; items of lists may not, unless they are numbers."""
 
 
+_UNWRITABLE: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+"""What a terminal obeys, and what neither XML nor UTF-8 can hold."""
+
+
 class Content(dict[str, Any]):
     """An object of a result: a key that it lacks is a fault of the file, said in one sentence."""
 
@@ -96,7 +101,11 @@ class Content(dict[str, Any]):
 
 
 def check_result(found: object) -> dict[str, Any]:
-    """Return the content of a result.json; raises UsageError when it is none, or of another version."""
+    """Return the content of a result.json; raises UsageError when it is none, or of another version.
+
+    Texts have escapes, as ``\\x01``, for characters that no page or terminal takes.
+    """
+    found = _writable(found)
     if (
         not isinstance(found, Mapping)
         or found.get("schema") != SCHEMA
@@ -109,6 +118,17 @@ def check_result(found: object) -> dict[str, Any]:
         raise UsageError("this is no result of this version; give the content of a saved result.json")
     checked: dict[str, Any] = _checked(found, _RESULT, "the result")
     return checked
+
+
+def _writable(found: Any) -> Any:
+    """Return a value in which every text, names included, can be written; what holds no text is returned as it is."""
+    if isinstance(found, str):
+        return _UNWRITABLE.sub(lambda its: its[0].encode("unicode_escape").decode(), found)
+    if isinstance(found, Mapping):
+        return {_writable(name): _writable(each) for name, each in found.items()}
+    if isinstance(found, list | tuple) and any(isinstance(each, str | Mapping | list | tuple) for each in found):
+        return [_writable(each) for each in found]
+    return found
 
 
 def _checked(found: Any, kind: Any, name: str, *, may_be_null: bool = True) -> Any:

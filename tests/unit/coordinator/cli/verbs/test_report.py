@@ -45,6 +45,14 @@ def test_several_results_have_a_page_each_and_one_that_is_none_keeps_no_other_fr
     assert "two of these results would be written to" in capsys.readouterr().err
 
 
+def test_a_result_whose_texts_no_page_can_hold_has_one(saved: Path) -> None:
+    found = regression()
+    found["equations"][0]["lhs"] = "dy\x01/dt"
+    (saved / "result.json").write_text(json.dumps(found), "utf-8")
+    assert main(["report", str(saved)]) == 0
+    assert r"dy\x01/dt" in (saved / "report.html").read_text("utf-8")
+
+
 def test_pictures_are_files_that_need_no_page(saved: Path) -> None:
     assert main(["report", str(saved), "--pictures", str(saved / "pictures")]) == 0
     assert sorted(path.name for path in (saved / "pictures").iterdir()) == ["fit-1.svg", "fit-2.svg", "front-1.svg"]

@@ -1,5 +1,6 @@
 """Saved results, printed without a coordinator."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,17 @@ def test_members_of_its_fronts_can_be_picked(path: str, capsys: pytest.CaptureFi
     assert main(["result", path, "--pick", "y=0"]) == 0
     assert "dy/dt = -0.1*x" in capsys.readouterr().out
     assert main(["result", path, "--pick", "y=9"]) == 2
+
+
+@pytest.mark.parametrize("how", ["text", "json", "csv", "sympy", "latex"])
+def test_what_no_terminal_takes_is_printed_as_escapes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], how: str
+) -> None:
+    foreign = result()[0] | {"state": "failed", "reason": "cut \ud800 off"}
+    foreign["equations"][0]["lhs"] = "dy\x1b/dt"
+    (tmp_path / "result.json").write_text(json.dumps(foreign), "utf-8")
+    assert main(["result", str(tmp_path), "--format", how]) == 0
+    assert capsys.readouterr().out.encode("utf-8").isascii()
 
 
 @pytest.mark.parametrize("text", [None, "{", "[]", '{"schema": 99, "equations": []}'])
