@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
 from atoll.errors import UsageError
@@ -34,8 +35,10 @@ MOST_NUMBERS: Final = 10_000_000
 """Largest number of values, times by states: 80 MB."""
 _COARSE: Final = 1e-3
 """Of the size of a state: below it errors are allowed that are `TOLERANCE` of so much, and no longer of the state."""
+_DEEPEST: Final = 1e-250
+"""Of the size of a state: how far a state is followed down that cannot cross 0."""
 _LOOKS: Final = 50
-"""Rows of a simulation at which is seen how strongly errors of constants drive it."""
+"""Rows of a simulation at which is seen how strongly errors of constants drive it, and which states can cross 0."""
 _LARGEST: Final = 1e150
 """The square of a larger number is no finite one."""
 
@@ -110,16 +113,26 @@ def simulate(
     """
     check_times(field, x0, t)
     task = _Task(field, inputs, most)
-    states, reached, last = _integrated(task, x0, t)
-    status: Status = (
-        "finished" if last is None else _ending(task, _sizes(task, x0, t), reached, last, float(t[-1] - t[0]))
-    )
-    count = len(states)
-    sentence = _sentence(status, reached, most) + ("" if last is None else f"; {count} of {len(t)} times were reached")
-    if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], states, t)) is None:
+    course = _integrated(task, x0, t)
+    states, count = course.rows, len(course.rows)
+    status: Status = "finished" if course.is_whole else _ending(task, course, _sizes(task, x0, t), float(t[-1] - t[0]))
+    sentence = _sentence(status, course.reached, most)
+    sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
+    if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], course, t)) is None:
         return Simulation(field.states, t[:count], states, status, sentence)
     half = bands[1] * spread
     return Simulation(field.states, t, states, status, sentence, spread, states - half, states + half)
+
+
+def followed_sizes(
+    field: VectorField, x0: FloatArray, t: FloatArray, inputs: Inputs | None = None, most: int = MOST_EVALUATIONS
+) -> FloatArray:
+    """Return how large each state (D,) counts as, all above 0, by arguments of `simulate`.
+
+    Errors that are small beside these keep each state right in its unit, and in its troughs where it cannot cross 0.
+    """
+    course = _integrated(_Task(field, inputs, most), x0, t)
+    return np.maximum(course.sizes, np.minimum(course.lowest, np.abs(x0)))
 
 
 def check_times(field: VectorField, x0: FloatArray, t: FloatArray, paths: int = 1) -> None:
@@ -171,30 +184,70 @@ class _Task:
         self._count = 0
 
 
-def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> tuple[FloatArray, float, FloatArray | None]:
-    """Return the states at the times that were reached, and the last time.
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """States `rows` at the times that were passed, the last time `reached`, and the `last` state (D,) there.
 
-    Also the last state (D,) where the integration ended early; None where it did not.
+    `sizes` (D,) are those beside which errors were small, `lowest` (D,) the least absolute values on the way;
+    `is_spent` says whether all evaluations were used up.
     """
+
+    rows: FloatArray
+    reached: float
+    last: FloatArray
+    sizes: FloatArray
+    lowest: FloatArray
+    is_whole: bool
+    is_spent: bool = False
+
+
+def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> _Course:
+    """Return the course from `x0` (D,), once more with smaller sizes where states turn out to be smaller."""
     begin, sizes = float(t[0]), _sizes(task, x0, t)
     if len(t) == 1 or not np.isfinite(task.field.values(x0, task.inputs_at(begin))).all():
-        return np.array([x0]), begin, None if len(t) == 1 else x0
+        return _Course(np.array([x0]), begin, x0, sizes, np.abs(x0), is_whole=len(t) == 1)
     found = _attempt(task, x0, t, sizes)
-    reached = np.abs(found[0]).max(axis=0)
-    if found[2] is not None or not ((reached > 0.0) & (reached < _COARSE * sizes)).any():
+    smaller = sizes if found.is_spent else _smaller_sizes(task, found, t)
+    if (smaller == sizes).all():
         return found
-    task.begin_again()  # what the size was taken to be was too large
-    finer = _attempt(task, x0, t, np.where(reached > 0.0, np.minimum(reached, sizes), sizes))
-    return finer if finer[2] is None else found
+    task.begin_again()
+    finer = _attempt(task, x0, t, smaller)
+    return finer if finer.is_whole else found
 
 
-def _attempt(
-    task: _Task, x0: FloatArray, t: FloatArray, sizes: FloatArray
-) -> tuple[FloatArray, float, FloatArray | None]:
-    """Return what `_integrated` does, each state with errors that are small beside its own size (D,)."""
+def _smaller_sizes(task: _Task, found: _Course, t: FloatArray) -> FloatArray:
+    """Return sizes (D,) for another attempt: smaller where a state is far below what its size was taken to be."""
+    reached, sizes = np.abs(found.rows).max(axis=0), found.sizes
+    if found.is_whole:
+        is_small = (reached > 0.0) & (reached < _COARSE * sizes)
+        sizes = np.where(is_small.any() & (reached > 0.0), np.minimum(reached, sizes), sizes)
+    is_deep = (found.lowest < _COARSE * found.sizes) & (found.rows[0] != 0.0)
+    deep = [place for place in np.flatnonzero(is_deep).tolist() if not _can_cross(task, found, t, place)]
+    sizes[deep] = np.maximum(_DEEPEST * sizes[deep], np.finfo(np.float64).tiny)
+    return sizes
+
+
+def _can_cross(task: _Task, found: _Course, t: FloatArray, place: int) -> bool:
+    """Tell whether a state may change its sign: where it is 0, its rate leads away from the sign that it began with.
+
+    The signs on the way do not tell: in a trough that is deeper than the errors allowed, they are those of errors.
+    """
+    sign = float(np.sign(found.rows[0, place]))
+    for row in np.unique(np.linspace(0, len(found.rows) - 1, _LOOKS).astype(int)).tolist():
+        x = found.rows[row].copy()
+        x[place] = 0.0
+        with np.errstate(all="ignore"):
+            rate = float(task.field.values(x, task.inputs_at(float(t[row])))[place])
+        if not sign * rate >= 0.0:
+            return True
+    return False
+
+
+def _attempt(task: _Task, x0: FloatArray, t: FloatArray, sizes: FloatArray) -> _Course:
+    """Return a course, each state with errors that are small beside its own size (D,)."""
     from scipy.integrate import LSODA
 
-    rows, reached, last = [x0.copy()], float(t[0]), x0
+    rows, reached, last, lowest = [x0.copy()], float(t[0]), x0, np.abs(x0)
     with contextlib.suppress(_SpentError), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         least = TOLERANCE * _COARSE * sizes
@@ -204,10 +257,11 @@ def _attempt(
             if solver.status == "failed" or not np.isfinite(solver.y).all():
                 break
             reached, last = float(solver.t), solver.y.copy()
+            lowest = np.minimum(lowest, np.abs(last))
             if np.abs(last).max() > _LARGEST:
                 break
             _take_rows(rows, t, solver)
-    return np.array(rows), reached, None if len(rows) == len(t) else last
+    return _Course(np.array(rows), reached, last, sizes, lowest, len(rows) == len(t), task.is_spent)
 
 
 def _sizes(task: _Task, x0: FloatArray, t: FloatArray) -> FloatArray:
@@ -236,15 +290,16 @@ def _take_rows(rows: list[FloatArray], t: FloatArray, solver: Any) -> None:
         rows += [np.asarray(dense(at)) for at in t[len(rows) : end].tolist()]
 
 
-def _ending(task: _Task, sizes: FloatArray, reached: float, last: FloatArray, span: float) -> Status:
+def _ending(task: _Task, course: _Course, sizes: FloatArray, span: float) -> Status:
     """Return why a simulation ended early, from the last state that was reached; `sizes` (D,) are those at first."""
-    rates = task.field.values(last, task.inputs_at(reached))
+    last = course.last
+    rates = task.field.values(last, task.inputs_at(course.reached))
     with np.errstate(all="ignore"):  # the time in which a state that grows gets twice as large
         is_growing = (last * rates > 0.0) & (np.abs(last) > sizes)
         doubling = float(np.where(is_growing, np.abs(last / rates), np.inf).min())
     if np.abs(last).max() > _LARGEST or doubling < math.sqrt(TOLERANCE) * span:
         return "blow-up"
-    return "stiff" if task.is_spent else "undefined"
+    return "stiff" if course.is_spent else "undefined"
 
 
 def _sentence(status: Status, reached: float, most: int) -> str:
@@ -257,11 +312,12 @@ def _sentence(status: Status, reached: float, most: int) -> str:
     }[status]
 
 
-def _standard_errors(task: _Task, errors: JointErrors, states: FloatArray, t: FloatArray) -> FloatArray | None:
-    """Return the standard errors (N, D) of simulated `states` (N, D), by the sensitivities S' = J S + df/dc.
+def _standard_errors(task: _Task, errors: JointErrors, course: _Course, t: FloatArray) -> FloatArray | None:
+    """Return the standard errors (N, D) of the simulated states (N, D), by the sensitivities S' = J S + df/dc.
 
     None where they cannot be followed.
     """
+    states = course.rows
     x0, (rows, size) = states[0], states.shape
     values, vectors = np.linalg.eigh(errors.covariance)
     kept = values > 0.0
@@ -287,7 +343,8 @@ def _standard_errors(task: _Task, errors: JointErrors, states: FloatArray, t: Fl
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            least = 1e-9 * np.concatenate([sizes, np.repeat(sizes, number)])
+            small = np.where(_comes_back(states), np.minimum(course.lowest, sizes), sizes)
+            least = 1e-9 * np.concatenate([small, np.repeat(small, number)])
             found = solve_ivp(rates, (float(t[0]), float(t[-1])), start, "LSODA", t, rtol=1e-6, atol=least)
     except _SpentError:
         return None
@@ -295,6 +352,15 @@ def _standard_errors(task: _Task, errors: JointErrors, states: FloatArray, t: Fl
         return None
     sensitivities = found.y[size:].reshape(size, number, len(t)) * shares[:, None]
     return np.asarray(np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities)))
+
+
+def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
+    """Tell of which states (N, D) a trough lies between higher values: what happens in it decides what comes later."""
+    course = np.abs(states)
+    lowest = course.argmin(axis=0)
+    later = np.array([course[row:, place].max() for place, row in enumerate(lowest.tolist())])
+    lows = course.min(axis=0)
+    return (lows < _COARSE * course[0]) & (lows < _COARSE * later) & (later > math.sqrt(_DEEPEST) * course[0])
 
 
 def _positive(sizes: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import pytest
 
 from atoll.errors import UsageError
 from atoll.model.parameters import JointErrors
-from atoll.model.simulation import simulate
+from atoll.model.simulation import followed_sizes, simulate
 from atoll.model.vector_field import VectorField
 
 TIMES = np.linspace(0.0, 5.0, 11)
@@ -83,3 +83,41 @@ def test_a_state_that_begins_at_0_has_the_size_that_was_measured_or_that_it_come
 def test_an_early_end_says_how_many_times_were_reached() -> None:
     its = simulate(VectorField.of({"x": "x**2"}), np.array([1.0]), TIMES)
     assert its.message == "a state grows beyond all bounds near time 1; 2 of 11 times were reached"
+
+
+PREY = VectorField.of({"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"})
+
+
+@pytest.mark.parametrize(("start", "until"), [(20.0, 60.0), (30.0, 100.0), (60.0, 200.0)])
+@pytest.mark.parametrize("unit", [1.0, 2.0**-40])
+def test_a_state_that_comes_back_from_a_deep_trough_is_right(start: float, until: float, unit: float) -> None:
+    field = VectorField.of({"x": "x*(1.0 - y)", "y": f"y*({1.0 / unit!r}*x - 1.0)"})
+    its = simulate(field, np.array([start * unit, start]), np.linspace(0.0, until, 9))
+    in_logarithms = VectorField.of({"x": "1.0 - exp(y)", "y": "exp(x) - 1.0"})
+    expected = simulate(in_logarithms, np.log([start, start]), its.t)
+    assert (its.status, expected.status) == ("finished", "finished")
+    np.testing.assert_allclose(np.log(its.x / [unit, 1.0]), expected.x, atol=1e-6)
+
+
+def test_bands_come_back_from_a_deep_trough() -> None:
+    errors = JointErrors(PREY, PREY.values_of_parameters, (0,), np.ones(1), np.full((1, 1), 1e-20))
+    its = simulate(PREY, np.array([20.0, 20.0]), np.linspace(0.0, 60.0, 9), bands=(errors, 2.0))
+    assert its.stderr is not None
+    assert (its.stderr < 1e-6 * its.x).all()
+
+
+def test_a_state_that_may_cross_zero_or_never_comes_back_is_followed_as_before() -> None:
+    times = np.linspace(0.0, 50.0, 11)
+    swing = simulate(VectorField.of({"x": "y", "y": "-x"}), np.array([1.0, 0.0]), times)
+    assert swing["x"] == pytest.approx(np.cos(times), abs=1e-8)
+    stiff = simulate(VectorField.of({"x": "-100000.0*x", "y": "x - y"}), np.array([1.0, 0.0]), times, most=5000)
+    assert stiff.status == "finished"
+    assert abs(stiff["x"][-1]) < 1e-15
+
+
+def test_sizes_that_are_followed_have_the_unit_of_each_state() -> None:
+    sizes = followed_sizes(VectorField.of({"x": "-0.0001*x", "y": "1.3*y"}), np.array([300.0, 1e-12]), TIMES)
+    assert sizes.tolist() == [300.0, 1e-12]
+    troughs = followed_sizes(PREY, np.array([30.0, 30.0]), np.linspace(0.0, 100.0, 3))
+    assert (troughs < 1e-20).all()
+    assert (troughs > 1e-25).all()
