@@ -1,34 +1,45 @@
 """Every method of the coordinator's service breaks once while two jobs run: none ends the loop, no job waits for ever.
 
-    python -m tests.simulation.every_method
+    python -m tests.simulation.every_method            # once
+    python -m tests.simulation.every_method --always   # whenever it is called with the first job, or a part of it
 
 prints the methods for which that is not so, and how many are called at all, and returns 1 if there are any; about a
-minute. `test_breakages.py` has those that matter most.
+minute each. `test_breakages.py` has those that matter most.
 """
 
+import argparse
 import importlib
 import inspect
 import logging
 import pkgutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import atoll_coordinator.service
 from atoll.errors import AtollError
 from atoll_coordinator.cli.terminal.output import say
+from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from tests.simulation.harness import stub_islands
 from tests.simulation.harness.schedule_run import hurried
 from tests.simulation.harness.simulated_cluster import World
-from tests.simulation.test_breakages import assert_it_goes_on, broken_once
+from tests.simulation.test_breakages import assert_it_goes_on, assert_others_go_on, broken_for, broken_once
 
 LEFT_OUT = {
     (Breakages, "tolerated"),  # it is what holds the others
     (Service, "start"),  # before the loop begins
     (Service, "step"),
     (WorkerChannel, "take_pull"),  # one look into a dict; without it nobody knows whose answer came
+}
+LEFT_OUT_ALWAYS = {
+    (Controller, "guarded"),  # what ends a job over which something breaks
+    (Controller, "_end_broken"),
+    (Controller, "_end_without_job"),
+    (Store, "job"),
+    (Store, "commit_result"),
 }
 
 
@@ -44,12 +55,12 @@ def methods() -> Iterator[tuple[type, str]]:
                 yield from ((its, name) for name in names if not name.startswith("__") and name != "validate")
 
 
-def why_wrong(owner: type, name: str) -> str | None:
-    """Break a method once; return what goes wrong by that, "" for nothing, None when it is never called."""
-    world = World(workers=2)
+def why_wrong(owner: type, name: str, is_always: bool) -> str | None:
+    """Break a method; return what goes wrong by that, "" for nothing, None when it is never called."""
+    world = World(workers=2, slowness=10.0 if is_always else 1.0)
     try:
-        with broken_once(owner, name) as calls:
-            assert_it_goes_on(world, calls)
+        with broken_for(owner, name, "first") if is_always else broken_once(owner, name) as calls:
+            (assert_others_go_on if is_always else assert_it_goes_on)(world, calls)
     except (AssertionError, AtollError, ZeroDivisionError) as error:
         return f"{type(error).__name__}: {error}"[:300] if calls else None
     finally:
@@ -57,13 +68,17 @@ def why_wrong(owner: type, name: str) -> str | None:
     return ""
 
 
-def main() -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """Run from the command line."""
+    parser = argparse.ArgumentParser(prog="every_method", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--always", action="store_true", help="break whenever the first job is concerned, not once")
+    is_always = parser.parse_args(words).always
     logging.disable(logging.CRITICAL)
     stub_islands.HIT_EPOCHS = 10**9
-    chosen = [each for each in methods() if each not in LEFT_OUT]
+    left_out = LEFT_OUT | (LEFT_OUT_ALWAYS if is_always else set())
+    chosen = [each for each in methods() if each not in left_out]
     with hurried():
-        wrong = {f"{owner.__name__}.{name}": why_wrong(owner, name) for owner, name in chosen}
+        wrong = {f"{owner.__name__}.{name}": why_wrong(owner, name, is_always) for owner, name in chosen}
     found = [f"{name}: {why}" for name, why in wrong.items() if why]
     called = sum(why is not None for why in wrong.values())
     say("\n".join([*found, f"{len(wrong)} methods, {called} of them called, {len(found)} of those wrong"]))

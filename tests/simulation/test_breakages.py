@@ -18,6 +18,7 @@ from atoll.wire.codec import encode
 from atoll.wire.messages.workers import EpochReport, IslandReport, Pull, PullStates
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.jobs.job import Job
+from atoll_coordinator.service.monitoring.counters import CounterRegistry
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
@@ -27,9 +28,11 @@ from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Collector
 from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.controller import WorkerController
 from atoll_coordinator.service.workers.membership import Membership
+from atoll_coordinator.service.workers.scheduling import Assignment, Scheduler
 from tests.simulation.harness.schedule_run import hurried
 from tests.simulation.harness.simulated_cluster import World
 
@@ -81,11 +84,40 @@ HANDLERS: list[tuple[type, str]] = [
     (WorkerController, "add_heartbeat"),
     (WorkerController, "expire"),
     (WorkerController, "check_stalls"),
-    (WorkerController, "_update_holdings"),
+    (WorkerController, "_update_holding"),
+    (WorkerController, "_correct"),
     (Membership, "record_presence"),
     (Membership, "record_heartbeat"),
     (Membership, "register"),
 ]
+
+OF_ONE_JOB: list[tuple[type, str]] = [
+    (Assignment, "placement"),
+    (Scheduler, "is_broken"),
+    (Scheduler, "choose_workers"),
+    (WorkerController, "_update_holding"),
+    (WorkerController, "_add_death"),
+    (WorkerController, "_placed"),
+    (Archipelago, "place"),
+    (Archipelago, "update_holding"),
+    (Archipelago, "due_commit"),
+    (Archipelago, "missing_reports"),
+    (Archipelago, "next_pulls"),
+    (Archipelago, "mark_durable"),
+    (Archipelago, "unplace"),
+    (PullBudget, "next_pulls"),
+    (CounterRegistry, "add"),
+    (EventLog, "record"),
+    (EventLog, "record_placement"),
+    (Controller, "announcement"),
+    (Controller, "placements"),
+    (Controller, "_mark_durable"),
+    (Job, "start_search"),
+    (Job, "add_report"),
+    (RequestRouter, "_states"),
+    (Store, "state"),
+]
+"""What is called with one job, or with a part of it."""
 
 
 def config(seed: int = 1) -> JobConfig:
@@ -119,6 +151,33 @@ def broken_once(owner: type, name: str) -> Iterator[list[int]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(owner, name, breaks)
         yield calls
+
+
+@contextlib.contextmanager
+def broken_for(owner: type, name: str, job: str) -> Iterator[list[int]]:
+    """Let every call of a method that concerns `job` raise; the list gets an entry for each that has."""
+    real: Callable[..., Any] = getattr(owner, name)
+    calls: list[int] = []
+
+    def breaks(*arguments: Any, **options: Any) -> Any:
+        if any(concerns(each, job) for each in (*arguments, *options.values())):
+            calls.append(1)
+            raise ZeroDivisionError("float division by zero")
+        return real(*arguments, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(owner, name, breaks)
+        yield calls
+
+
+def concerns(what: Any, job: str) -> bool:
+    """Tell whether something is a job, one of its parts, its id, or a message about it."""
+    if isinstance(what, tuple) and what:
+        return concerns(what[0], job)
+    if isinstance(what, Job | JobRecord):
+        return what.id == job
+    part_of = getattr(what, "job", None)
+    return job == (part_of.id if isinstance(part_of, Job) else part_of or what)
 
 
 def ask_everything(world: World) -> None:
@@ -155,6 +214,52 @@ def assert_it_goes_on(world: World, calls: list[int]) -> None:
     assert world.finish("second", 120.0).state == "done"
     assert not world.service.controller.jobs
     assert world.client.coordinator().counters.broken == 1
+
+
+def assert_others_go_on(world: World, calls: list[int]) -> None:
+    """Submit two jobs while something always breaks for the first: it ends with a sentence, the second with a result.
+
+    A worker leaves and another comes meanwhile.
+    """
+    world.at(1.0, world.workers["w1"].leave)
+    world.at(1.2, lambda: world.crash("w0"))
+    world.at(1.4, lambda: world.start_worker("w2"))
+    with contextlib.suppress(AtollError):
+        world.submit(config(), job="first")
+    world.submit(config(), job="second")
+    ask_everything(world)
+    assert world.finish("second", 60.0).state == "done"
+    with contextlib.suppress(RefusedError):  # it was not taken in
+        view = world.finish("first", 60.0)
+        assert view.state == "done" or "float division by zero" in (view.reason or ""), view
+    assert calls, "it was never called"
+    world.submit(config(), job="third")
+    assert world.finish("third", 60.0).state == "done"
+    assert not world.service.controller.jobs
+    assert world.service.controller.breakages.total < 30
+
+
+@pytest.mark.parametrize(("owner", "name"), OF_ONE_JOB, ids=lambda each: getattr(each, "__name__", each))
+def test_what_always_breaks_for_one_job_stops_no_other(owner: type, name: str) -> None:
+    world = World(workers=2, slowness=10.0)
+    with broken_for(owner, name, "first") as calls:
+        assert_others_go_on(world, calls)
+
+
+def test_a_damaged_term_stops_no_other_job() -> None:
+    world = World(workers=1, slowness=5.0)
+    world.submit(config(), job="first")
+    while not world.store.checkpoints("first"):
+        world.client.pause(0.1)
+    world.network.crash("coordinator")
+    world.store._connection.execute("UPDATE archipelagos SET term = -3 WHERE job = 'first'")
+    world.service = world.start_service()
+    world.submit(config(), job="second")
+    assert world.finish("second", 60.0).state == "done"
+    view = world.finish("first", 60.0)
+    assert view.state == "failed"
+    assert "placing islands broke" in (view.reason or "")
+    assert "seed 1 and the data as a file" in (view.reason or ""), view.reason
 
 
 @pytest.mark.parametrize(("owner", "name"), HANDLERS, ids=lambda each: getattr(each, "__name__", each))

@@ -65,7 +65,7 @@ class Controller:
         """Jobs that have ended; None: the view has not been made of what is stored yet."""
         self.events: Final = EventLog(store, clock)
         self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
-        self.workers: Final = WorkerController(self.jobs, store, channel, self.events, self.fail_job, expected_workers)
+        self.workers: Final = WorkerController(self, store, channel, self.events, expected_workers)
         self.counters: Final = self.workers.counters
         self.checkpoints: Final = PullBudget()
         self._store = store
@@ -128,7 +128,7 @@ class Controller:
         A job that has ended meanwhile leaves nothing behind.
         """
         self._change(job_id, "beginning the search", now, lambda job: self._start(job, prepared, data, now))
-        self.workers.place(now)
+        self._place(now)
 
     def _start(self, job: Job, prepared: Prepared, data: bytes, now: float) -> Sequence[JobAction]:
         record = self._store.job(job.id)
@@ -207,6 +207,11 @@ class Controller:
         open_ones = job.open_archipelagos if job is not None else ()
         return Placements(placements=tuple(each.placement for each in open_ones if each.placement is not None))
 
+    def job_of_dataset(self, digest: str) -> str | None:
+        """Return the id of a live job whose prepared dataset this is; None: there is none."""
+        jobs = (job.id for job in self.jobs.values() if job.prepared is not None and job.prepared.blob == digest)
+        return next(jobs, None)
+
     # --------------------------------------------------------------------------- workers' reports, time
 
     def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
@@ -218,7 +223,7 @@ class Controller:
         """
         is_known = self.workers.add_heartbeat(worker, status, now)
         for holding in status.holdings if is_known else ():
-            self._advance_checkpoint(self.jobs.get(holding.job), holding.variable, now)
+            self._advance_checkpoint(holding.job, holding.variable, now)
 
     def add_report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -227,9 +232,14 @@ class Controller:
             if report.job not in self.ended:
                 raise RemoteProtocolError(f"a report of job {report.job} came, which does not exist")
             return
+        self._change(
+            job.id, "taking in a report", now, lambda job: self._report(job, worker, report, now), by_peer=True
+        )
+        self._advance_checkpoint(job.id, report.variable, now)
+
+    def _report(self, job: Job, worker: str, report: EpochReport, now: float) -> Sequence[JobAction]:
         self.counters.add(job.id, reports=1)
-        self._change(job.id, "taking in a report", now, lambda job: job.add_report(worker, report, now), by_peer=True)
-        self._advance_checkpoint(self.jobs.get(job.id), report.variable, now)
+        return job.add_report(worker, report, now)
 
     def tick(self, now: float) -> None:
         """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
@@ -238,13 +248,17 @@ class Controller:
         for job_id in [each.id for each in self.jobs.values() if each.state != "queued"]:
             self._change(job_id, "letting time pass", now, lambda job: job.tick(now))
         self._prepare_next(now)
-        with self.breakages.tolerated("placing islands"):
-            self.workers.place(now)
+        self._place(now)
         self._advance_checkpoints(now)
         with self.breakages.tolerated("looking for what stands still"):
             self.workers.check_stalls(now)
         with self.breakages.tolerated("writing events"):
             self.events.flush()
+
+    def _place(self, now: float) -> None:
+        """Have islands placed, which concerns all jobs: it ends none that happens to be the occasion."""
+        with self.breakages.tolerated("placing islands"):
+            self.workers.place(now)
 
     # ------------------------------------------------------------------------------------- checkpoints
 
@@ -271,7 +285,7 @@ class Controller:
             if error is not None:
                 raise error
             self._mark_durable(checkpoint, now)
-        self.workers.place(now)
+        self._place(now)
         if self.checkpoints.is_short:
             self._advance_checkpoints(now)
 
@@ -289,16 +303,18 @@ class Controller:
 
     def _advance_checkpoints(self, now: float) -> None:
         """Pull the states that are due, and have complete checkpoints written."""
-        self.checkpoints.begin_round({each.key: each for each in self._open_archipelagos()})
+        with self.breakages.tolerated("gathering checkpoints"):
+            self.checkpoints.begin_round({each.key: each for each in self._open_archipelagos()})
         for archipelago in self._open_archipelagos():
-            self._advance_checkpoint(self.jobs.get(archipelago.job), archipelago.variable, now)
+            self._advance_checkpoint(archipelago.job, archipelago.variable, now)
 
-    def _advance_checkpoint(self, job: Job | None, variable: str, now: float) -> None:
+    def _advance_checkpoint(self, job_id: str, variable: str, now: float) -> None:
         """Do so for one archipelago, of which something has come; all of them each time would take too long."""
-        archipelago = job.open_archipelago(variable) if job is not None else None
-        if job is None or archipelago is None:
-            return
-        with self.guarded(job.id, "gathering a checkpoint", now):
+        with self.guarded(job_id, "gathering a checkpoint", now):
+            job = self.jobs.get(job_id)
+            archipelago = job.open_archipelago(variable) if job is not None else None
+            if job is None or archipelago is None:
+                return
             for worker, pull in self.checkpoints.next_pulls(archipelago):
                 self._channel.pull(worker, pull)
             checkpoint = self.checkpoints.take_complete_checkpoint(archipelago)
@@ -331,7 +347,8 @@ class Controller:
         except Exception as error:
             if by_peer and isinstance(error, RemoteProtocolError):
                 raise
-            self._end_broken(job_id, self.breakages.add(task, error), now)
+            job = self.jobs.get(job_id)
+            self._end_broken(job_id, self.breakages.add(task, error, job.config if job is not None else None), now)
 
     def _end_broken(self, job_id: str, sentence: str, now: float) -> None:
         """End a job whose state may be half changed: all that ends it is done as far as it can be."""
@@ -348,15 +365,17 @@ class Controller:
             self._channel.publish(CloseJob(job=job_id))
         with self.breakages.tolerated("ending the tasks of a job"):
             self._tasks.cancel(job_id)
-        with self.breakages.tolerated("forgetting a job"):
+        with self.breakages.tolerated("forgetting what a job has cost"):
             self.counters.forget(job_id)
+        with self.breakages.tolerated("forgetting a job"):
             self.workers.forget(job_id)
 
     def _end_without_job(self, job_id: str, reason: str, text: str | None = None) -> None:
         """Let a job of the store fail that is not live, unless it has ended there."""
         self.ended[job_id] = None
         if self._store.commit_result(job_id, "failed", text, reason, self._clock()):
-            self.events.record("failed", reason, job_id)
+            with self.breakages.tolerated("noting the end of a job"):
+                self.events.record("failed", reason, job_id)
 
     # ---------------------------------------------------------------------------------------- outcomes
 

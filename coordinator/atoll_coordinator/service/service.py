@@ -95,7 +95,7 @@ class Service:
         clients = ClientRequests(self.controller, store, authorization, self._deletion, bus.now, self.view)
         self._uploads = clients.uploads
         handshake = Handshake(self.controller, store, authorization, self.rejects, bus.now, ports.clock)
-        self._requests = RequestRouter(self.controller, store, handshake, clients, self.rejects)
+        self._requests = RequestRouter(self.controller, store, handshake, clients, self.rejects, bus.now)
 
     # ------------------------------------------------------------------------------------------- life
 

@@ -7,6 +7,7 @@ import contextlib
 import logging
 import traceback
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from typing import Final
 
 from atoll import VERSION
@@ -35,6 +36,15 @@ def what_to_send(config: JobConfig, *, is_certain: bool = True) -> str:
     )
 
 
+JobGuard = Callable[[str], AbstractContextManager[None]]
+"""Given a job's id, lets what breaks end that job and nothing else."""
+
+
+def unguarded(job_id: str) -> AbstractContextManager[None]:
+    """Let what breaks over a job pass."""
+    return contextlib.nullcontext()
+
+
 class Breakages:
     """A counter of what broke. `note` is told a sentence of each new place."""
 
@@ -43,15 +53,19 @@ class Breakages:
         self._note = note
         self._places: set[tuple[str, ...]] = set()
 
-    def add(self, task: str, error: Exception) -> str:
-        """Count an error that ended `task`, such as "taking in a report"; return the sentence for people."""
+    def add(self, task: str, error: Exception, config: JobConfig | None = None) -> str:
+        """Count an error that ended `task`, such as "taking in a report"; return the sentence for people.
+
+        `config` is that of the job that ends by it, if one does: the sentence says what a report of that must hold.
+        """
         self.total += 1
         frames = traceback.extract_tb(error.__traceback__)
         where = f"{frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno}" if frames else "nowhere"
-        sentence = (
-            f"{task} broke ({type(error).__name__}: {error})"[:1000]
-            + f" at {where}, which is a mistake of ours; please report it with the log of the coordinator"
-        )
+        sentence = f"{task} broke ({type(error).__name__}: {error})"[:1000] + f" at {where}"
+        if config is None:
+            sentence += ", which is a mistake of ours; please report it with the log of the coordinator"
+        else:
+            sentence += what_to_send(config)
         place = (task, type(error).__name__, where)
         if place not in self._places and len(self._places) < MAX_PLACES:
             self._places.add(place)

@@ -1,5 +1,7 @@
 """Routes the queries of workers and clients by their key, and answers those for jobs, states and datasets."""
 
+from collections.abc import Callable
+
 from atoll.errors import RemoteProtocolError, StoreError
 from atoll.wire import topics
 from atoll.wire.bus.interface import Query
@@ -20,14 +22,16 @@ class RequestRouter:
     """Hands each query to the one who answers it."""
 
     def __init__(
-        self, controller: Controller, store: Store, handshake: Handshake, clients: ClientRequests, rejects: Rejects
-    ) -> None:
-        """`rejects` counts questions of clients that are not understood."""
+        self, controller: Controller, store: Store, handshake: Handshake, clients: ClientRequests, rejects: Rejects,
+        now: Callable[[], float],
+    ) -> None:  # fmt: skip
+        """`rejects` counts questions of clients that are not understood; `now` gives the bus's seconds."""
         self._controller = controller
         self._store = store
         self._handshake = handshake
         self._clients = clients
         self._rejects = rejects
+        self._now = now
         self.store_error: StoreError | None = None
         """Why the store failed in the midst of a question, when it did: nothing can go on from there."""
 
@@ -56,19 +60,30 @@ class RequestRouter:
         match key:
             case topics.HelloKey():
                 return encode(GreetingAnswer(body=self._handshake.answer(event.payload, key.name)))
-            case topics.JobKey():
-                announcement = self._controller.announcement(key.job)
-                return encode(Control(body=announcement)) if announcement is not None else None
-            case topics.PlacementKey():
-                return encode(Control(body=self._controller.placements(key.job)))
-            case topics.StateKey():
-                return self._states(key, event.payload)
-            case topics.BlobKey():
-                return self._chunk(key)
+            case topics.JobKey() | topics.PlacementKey() | topics.StateKey() | topics.BlobKey():
+                return self._tell_worker(key, event.payload)
             case topics.ClientKey():
                 return encode(Answer(body=self._answer_client(event, key.client)))
             case _:
                 raise RemoteProtocolError(f"nothing is served on key {event.key}")
+
+    def _tell_worker(
+        self, key: topics.JobKey | topics.PlacementKey | topics.StateKey | topics.BlobKey, payload: bytes
+    ) -> bytes | None:
+        """Answer what a worker asks until it is told: where that breaks, its job ends, or it would ask for ever."""
+        job = self._controller.job_of_dataset(key.digest) if isinstance(key, topics.BlobKey) else key.job
+        with self._controller.guarded(job or "", "answering a worker", self._now(), by_peer=True):
+            match key:
+                case topics.JobKey():
+                    announcement = self._controller.announcement(key.job)
+                    return encode(Control(body=announcement)) if announcement is not None else None
+                case topics.PlacementKey():
+                    return encode(Control(body=self._controller.placements(key.job)))
+                case topics.StateKey():
+                    return self._states(key, payload)
+                case topics.BlobKey():
+                    return self._chunk(key)
+        return None
 
     def _chunk(self, key: topics.BlobKey) -> bytes | None:
         try:

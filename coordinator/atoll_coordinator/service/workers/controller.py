@@ -1,10 +1,12 @@
 """What becomes of workers and placements: takes in greetings, heartbeats and silence, and begins terms.
 
-A job that cannot go on because of its workers is handed to the `fail_job` given. What is sent has been stored before.
+A job that cannot go on because of its workers is handed to `LiveJobs.fail_job`. What is sent has been stored before.
+What is done for one job after the other is guarded by job: whatever breaks over one, the others have their turn.
 """
 
-from collections.abc import Callable, Mapping
-from typing import Final
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Final, Protocol
 
 from atoll.compilation.sources import WORKER, source_digest
 from atoll.errors import RemoteProtocolError
@@ -12,7 +14,9 @@ from atoll.wire.codec import encode
 from atoll.wire.messages.handshake import Hello
 from atoll.wire.messages.workers import (
     Close,
+    Holding,
     Introduce,
+    IslandFailure,
     Placement,
     Placements,
     PullReports,
@@ -20,7 +24,7 @@ from atoll.wire.messages.workers import (
     WorkerStatus,
 )
 from atoll_coordinator.service.jobs.job import Fault, Job
-from atoll_coordinator.service.monitoring.breakages import what_to_send
+from atoll_coordinator.service.monitoring.breakages import Breakages, JobGuard, what_to_send
 from atoll_coordinator.service.monitoring.counters import CounterRegistry
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
@@ -31,26 +35,41 @@ from atoll_coordinator.service.workers.lease_backoff import LeaseBackoff
 from atoll_coordinator.service.workers.membership import Member, Membership
 from atoll_coordinator.service.workers.quarantine import Quarantine
 from atoll_coordinator.service.workers.reconciliation import corrections
-from atoll_coordinator.service.workers.scheduling import Scheduler
+from atoll_coordinator.service.workers.scheduling import Assignment, Scheduler
 from atoll_coordinator.service.workers.stalls import StallDetector
+
+
+class LiveJobs(Protocol):
+    """The part of `atoll_coordinator.service.controller.Controller` that workers have to do with."""
+
+    @property
+    def jobs(self) -> Mapping[str, Job]: ...  # by id, as they come and go
+
+    @property
+    def breakages(self) -> Breakages: ...  # for what breaks over no job in particular
+
+    def fail_job(self, job_id: str, fault: Fault, sentence: str, now: float) -> None: ...
+
+    def guarded(self, job_id: str, task: str, now: float) -> AbstractContextManager[None]: ...
 
 
 class WorkerController:
     """All workers, and the placements of all archipelagos on them."""
 
     def __init__(
-        self, jobs: Mapping[str, Job], store: Store, channel: WorkerChannel, events: EventLog,
-        fail_job: Callable[[str, Fault, str, float], None], expected_workers: int,
-    ) -> None:  # fmt: skip
-        """`jobs` are the live ones, by id, as they come and go; see `Scheduler` for the expected workers."""
+        self, live: LiveJobs, store: Store, channel: WorkerChannel, events: EventLog, expected_workers: int
+    ) -> None:
+        """See `Scheduler` for the expected workers."""
         self.membership: Final = Membership(source_digest(WORKER))
         self.counters: Final = CounterRegistry()
         self.crash_loops: Final = CrashLoops(store, events)
-        self._jobs = jobs
+        self._jobs = live.jobs
         self._store = store
         self._channel = channel
         self._events = events
-        self._fail_job = fail_job
+        self._fail_job = live.fail_job
+        self._guarded = live.guarded
+        self._breakages = live.breakages
         self._leases = LeaseBackoff()
         self._quarantine = Quarantine(self.membership, self.crash_loops)
         self._scheduler = Scheduler(self.membership, self._quarantine, expected_workers)
@@ -71,8 +90,9 @@ class WorkerController:
             if before is not None:
                 self._lose(before, "a new process has its name", now)
             for archipelago in self._open_archipelagos():
-                if hello.name in archipelago.workers:
-                    archipelago.unplace()
+                with self._guarded(archipelago.job, "taking islands from a worker that was started anew", now):
+                    if hello.name in archipelago.workers:
+                        archipelago.unplace()
             self.place(now)
         return refusal
 
@@ -87,7 +107,7 @@ class WorkerController:
             StoreError: There is: another coordinator has taken over.
         """
         self._check_incarnation(worker, status)
-        self._check_places(worker, status)
+        self._check_places(worker, status, now)
         was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
         if not self.membership.record_heartbeat(worker, status, now):
             self._channel.send(worker, Introduce())
@@ -98,18 +118,24 @@ class WorkerController:
         if not was_ready and self.membership.is_ready(worker):
             self.place(now)
         for failure in status.failures:
-            if self._placed(failure.job, failure.variable, failure.term) is not None:
-                to_send = what_to_send(self._jobs[failure.job].config)
-                self._fail_job(failure.job, "internal", f"{failure.sentence} (on worker {worker}){to_send}", now)
-        self._update_holdings(worker, status)
-        for correction in corrections(self._jobs, worker, status):
+            with self._guarded(failure.job, "taking in that an island failed", now):
+                self._add_failure(worker, failure, now)
+        for holding in status.holdings:
+            with self._guarded(holding.job, "taking in how far islands are", now):
+                self._update_holding(worker, holding)
+        self._correct(worker, status, now)
+        if status.state == "leaving":
+            self._let_leave(worker, now)
+        return True
+
+    def _correct(self, worker: str, status: WorkerStatus, now: float) -> None:
+        """Send a worker what it lacks, and what it may forget."""
+        task = "correcting what a worker holds"
+        for correction in corrections(self._jobs, worker, status, lambda job: self._guarded(job, task, now)):
             if isinstance(correction, PullReports):
                 self._channel.pull(worker, correction)
             else:
                 self._channel.send(worker, correction)
-        if status.state == "leaving":
-            self._let_leave(worker, now)
-        return True
 
     def _check_incarnation(self, worker: str, status: WorkerStatus) -> None:
         if status.incarnation > self._store.incarnation:
@@ -118,29 +144,36 @@ class WorkerController:
                 f"worker {worker} has heard of incarnation {status.incarnation}, but this is {self._store.incarnation}"
             )
 
-    def _check_places(self, worker: str, status: WorkerStatus) -> None:
-        for holding in status.holdings:
-            archipelago = self._placed(holding.job, holding.variable, holding.term)
-            if archipelago is not None and worker not in archipelago.workers:
-                raise RemoteProtocolError(f"worker {worker} holds {archipelago.key}, which is placed elsewhere")
-        for failure in status.failures:
-            archipelago = self._placed(failure.job, failure.variable, failure.term)
-            if archipelago is not None and failure.island not in archipelago.islands_of(worker):
-                raise RemoteProtocolError(
-                    f"worker {worker} says that island {failure.island} of {archipelago.key} failed, which is placed "
-                    "elsewhere"
-                )
+    def _check_places(self, worker: str, status: WorkerStatus, now: float) -> None:
+        """Raise RemoteProtocolError when a worker speaks for islands that are placed elsewhere."""
+        wrong: list[str] = []
+        for each in (*status.holdings, *status.failures):
+            with self._guarded(each.job, "looking where islands are placed", now):
+                archipelago = self._placed(each.job, each.variable, each.term)
+                islands = archipelago.islands_of(worker) if archipelago is not None else None
+                if islands is not None and isinstance(each, Holding) and not islands:
+                    wrong.append(f"worker {worker} holds {each.variable} of job {each.job}, which is placed elsewhere")
+                elif islands is not None and isinstance(each, IslandFailure) and each.island not in islands:
+                    island = f"island {each.island} of {each.variable} of job {each.job}"
+                    wrong.append(f"worker {worker} says that {island} failed, which is placed elsewhere")
+        if wrong:
+            raise RemoteProtocolError(wrong[0])
 
-    def _update_holdings(self, worker: str, status: WorkerStatus) -> None:
-        """Take in how far a worker is with what is placed on it; publish commits that are due by that."""
-        for holding in status.holdings:
-            archipelago = self._placed(holding.job, holding.variable, holding.term)
-            if archipelago is not None:
-                archipelago.update_holding(worker, holding)
-                self.counters.set_waited(worker, holding)
-                commit = archipelago.due_commit()
-                if commit is not None:
-                    self._channel.publish(commit)
+    def _add_failure(self, worker: str, failure: IslandFailure, now: float) -> None:
+        """Let the job of an island that broke on a worker fail."""
+        if self._placed(failure.job, failure.variable, failure.term) is not None:
+            to_send = what_to_send(self._jobs[failure.job].config)
+            self._fail_job(failure.job, "internal", f"{failure.sentence} (on worker {worker}){to_send}", now)
+
+    def _update_holding(self, worker: str, holding: Holding) -> None:
+        """Take in how far a worker is with what is placed on it; publish a commit that is due by that."""
+        archipelago = self._placed(holding.job, holding.variable, holding.term)
+        if archipelago is not None:
+            archipelago.update_holding(worker, holding)
+            self.counters.set_waited(worker, holding)
+            commit = archipelago.due_commit()
+            if commit is not None:
+                self._channel.publish(commit)
 
     def _let_leave(self, worker: str, now: float) -> None:
         """Place elsewhere what a worker has that wants to end; when it has nothing, tell it so."""
@@ -160,41 +193,75 @@ class WorkerController:
         """
         name = member.hello.name
         lost = [each for each in self._open_archipelagos() if name in each.workers]
-        for job in dict.fromkeys(each.job for each in lost) or (None,):
-            self._events.record("worker-lost", why, job, worker=name)
+        if not lost:
+            self._events.record("worker-lost", why, worker=name)
+        for job in dict.fromkeys(each.job for each in lost):
+            with self._guarded(job, "taking in that a worker is lost", now):
+                self._events.record("worker-lost", why, job, worker=name)
         reasons: list[tuple[str, str]] = []
         for archipelago in lost if not member.is_leaving else ():
-            self._leases.add_eviction(archipelago.key)
-            self.counters.add(archipelago.job, deaths=1)
-            term = archipelago.placement.term if archipelago.placement is not None else 0
-            reason = self.crash_loops.add_death(archipelago.key, term, (name, member.hello.instance), why)
-            reasons += [(archipelago.job, reason)] if reason is not None else []
+            with self._guarded(archipelago.job, "taking in that a worker is lost", now):
+                reason = self._add_death(archipelago, member, why)
+                reasons += [(archipelago.job, reason)] if reason is not None else []
         for job_id, reason in reasons:
             self._fail_job(job_id, "poison", reason, now)
 
+    def _add_death(self, archipelago: Archipelago, member: Member, why: str) -> str | None:
+        """Count the loss of a process for an archipelago; return the reason for which its job fails, if it does."""
+        self._leases.add_eviction(archipelago.key)
+        self.counters.add(archipelago.job, deaths=1)
+        term = archipelago.placement.term if archipelago.placement is not None else 0
+        return self.crash_loops.add_death(archipelago.key, term, (member.hello.name, member.hello.instance), why)
+
     def place(self, now: float) -> None:
-        """Begin the terms that are due: first all of them in the store, since each commit takes its time."""
+        """Begin the terms that are due. A job over which something breaks ends, and the others are placed."""
+
+        def guarded(job: str) -> AbstractContextManager[None]:
+            return self._guarded(job, "placing islands", now)
+
         self.crash_loops.save()
-        plan = self._scheduler.plan(tuple(self._jobs.values()), now)
+        plan = self._scheduler.plan(tuple(self._jobs.values()), now, guarded)
         for key in plan.broken:
-            self._events.record_broken_placement(key)
+            with guarded(key[0]):
+                self._events.record_broken_placement(key)
         for held in plan.released:
             for worker in dict.fromkeys(held.workers):
                 self._channel.send(worker, Close(job=held.job, variable=held.variable, term=held.term))
+        for assignment, placement in self._begin_terms(plan.assignments, guarded):
+            with guarded(placement.job):
+                self._place(assignment, placement, now)
+
+    def _begin_terms(self, assignments: Sequence[Assignment], guarded: JobGuard) -> list[tuple[Assignment, Placement]]:
+        """Make terms durable: all of them at once, since each commit takes its time; where that breaks, one by one."""
+        live = [each for each in assignments if each.job.id in self._jobs]
+        with self._breakages.tolerated("beginning terms"):
+            return self._store_terms(live)
+        begun: list[tuple[Assignment, Placement]] = []
+        for each in live:
+            with guarded(each.job.id):
+                begun += self._store_terms([each]) if each.job.id in self._jobs else []
+        return begun
+
+    def _store_terms(self, assignments: Sequence[Assignment]) -> list[tuple[Assignment, Placement]]:
         placements: list[Placement] = []
 
         def encode_placement(index: int, term: int) -> bytes:
-            placements.append(plan.assignments[index].placement(self._store.incarnation, term))
+            placements.append(assignments[index].placement(self._store.incarnation, term))
             return encode(placements[-1])
 
-        if plan.assignments:
-            self._store.begin_terms([each.archipelago.key for each in plan.assignments], encode_placement)
-        for each, placement in zip(plan.assignments, placements, strict=True):
-            each.archipelago.place(placement, now)
-            each.job.start_search(now)
-            self._channel.publish(Placements(placements=(placement,)))
-            self.counters.add(placement.job, placements=1)
-            self._events.record_placement(placement)
+        if assignments:
+            self._store.begin_terms([each.archipelago.key for each in assignments], encode_placement)
+        return list(zip(assignments, placements, strict=True))
+
+    def _place(self, assignment: Assignment, placement: Placement, now: float) -> None:
+        """Begin a term that is durable, unless its job has ended meanwhile."""
+        if placement.job not in self._jobs:
+            return
+        assignment.archipelago.place(placement, now)
+        assignment.job.start_search(now)
+        self._channel.publish(Placements(placements=(placement,)))
+        self.counters.add(placement.job, placements=1)
+        self._events.record_placement(placement)
 
     def add_commit(self, checkpoint: Checkpoint) -> None:
         """Take in that a checkpoint is durable: its archipelago gets on."""

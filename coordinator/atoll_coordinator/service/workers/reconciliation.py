@@ -1,28 +1,51 @@
 """Compares what a worker holds with what is placed on it, and returns the messages that set it right. Pure."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
-from atoll.wire.messages.workers import Close, CloseJob, Commit, Holding, Placements, PullReports, WorkerStatus
+from atoll.wire.messages.workers import (
+    Close,
+    CloseJob,
+    Commit,
+    Holding,
+    Placement,
+    Placements,
+    PullReports,
+    WorkerStatus,
+)
 from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.search.archipelago import Archipelago
+from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
+from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
 
 Correction = Close | CloseJob | Commit | Placements | PullReports
 
 
-def corrections(jobs: Mapping[str, Job], worker: str, status: WorkerStatus) -> list[Correction]:
-    """Return what a worker is sent after a heartbeat: what it may forget, what it lacks, pulls of lost reports."""
+def corrections(
+    jobs: Mapping[str, Job], worker: str, status: WorkerStatus, guarded: JobGuard = unguarded
+) -> list[Correction]:
+    """Return what a worker is sent after a heartbeat: what it may forget, what it lacks, pulls of lost reports.
+
+    Each job is looked at under `guarded`, so that one over which something breaks leaves no other uncorrected.
+    """
     messages: list[Correction] = []
     for holding in status.holdings:
-        messages += _correct_holding(jobs, worker, holding)
+        with guarded(holding.job):
+            messages += _correct_holding(jobs, worker, holding)
     messages += [CloseJob(job=job) for job in status.jobs if not _is_open(jobs, job)]
     held = {(each.job, each.variable) for each in status.holdings}
-    missing = [
+    missing: list[Placement] = []
+    for job_id, job in tuple(jobs.items()):
+        with guarded(job_id):
+            missing += _missing(job, worker, held)
+    return [*messages, Placements(placements=tuple(missing))] if missing else messages
+
+
+def _missing(job: Job, worker: str, held: Collection[ArchipelagoKey]) -> list[Placement]:
+    """Return the placements of a job that a worker has islands of and does not hold."""
+    return [
         archipelago.placement
-        for job in jobs.values()
         for archipelago in job.open_archipelagos
         if archipelago.placement is not None and worker in archipelago.workers and archipelago.key not in held
     ]
-    return [*messages, Placements(placements=tuple(missing))] if missing else messages
 
 
 def _correct_holding(jobs: Mapping[str, Job], worker: str, holding: Holding) -> list[Correction]:

@@ -7,6 +7,7 @@ from typing import Final
 
 from atoll.wire.messages.workers import Placement
 from atoll_coordinator.service.jobs.job import Job
+from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.service.workers.quarantine import Quarantine
@@ -61,10 +62,11 @@ class Scheduler:
         self._expected = expected_workers
         self._first_ready_at: float | None = None
 
-    def plan(self, jobs: Collection[Job], now: float) -> Plan:
+    def plan(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> Plan:
         """Plan terms for all archipelagos that have no workers, or lost ones, or could use more. `now` in bus seconds.
 
-        Archipelagos whose placements end are unplaced, and those that are to move are asked to hold.
+        Archipelagos whose placements end are unplaced, and those that are to move are asked to hold. Each is looked at
+        under `guarded`, so that one over which something breaks keeps no other from its workers.
         """
         self._quarantine.reserve([each for job in jobs for each in job.open_archipelagos])
         plan = Plan()
@@ -79,23 +81,36 @@ class Scheduler:
         if changing:
             self._update_expected(now)
         load = _load(each for job in jobs for each in job.open_archipelagos)
-        held = {each.key: each.placement for _, each in changing if each.is_held}
+        held: dict[ArchipelagoKey, Placement | None] = {}
         for _, archipelago in changing:
-            if self.is_broken(archipelago):
-                plan.broken.append(archipelago.key)
-                _unplace(archipelago, load)
-            else:
-                self._prepare_change(archipelago, load, now)
+            with guarded(archipelago.job):
+                if archipelago.is_held:
+                    held[archipelago.key] = archipelago.placement
+                self._end_placement(archipelago, plan, load, now)
         for job, archipelago in changing:
-            workers = self.choose_workers(archipelago, load, now)
-            former = held.get(archipelago.key)
-            if workers is not None:
-                load.subtract(_islands(archipelago))
-                load.update(workers)
-                plan.assignments.append(Assignment(job, archipelago, workers))
-            elif former is not None:
-                plan.released.append(former)
+            with guarded(archipelago.job):
+                self._assign(job, archipelago, held.get(archipelago.key), plan, load, now)
         return plan
+
+    def _end_placement(self, archipelago: Archipelago, plan: Plan, load: Counter[str], now: float) -> None:
+        """Unplace an archipelago if its placement ends now, or prepare that it does."""
+        if self.is_broken(archipelago):
+            plan.broken.append(archipelago.key)
+            _unplace(archipelago, load)
+        else:
+            self._prepare_change(archipelago, load, now)
+
+    def _assign(
+        self, job: Job, archipelago: Archipelago, held: Placement | None, plan: Plan, load: Counter[str], now: float
+    ) -> None:
+        """Plan the next term of an archipelago, or its release if there is none and it was `held`."""
+        workers = self.choose_workers(archipelago, load, now)
+        if workers is not None:
+            load.subtract(_islands(archipelago))
+            load.update(workers)
+            plan.assignments.append(Assignment(job, archipelago, workers))
+        elif held is not None:
+            plan.released.append(held)
 
     def _prepare_change(self, archipelago: Archipelago, load: Counter[str], now: float) -> None:
         """Prepare a change of placement that loses nothing, because workers leave or are idle.
