@@ -11,12 +11,13 @@ from atoll.config import Model
 from atoll.errors import StoreError
 from atoll.wire.codec import encode
 from atoll_coordinator.service.store.schema import _prepare
-from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.store.store import Room, Store
 
 READS: Final = frozenset({
     "job", "jobs", "job_page", "count_jobs", "submitter", "is_deleted", "result", "cuts", "checkpoints", "state",
     "events", "has_blob", "get_blob", "get_chunk", "missing_chunks", "blob_bytes", "deaths",
     "oldest_ended_job", "used_bytes", "unused_blobs", "timing", "check", "close",
+    "room",
 })  # fmt: skip
 """What needs no room: it answers on a full disk as well, and no coordinator dies of it."""
 
@@ -34,11 +35,15 @@ class CoordinatorDied(BaseException):
 
 
 class Disk:
-    """Keeps the database while no coordinator has it open. `slow_s`: how long an access takes now."""
+    """Keeps the database while no coordinator has it open.
+
+    `slow_s`: how long an access takes now; `room`: what it answers who asks for room, None: it does not say.
+    """
 
     def __init__(self) -> None:
         self.slow_s = 0.0
         self.is_full = False
+        self.room: Room | None = None
         self.commits = 0
         self._connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         self._death: tuple[int, bool] | None = None
@@ -99,6 +104,10 @@ class DiskStore:
         self._disk = disk
         self._store = store
         self._spend = spend
+
+    def room(self) -> Room | None:
+        """Return what room there is."""
+        return self._disk.room
 
     def __getattr__(self, name: str) -> Any:
         inner = getattr(self._store, name)

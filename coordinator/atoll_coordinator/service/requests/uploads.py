@@ -1,6 +1,7 @@
 """Uploads of tables, and what becomes of those that no job uses: each has a lease, which every message about it renews.
 
-They count neither in the retention of jobs nor are they deleted while they go on, whatever else the store needs.
+They count neither in the retention of jobs nor are they deleted while they go on, but where the disk is nearly full:
+a store that cannot be written ends the coordinator, and with it everybody's search.
 """
 
 import hashlib
@@ -9,11 +10,17 @@ from typing import Final
 
 from atoll.errors import RefusedError
 from atoll.wire.messages.clients import Upload, Uploaded
-from atoll.wire.messages.limits import CHUNK_LIMIT_S
-from atoll_coordinator.service.store.store import Store
+from atoll.wire.messages.limits import CHUNK_LIMIT_S, CHUNK_SIZE
+from atoll_coordinator.service.store.store import Room, Store
 
 MAX_STORED_BYTES: Final = 16 * 1024**3
 """Uploads are refused when all tables and datasets together would take more than this."""
+
+LEAST_RESERVE: Final = 256 * 1024**2
+MOST_RESERVE: Final = 2 * 1024**3
+RESERVED_SHARE: Final = 0.05
+MOST_RESERVED_SHARE: Final = 0.25
+"""Bytes and shares of the disk that uploads leave to checkpoints and results; on small disks the last one decides."""
 
 LEASE_S: Final = 5 * CHUNK_LIMIT_S
 """A client that goes on says something within `CHUNK_LIMIT_S`, or gives up; the factor is for one that tries again."""
@@ -43,8 +50,11 @@ class Uploads:
         return Uploaded(blob=upload.blob, missing=self._store.missing_chunks(upload.blob, upload.size))
 
     def expire(self) -> None:
-        """Delete uploads whose leases are over, if it is time to look for them."""
-        if self._now() >= self._check_at:
+        """Delete uploads whose leases are over, if it is time to look for them; all of them on a disk nearly full."""
+        room = self._store.room()
+        if room is not None and room.free < reserve_of(room) / 2:
+            self._delete_all()
+        elif self._now() >= self._check_at:
             self._delete_expired()
 
     def _delete_expired(self) -> None:
@@ -55,19 +65,46 @@ class Uploads:
         if expired:
             self._store.delete_unused_blobs(expired)
 
+    def _delete_all(self) -> None:
+        """Delete all uploads that no job uses; who is at it is told that all of it is missing."""
+        unused, self._heard = self._store.unused_blobs(), {}
+        if unused:
+            self._store.delete_unused_blobs(unused)
+
     def _check_room(self, upload: Upload) -> None:
         """Raise RefusedError for an upload that does not fit, also without those that were given up."""
-        if self._fits(upload):
+        if self._refusal(upload) is None:
             return
         self._delete_expired()
-        if not self._fits(upload):
+        refusal = self._refusal(upload)
+        if refusal is not None:
             raise RefusedError(
-                f"the coordinator's store holds {self._store.blob_bytes(upload.blob)} bytes of tables and datasets and "
-                f"takes at most {MAX_STORED_BYTES}; an upload of {upload.size} bytes does not fit: delete jobs that "
+                f"{refusal}; an upload of {upload.size} bytes does not fit: delete jobs that "
                 "have ended (coordinator delete ID), have the coordinator started with a smaller --keep, or try again "
                 f"in {LEASE_S / 60:.0f} minutes, when uploads that were given up are deleted"
             )
 
-    def _fits(self, upload: Upload) -> bool:
+    def _refusal(self, upload: Upload) -> str | None:
+        """Return why there is no room for what is missing of an upload; None: there is."""
+        if self._store.has_blob(upload.blob):
+            return None
         others = self._store.blob_bytes(upload.blob)
-        return self._store.has_blob(upload.blob) or others + upload.size <= MAX_STORED_BYTES
+        if others + upload.size > MAX_STORED_BYTES:
+            return (
+                f"the coordinator's store holds {others} bytes of tables and datasets and takes at most "
+                f"{MAX_STORED_BYTES}"
+            )
+        room = self._store.room()
+        missing = min(upload.size, CHUNK_SIZE * len(self._store.missing_chunks(upload.blob, upload.size)))
+        if room is None or room.free - missing >= reserve_of(room):
+            return None
+        return (
+            f"the coordinator's disk has room for {room.free} bytes more, of which {reserve_of(room)} are kept for the "
+            "jobs that are there"
+        )
+
+
+def reserve_of(room: Room) -> int:
+    """Return how many bytes of a disk uploads leave free."""
+    wanted = min(max(RESERVED_SHARE * room.total, LEAST_RESERVE), MOST_RESERVE)
+    return round(min(wanted, MOST_RESERVED_SHARE * room.total))

@@ -6,10 +6,12 @@ afterwards is never taken back. Contents are opaque here: JSON text and bytes wh
 
 import contextlib
 import hashlib
+import shutil
 import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -28,6 +30,14 @@ from atoll_coordinator.service.store.deaths import Death
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.schema import Lock, connect, translated
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """How many bytes may still be written, and how large the disk is."""
+
+    free: int
+    total: int
 
 
 class Store:
@@ -224,6 +234,21 @@ class Store:
                 sql.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size")
             )
             return int((pages - free) * size) - blob_table.unused_bytes(sql)
+
+    def room(self) -> Room | None:
+        """Return what room there is: on its disk, and in its file, whose free pages are used again.
+
+        None: it is in memory, or the system does not say.
+        """
+        if self._directory is None:
+            return None
+        try:
+            disk = shutil.disk_usage(self._directory)
+        except OSError:
+            return None
+        with self._transaction() as sql:
+            free, size = (sql.execute(f"PRAGMA {name}").fetchone()[0] for name in ("freelist_count", "page_size"))
+        return Room(disk.free + free * size, disk.total)
 
     # archipelagos
 

@@ -1,12 +1,15 @@
 """Clients' questions: each gets one answer, and what is wrong a sentence."""
 
 import hashlib
+import shutil
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from atoll.config import JobConfig
-from atoll.errors import StoreError
+from atoll.errors import RefusedError, StoreError
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.clients import (
     Answer,
@@ -35,7 +38,7 @@ from atoll_coordinator.service.requests import uploads as uploads_module
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
-from atoll_coordinator.service.store.store import JobRecord, Store
+from atoll_coordinator.service.store.store import JobRecord, Room, Store
 
 TABLE = b"t,x\n0,1\n"
 BLOB = hashlib.sha256(TABLE).hexdigest()
@@ -324,3 +327,74 @@ def test_a_cancellation_that_cannot_be_made_durable_ends_the_coordinator(
     monkeypatch.setattr(Store, "update_job", is_full)
     with pytest.raises(StoreError, match="full"):
         clients.answer("ann", Ask(body=Cancel(job="j")))
+
+
+# ---------------------------------------------------------------------------------------- a disk nearly full
+
+MB = 1024**2
+
+
+@pytest.mark.parametrize(
+    ("total", "reserve"),
+    [(60 * MB, 15 * MB), (2_000 * MB, 256 * MB), (20_000 * MB, 1_000 * MB), (2_000_000 * MB, 2_048 * MB)],
+)
+def test_uploads_leave_a_share_of_the_disk(total: int, reserve: int) -> None:
+    assert uploads_module.reserve_of(Room(total, total)) == reserve
+
+
+def test_an_upload_that_would_fill_the_disk_is_refused_in_one_sentence(
+    clients: ClientRequests, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room = Room(15 * MB + len(TABLE) - 1, 60 * MB)
+    monkeypatch.setattr(Store, "room", lambda self: room)
+    refused = failure(clients.answer("ann", chunk()))
+    assert refused.failure == "refused"
+    assert refused.sentence.startswith(
+        f"the coordinator's disk has room for {15 * MB + 7} bytes more, of which {15 * MB} are kept"
+    )
+    room = Room(15 * MB + len(TABLE), 60 * MB)
+    assert isinstance(clients.answer("ann", chunk()), Uploaded)
+    room = Room(0, 60 * MB)  # what is there is not refused
+    assert isinstance(clients.answer("ann", chunk()), Uploaded)
+
+
+def test_on_a_disk_nearly_full_uploads_that_no_job_uses_go_first(
+    clients: ClientRequests, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room = Room(15 * MB, 60 * MB)
+    monkeypatch.setattr(Store, "room", lambda self: room)
+    store = clients._store
+    used, unused = store.put_blob(b"used"), store.put_blob(b"unused")
+    store.add_job(JobRecord("job", "", JobConfig().model_dump_json(), used, "2026"))
+    clients.uploads.expire()
+    assert store.has_blob(unused)
+    room = Room(7 * MB, 60 * MB)
+    clients.uploads.expire()
+    assert not store.has_blob(unused)
+    assert store.has_blob(used)
+
+
+def test_half_uploads_end_no_coordinator_on_a_small_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fourteen of them would fill it; a write of the job that runs comes after each, and finds room."""
+    size = 60 * MB
+    with Store.open(tmp_path) as store:
+        store._connection.execute(f"PRAGMA max_page_count = {size // 4096}")
+
+        def usage(path: Path) -> SimpleNamespace:
+            (pages,) = store._connection.execute("PRAGMA page_count").fetchone()
+            return SimpleNamespace(free=size - 4096 * pages, total=size)
+
+        monkeypatch.setattr(shutil, "disk_usage", usage)
+        uploads = uploads_module.Uploads(store, lambda: 0.0)
+        refused = 0
+        for number in range(14):
+            data = bytes([number]) * CHUNK_SIZE
+            half = Upload(
+                blob=f"{number:064}", size=2 * CHUNK_SIZE, index=0, sha256=hashlib.sha256(data).hexdigest(), data=data
+            )
+            try:
+                uploads.take(half)
+            except RefusedError:
+                refused += 1
+            store.put_blob(bytes([number]) * (MB // 2))
+        assert 0 < refused < 14
