@@ -81,6 +81,7 @@ class WorkerController:
         A new process under a known name does not have the islands of the old one: they are placed anew.
         """
         is_new, before = self.membership.is_new(hello), self.membership.member(hello.name)
+        was_ready = self.membership.is_ready(hello.name)
         refusal = self.membership.register(hello, now)
         if refusal is not None:
             self._events.record_refusal(hello.name, refusal)
@@ -93,6 +94,8 @@ class WorkerController:
                 with self._guarded(archipelago.job, "taking islands from a worker that was started anew", now):
                     if hello.name in archipelago.workers:
                         archipelago.unplace()
+            self.place(now)
+        elif not was_ready and self.membership.is_ready(hello.name):
             self.place(now)
         return refusal
 

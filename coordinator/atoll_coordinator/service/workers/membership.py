@@ -51,6 +51,7 @@ class Member:
     status: WorkerStatus | None = None
     progressed_at: float = 0.0
     lost_by: str = ""
+    has_our_kernels: bool = False
 
     def step(self, step: MemberStep) -> None:
         """Go to the next state by the table."""
@@ -59,7 +60,9 @@ class Member:
     @property
     def is_ready(self) -> bool:
         """Whether islands can be placed there now."""
-        return self.state == "here" and self.status is not None and self.status.state not in ("compiling", "leaving")
+        if self.state != "here" or self.status is None or not self.has_our_kernels:
+            return False
+        return self.status.state not in ("compiling", "leaving")
 
     @property
     def is_leaving(self) -> bool:
@@ -95,6 +98,8 @@ class Membership:
         else:
             known = self._members[hello.name]
             known.hello, known.heard_at = hello, now
+        if hello.fingerprint == self._fingerprint or not self._fingerprint:
+            self._members[hello.name].has_our_kernels = True  # a greeting from before, come late, takes nothing back
         return None
 
     def record_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> bool:

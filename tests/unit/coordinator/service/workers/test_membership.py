@@ -48,6 +48,17 @@ def test_a_worker_is_ready_once_it_says_so() -> None:
     assert (membership.ready(), membership.arriving()) == (("w0",), 0)
 
 
+def test_a_worker_gets_islands_only_once_it_has_named_our_kernels() -> None:
+    membership = Membership("f")
+    membership.register(hello(fingerprint=""), 0.0)
+    membership.record_heartbeat("w0", status("ready"), 1.0)
+    assert (membership.ready(), membership.arriving()) == ((), 1)
+    membership.register(hello(fingerprint="f"), 2.0)
+    assert membership.ready() == ("w0",)
+    membership.register(hello(fingerprint=""), 3.0)  # sent before, and late
+    assert membership.ready() == ("w0",)
+
+
 def test_heartbeats_of_unknown_processes_are_not_taken_in() -> None:
     membership = with_worker()
     assert not membership.record_heartbeat("stranger", status(), 1.0)
