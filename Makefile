@@ -24,6 +24,8 @@ help:
 	@echo "             with STROGATZ=folder also the label files there"
 	@echo "make compare REVISION=v0.1.0   quick benchmarks of this tree beside another revision, in turn, ten minutes:"
 	@echo "             times, ratios, digests; also OTHER=revision MINUTES=5 ROUNDS=1 STROGATZ=folder ONLY=name"
+	@echo "             RESULTS=1: sixty small jobs instead, compared in all that is written and printed; or once"
+	@echo "             make compare RECORD=file, which goes on with it, and later make compare AGAINST=file"
 	@echo "make figures STROGATZ=folder DYSTS=folder   measure again what README and docs quote, about 100 minutes;"
 	@echo "             QUICK=1 few seeds, half an hour; MINUTES=35 a bound; then python -m benchmarks.figures quote"
 	@echo "make docs    the documentation as a site, site/index.html, to be read without network"
@@ -96,10 +98,12 @@ bench: $(STAMP)
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0 --noise 0.001 --max-time 5
 
-# Fails when a digest differs.
+# Fails when a digest differs; with RESULTS, RECORD or AGAINST, when anything does.
+COMPARISON = $(if $(RESULTS)$(RECORD)$(AGAINST),same_results,side_by_side)
 compare: $(STAMP)
-	@test -n "$(REVISION)" || { echo "make compare: name a commit, a tag or a branch: make compare REVISION=v0.1.0"; exit 2; }
-	@$(BIN)/python -m benchmarks.operations.side_by_side "$(REVISION)" $(if $(OTHER),--other "$(OTHER)") \
+	@test -n "$(REVISION)$(RECORD)$(AGAINST)" || { echo "make compare: name a commit, a tag or a branch: make compare REVISION=v0.1.0"; exit 2; }
+	@$(BIN)/python -m benchmarks.operations.$(COMPARISON) $(if $(REVISION),"$(REVISION)") \
+	  $(if $(OTHER),--other "$(OTHER)") $(if $(RECORD),--record "$(RECORD)") $(if $(AGAINST),--against "$(AGAINST)") \
 	  $(if $(MINUTES),--minutes "$(MINUTES)") $(if $(ROUNDS),--rounds "$(ROUNDS)") \
 	  $(if $(STROGATZ),--strogatz "$(STROGATZ)") $(if $(ONLY),--only "$(ONLY)")
 

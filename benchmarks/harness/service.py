@@ -186,7 +186,7 @@ class Coordinating:
 
     def started(self, command: Sequence[str]) -> AbstractContextManager[subprocess.Popen[str]]:
         """Start another process, which ends with the block; what it says on stderr goes to the log."""
-        return _process(command, self.log, self.environment)
+        return started(command, self.log, self.environment)
 
 
 @contextmanager
@@ -199,8 +199,8 @@ def coordinating(environment: dict[str, str] | None = None, program: str = TIED_
         stack.enter_context(raising_interrupts())
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="atoll-benchmark-")))
         log = stack.enter_context((folder / "log").open("w", encoding="utf-8"))
-        coordinator = stack.enter_context(_process(_serve_command(program, folder), log, environment))
-        yield Coordinating(_address(coordinator, folder / "log"), coordinator, folder, log, environment)
+        coordinator = stack.enter_context(started(_serve_command(program, folder), log, environment))
+        yield Coordinating(address_in(coordinator, folder / "log"), coordinator, folder, log, environment)
 
 
 def _serve_command(program: str, folder: Path) -> Sequence[str]:
@@ -208,8 +208,8 @@ def _serve_command(program: str, folder: Path) -> Sequence[str]:
     return [sys.executable, "-c", program, str(os.getpid()), "serve", *options]
 
 
-def _address(coordinator: subprocess.Popen[str], log: Path) -> str:
-    """Return the address in the line that tells how to start a worker."""
+def address_in(coordinator: subprocess.Popen[str], log: Path) -> str:
+    """Return the address in the line by which a coordinator tells how to start a worker; raises AtollError."""
     assert coordinator.stdout is not None
     for line in coordinator.stdout:
         if "--connect" in line:
@@ -218,9 +218,10 @@ def _address(coordinator: subprocess.Popen[str], log: Path) -> str:
 
 
 @contextmanager
-def _process(
-    command: Sequence[str], log: IO[str], environment: dict[str, str] | None
+def started(
+    command: Sequence[str], log: IO[str], environment: dict[str, str] | None = None
 ) -> Iterator[subprocess.Popen[str]]:
+    """Start a process, what it says on stderr going to `log`; end it with the block."""
     process = subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,

@@ -2,6 +2,6 @@
 
 ``scaling`` and ``scale`` (``simulated_islands``, ``island_samples``, ``watching``) measure workers and the coordinator,
 ``checkpoints`` their cost, ``faults`` (``machines``, ``strikes``) real faults, ``soak`` (``trend``) an hour of use,
-``many_jobs`` and ``big_data`` load, ``digests`` and ``same_results`` equality of results, ``fuzz`` hostile messages;
-``seconds`` is a stopwatch for the command.
+``many_jobs`` and ``big_data`` load, ``digests`` and ``same_results`` (``small_jobs``, ``differences``) equality of
+results, ``fuzz`` hostile messages; ``seconds`` is a stopwatch for the command.
 """

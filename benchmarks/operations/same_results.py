@@ -1,199 +1,269 @@
-"""Whether two revisions find the same: many jobs run by an installed ``coordinator``, and two such runs compared.
+"""Whether two revisions find and say the same: sixty small jobs by both, compared in all that is written and printed.
 
-``python -m benchmarks.operations.same_results run --data DIR --out before.json [--program .venv/bin/coordinator]``
-runs the jobs and writes what they found; ``... compare before.json after.json`` prints every job that differs and ends
-with 1 if there is one. Data files are made on the first run and read by the second, so that both see the same bytes.
+``python -m benchmarks.operations.same_results REVISION`` (``make compare REVISION=… RESULTS=1``) runs the jobs of
+``small_jobs`` by this working tree and by another revision, each in an environment of its own with the same versions of
+packages, and says for each job that both are equal, or where they differ. ``--record FILE`` keeps what this tree found
+and goes on with a file that exists; ``--against FILE`` compares with such a file instead of a revision. Ends with 1
+where anything differs.
 """
 
 import argparse
+import hashlib
 import json
+import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from benchmarks.harness.systems import TABLE_III, trajectories, write_csv
+from atoll.errors import AtollError, UnreachableError, UsageError
+from atoll_coordinator.cli.signals import raising_interrupts
+from atoll_coordinator.cli.terminal.output import note, say
+from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.journal import Journal, read
+from benchmarks.harness.service import address_in, started
+from benchmarks.operations.differences import Difference, differences, masked, masked_line, report, without_progress
+from benchmarks.operations.side_by_side import FOLDER, TREE, program_of
+from benchmarks.operations.small_jobs import JOBS, files_of, write_files
 
-NOT_COMPARED: Final = {"job", "seconds", "search_seconds", "versions"}
-"""Keys of ``result.json`` that say when and by what a job was run, not what it found."""
-
-SYSTEM_OPTIONS: Final[dict[str, tuple[str, ...]]] = {
-    "bar_magnets": ("--angle", "theta1", "--angle", "theta2"),
-    "glider": ("--angle", "theta"),
-}
-
-EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
-    "example lotka_volterra": ("examples/lotka_volterra.csv",),
-    "example pendulum": ("examples/pendulum.csv", "--order", "2"),
-    "example lynx_hare": ("examples/lynx_hare.csv", "--time", "year"),
-    "first order": ("examples/pendulum.csv", "--order", "1"),
-    "paper preset": ("examples/lotka_volterra.csv", "--preset", "paper"),
-    "operators": ("examples/lotka_volterra.csv", "--operators", "+,-,*"),
-    "holdout": ("examples/lotka_volterra.csv", "--holdout", "1"),
-    "only": ("examples/lotka_volterra.csv", "--only", "x"),
-    "guess": ("examples/lotka_volterra.csv", "--guess", "dx=3*x-2*x*y"),
-    "known": ("examples/lotka_volterra.csv", "--known", "dy=(2-x-y)*y"),
-    "allow": ("examples/lotka_volterra.csv", "--allow", "x=x"),
-    "operators of one": ("examples/lotka_volterra.csv", "--operators", "x=+,-,*,sin"),
-    "target": ("examples/lynx_hare.csv", "--time", "year", "--target", "hare"),
-    "input": ("examples/lynx_hare.csv", "--time", "year", "--states", "hare", "--inputs", "lynx"),
-    "time as input": ("{data}/forced.csv", "--inputs", "t"),
-    "robust": ("{data}/lotka_volterra-5.csv", "--robust"),
-    "offsets": ("{data}/lotka_volterra-1.csv", "--offsets", "x"),
-    "weights": ("{data}/weighted.csv", "--weights", "w"),
-    "derivatives": ("{data}/derivatives.csv", "--derivatives", "dx,dy"),
-    "several files": ("{data}/lotka_volterra-0.csv", "{data}/lotka_volterra-0.csv"),
-    "seed 7": ("{data}/lotka_volterra-5.csv", "--seed", "7"),
-    "missing": ("{data}/missing.csv", "--missing", "drop"),
-}
+NAME: Final = "same_results"
+PACKAGES: Final = ("atoll", "atoll_coordinator", "atoll_island_worker")
 
 
-def make_data(folder: Path) -> None:
-    """Write every data file that is not there yet."""
-    import numpy as np
+@dataclass(frozen=True)
+class Found:
+    """What one job found, as it was written and printed.
 
-    folder.mkdir(parents=True, exist_ok=True)
-    for system in TABLE_III:
-        for percent in (0, 1, 5):
-            path = folder / f"{system}-{percent}.csv"
-            if not path.exists():
-                write_csv(path, trajectories(system, 0.1, seed=1, noise=percent / 100))
-    rows = [line.split(",") for line in (folder / "lotka_volterra-1.csv").read_text().splitlines()[1:]]
-    rng = np.random.default_rng(0)
-    weights = rng.integers(1, 4, len(rows))
-    made = {
-        "forced.csv": [
-            "t,x",
-            *(f"{0.05 * i:.17g},{0.5 * np.sin(0.05 * i) - 0.5 * np.cos(0.05 * i):.17g}" for i in range(300)),
-        ],
-        "weighted.csv": [
-            "trajectory,t,x,y,w",
-            *(",".join([*row, str(w)]) for row, w in zip(rows, weights, strict=True)),
-        ],
-        "missing.csv": [
-            "trajectory,t,x,y",
-            *(",".join([*row[:3], "" if i % 37 == 5 else row[3]]) for i, row in enumerate(rows)),
-        ],
-        "derivatives.csv": ["t,x,y,dx,dy", *_with_derivatives(rng)],
+    `given` is a hash of its words and files, `sources` one of the code that ran it. `printed` went to stdout,
+    `messages` to stderr.
+    """
+
+    job: str
+    given: str
+    sources: str
+    exit_code: int
+    printed: list[str]
+    messages: list[str]
+    result: dict[str, Any]
+
+    @property
+    def key(self) -> str:
+        """The job."""
+        return self.job
+
+    def compared(self) -> dict[str, Any]:
+        """Return what is to be the same by another revision."""
+        printed = [masked_line(line) for line in self.printed]
+        messages = without_progress(self.messages)
+        its = {"given": self.given, "exit_code": self.exit_code, "printed": printed, "messages": messages}
+        return {"digest": self.result.get("digest"), **its, "result": masked(self.result)}
+
+
+@dataclass(frozen=True)
+class Side:
+    """A tree's program, the hash of its code, and the folder of the jobs' files."""
+
+    program: Path
+    sources: str
+    files: Path
+
+    def given(self, job: str) -> str:
+        """Return the hash of a job's words and files."""
+        words = JOBS[job]
+        return _hash([json.dumps(words).encode(), *((self.files / each).read_bytes() for each in files_of(words))])
+
+    def found(self, job: str, address: str) -> Found:
+        """Have a job done by the service at `address`, from a folder of its own, so that all trees see the same paths.
+
+        Raises:
+            AtollError: the service is not there any more.
+        """
+        with TemporaryDirectory(prefix="atoll-same-") as name:
+            folder = Path(name)
+            for each in files_of(JOBS[job]):
+                shutil.copyfile(self.files / each, folder / each)
+            number = f"same-{list(JOBS).index(job)}"
+            command = [str(self.program), "submit", *JOBS[job], "--id", number, "--out", "out", "--connect", address]
+            ended = subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+            if ended.returncode == UnreachableError.exit_code:
+                raise AtollError(f"{job}: {ended.stderr.strip()[-300:]}")
+            path = folder / "out/result.json"
+            written = path.read_text("utf-8") if path.exists() else "{}"
+        printed, messages, result = (each.replace(address, "ADDRESS") for each in (ended.stdout, ended.stderr, written))
+        code, lines = ended.returncode, (printed.splitlines(), messages.splitlines())
+        return Found(job, self.given(job), self.sources, code, *lines, json.loads(result))
+
+
+@contextmanager
+def serving(program: Path) -> Iterator[str]:
+    """Start a coordinator and one worker of a tree, and yield the address; both end with the block.
+
+    A service of its own for each job would spend most of its time on loading kernels.
+    """
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="atoll-same-")))
+        log = stack.enter_context((folder / "log").open("w", encoding="utf-8"))
+        options = ("--listen", "tcp/127.0.0.1:0", "--state", str(folder / "state"))
+        coordinator = stack.enter_context(started([str(program), "serve", *options], log))
+        address = address_in(coordinator, folder / "log")
+        worker = [str(program.parent / "island-worker"), "--connect", address, "--processes", "1"]
+        stack.enter_context(started(worker, log))
+        yield address
+
+
+def side_of(program: Path, files: Path) -> Side:
+    """Return the side of a program; raises AtollError where its packages are not found."""
+    code = f"import {', '.join(PACKAGES)}\nfor each in ({', '.join(PACKAGES)}): print(each.__path__[0])"
+    asked = subprocess.run(
+        [str(program.parent / "python"), "-c", code], cwd=files, capture_output=True, text=True
+    )  # elsewhere: folders of this tree are not the packages of another revision
+    if asked.returncode:
+        raise AtollError(f"the packages of {program} cannot be imported: {asked.stderr.strip()[-300:]}")
+    folders = [Path(line) for line in asked.stdout.splitlines()]
+    return Side(program, _hash(_sources(folders)), files)
+
+
+def _sources(folders: Iterable[Path]) -> Iterator[bytes]:
+    for folder in folders:
+        for path in sorted(folder.rglob("*.py")):
+            yield str(path.relative_to(folder)).encode()
+            yield path.read_bytes()
+
+
+def _hash(parts: Iterable[bytes]) -> str:
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()[:16]
+
+
+def journal_of(side: Side, path: Path | None, words: Sequence[str]) -> Journal[Found]:
+    """Begin a file of what a side finds, or go on with it.
+
+    Raises:
+        UsageError: the file holds what other code found.
+    """
+    journal = Journal(NAME, Found, path, words, resume=path is not None and path.exists())
+    if any(each.sources != side.sources for each in journal.outcomes.values()):
+        raise UsageError(f"{path} holds what another state of the code found; name another file with --record")
+    return journal
+
+
+def run_all(side: Side, names: Sequence[str], journal: Journal[Found], processes: int) -> None:
+    """Run the jobs that the journal does not have, or has with other words or files."""
+    known, free = journal.outcomes, SimpleQueue[str]()
+    missing = [name for name in names if name not in known or known[name].given != side.given(name)]
+    note(f"{len(names)} jobs, {len(names) - len(missing)} of them done before")
+
+    def found(job: str) -> Found:
+        address = free.get()
+        try:
+            return side.found(job, address)
+        finally:
+            free.put(address)
+
+    with ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor(processes))
+        for _ in range(min(processes, len(missing))):
+            free.put(stack.enter_context(serving(side.program)))
+        stack.callback(pool.shutdown, wait=False, cancel_futures=True)  # before services end, and what runs with them
+        for number, ended in enumerate(as_completed([pool.submit(found, each) for each in missing]), start=1):
+            journal.add(ended.result())
+            note(f"{number} of {len(missing)}: {told(ended.result())}")
+
+
+def told(found: Found) -> str:
+    """Return how a job ended."""
+    seconds, search = (found.result.get(key, 0.0) for key in ("seconds", "search_seconds"))
+    return f"{found.job}: {seconds:.1f} s, of search {search:.1f} s, exit code {found.exit_code}"
+
+
+def compare(ours: Mapping[str, Found], theirs: Mapping[str, Found]) -> dict[str, list[Difference]]:
+    """Return where the two differ, by job of ours; a job that theirs do not have differs as a whole."""
+    return {
+        name: list(differences(each.compared(), theirs[name].compared() if name in theirs else None))
+        for name, each in ours.items()
     }
-    for name, lines in made.items():
-        if not (folder / name).exists():
-            (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _with_derivatives(rng: Any) -> list[str]:
-    points = rng.uniform(0.5, 4.0, (120, 2)).tolist()
-    lines = []
-    for i, (x, y) in enumerate(points):
-        noise = 0.05 * rng.standard_normal(2)
-        dx, dy = 3 * x - 2 * x * y - x * x + noise[0], 2 * y - x * y - y * y + noise[1]
-        lines.append(f"{i},{x:.17g},{y:.17g},{dx:.17g},{dy:.17g}")
-    return lines
+def other_versions(ours: Mapping[str, Found], theirs: Mapping[str, Found]) -> list[str]:
+    """Return which versions of packages differ; where some do, results may."""
+    pairs = [
+        (each.result.get("versions"), theirs[name].result.get("versions"))
+        for name, each in ours.items()
+        if name in theirs
+    ]
+    return list(dict.fromkeys(its.shown(40) for pair in pairs for its in differences(*pair)))
 
 
-def jobs(strogatz: Path | None) -> dict[str, tuple[str, ...]]:
-    """Return the options of every job by its name."""
-    chosen = dict(EXAMPLES)
-    for system in TABLE_III:
-        for percent in (0, 1, 5):
-            chosen[f"{system} {percent} %"] = (f"{{data}}/{system}-{percent}.csv", *SYSTEM_OPTIONS.get(system, ()))
-    for file in sorted(strogatz.glob("*.csv")) if strogatz else ():
-        chosen[f"label {file.stem}"] = (str(file), "--target", "label")
-    return chosen
+def summed(found: Mapping[str, Sequence[Difference]], places: int) -> str:
+    """Return a report of each job, and how many differ."""
+    differing = [its for its in found.values() if its]
+    digests = sum(each.place in ("", "digest") for its in differing for each in its)
+    lines = [report(name, its, places) for name, its in found.items()]
+    return "\n".join([*lines, f"\n{len(differing)} of {len(found)} jobs differ, {digests} of them in their digests"])
 
 
-def run_job(program: Path, options: Sequence[str]) -> dict[str, Any]:
-    """Return what one job found: its result without times, the text that is printed of it, and its exit code."""
-    with TemporaryDirectory() as folder:
-        out = Path(folder) / "out"
-        command = [
-            str(program),
-            "run",
-            *options,
-            "--workers",
-            "2",
-            "--max-epochs",
-            "3",
-            "--id",
-            "same",
-            "--out",
-            str(out),
-        ]
-        ended = subprocess.run([*command, "--json"], capture_output=True, text=True, timeout=900, check=False)
-        if not ended.stdout.strip():
-            return {"exit": ended.returncode, "error": ended.stderr.strip().splitlines()[-1:]}
-        result = json.loads(ended.stdout)
-        shown = subprocess.run([str(program), "result", str(out)], capture_output=True, text=True, check=False)
-        text = [line for line in shown.stdout.splitlines() if "point evaluations in" not in line]
-        return {"exit": ended.returncode, "digest": result.get("digest"), "result": without_times(result), "text": text}
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run, record and compare; return 1 when anything differs, else 0."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    options = _parser().parse_args(words)
+    with (
+        plain_errors(f"benchmarks.operations.{NAME}"),
+        raising_interrupts(),
+        TemporaryDirectory(prefix="atoll-same-") as name,
+    ):
+        if not (options.revision or options.record or options.against):
+            raise UsageError("nothing to compare with; name a revision, --against FILE or --record FILE")
+        FOLDER.mkdir(parents=True, exist_ok=True)
+        names, files = _chosen(options.only), Path(name)
+        write_files(files, {each for job in names for each in files_of(JOBS[job])}, options.strogatz)
+        ours = _found(options.other, options.record, names, files, options.processes, words)
+        if options.against:
+            theirs = read(options.against, Found)
+        elif options.revision:
+            theirs = _found(options.revision, None, names, files, options.processes, words)
+        else:
+            return 0
+    found = compare(ours, theirs)
+    for each in other_versions(ours, theirs):
+        note(f"versions differ: {each}")
+    say(summed(found, options.places))
+    return int(any(found.values()))
 
 
-def without_times(value: Any) -> Any:
-    """Return `value` without the keys `NOT_COMPARED`, at any depth."""
-    if isinstance(value, dict):
-        return {key: without_times(each) for key, each in value.items() if key not in NOT_COMPARED}
-    return [without_times(each) for each in value] if isinstance(value, list) else value
+def _chosen(word: str | None) -> list[str]:
+    names = [name for name in JOBS if word is None or word in name]
+    if not names:
+        raise UsageError(f"no job has {word!r} in its name; the first of {len(JOBS)} is {next(iter(JOBS))!r}")
+    return names
 
 
-def differing(before: dict[str, Any], after: dict[str, Any]) -> dict[str, list[str]]:
-    """Return, for each job that differs, the keys in which it does."""
-    found = {}
-    for name in sorted({*before, *after}):
-        one, other = before.get(name), after.get(name)
-        if one != other:
-            found[name] = _differing_keys(one, other)
-    return found
+def _found(
+    revision: str, record: Path | None, names: Sequence[str], files: Path, processes: int, words: Sequence[str]
+) -> dict[str, Found]:
+    side = side_of(program_of(revision), files)
+    journal = journal_of(side, record, words)
+    note(f"{revision}, code {side.sources}")
+    run_all(side, names, journal, processes)
+    return {name: journal.outcomes[name] for name in names}
 
 
-def _differing_keys(one: Any, other: Any, place: str = "") -> list[str]:
-    if isinstance(one, dict) and isinstance(other, dict):
-        return [
-            key
-            for name in sorted({*one, *other})
-            for key in _differing_keys(one.get(name), other.get(name), f"{place}.{name}")
-        ]
-    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        return [
-            key
-            for i, pair in enumerate(zip(one, other, strict=True))
-            for key in _differing_keys(*pair, f"{place}[{i}]")
-        ]
-    return [] if one == other else [f"{place.lstrip('.')}: {str(one)[:80]} -> {str(other)[:80]}"]
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the jobs, or compare two files of what they found."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    running = verbs.add_parser("run")
-    running.add_argument("--data", type=Path, required=True)
-    running.add_argument("--strogatz", type=Path, help="folder of label files")
-    running.add_argument("--program", type=Path, default=Path(".venv/bin/coordinator"))
-    running.add_argument("--out", type=Path, required=True)
-    running.add_argument("--only", help="jobs whose name contains this")
-    comparing = verbs.add_parser("compare")
-    comparing.add_argument("before", type=Path)
-    comparing.add_argument("after", type=Path)
-    options = parser.parse_args(arguments)
-    if options.verb == "compare":
-        before, after = json.loads(options.before.read_text()), json.loads(options.after.read_text())
-        found = differing(before, after)
-        for name, keys in found.items():
-            print(f"{name} differs:", *keys[:6], sep="\n    ")
-        digests = sum(before.get(name, {}).get("digest") == each.get("digest") for name, each in after.items())
-        print(f"{len(after)} jobs, {digests} equal in digest, {len(after) - len(found)} equal in all")
-        sys.exit(1 if found else 0)
-    make_data(options.data)
-    found = json.loads(options.out.read_text()) if options.out.exists() else {}
-    for name, words in jobs(options.strogatz).items():
-        if name in found or (options.only and options.only not in name):
-            continue
-        found[name] = run_job(options.program, [word.replace("{data}", str(options.data)) for word in words])
-        options.out.write_text(json.dumps(found, indent=1))
-        print(name, found[name].get("digest"), found[name]["exit"], found[name].get("error", ""), flush=True)
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.operations.{NAME}", description=__doc__.split("\n")[0])
+    parser.add_argument("revision", nargs="?", help="commit, tag or branch to compare with")
+    parser.add_argument("--other", default=TREE, help="what is compared with it, a revision too (%(default)s)")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="keep what OTHER found; gone on with if it exists")
+    parser.add_argument("--against", type=Path, metavar="FILE", help="compare with what --record has written")
+    parser.add_argument("--strogatz", type=Path, help="folder of the Strogatz label files; else such are made")
+    parser.add_argument("--only", help="jobs whose name contains this")
+    parser.add_argument("--processes", type=whole, default=2, help="jobs at a time (%(default)s)")
+    parser.add_argument("--places", type=whole, default=5, help="differences shown of a job (%(default)s)")
+    return parser
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,0 +1,87 @@
+"""Two JSON values beside each other: what counts as different, and what is left out."""
+
+from typing import Any
+
+import pytest
+
+from benchmarks.operations.differences import (
+    ABSENT,
+    Difference,
+    differences,
+    masked,
+    masked_line,
+    report,
+    without_progress,
+)
+
+
+def places(ours: Any, theirs: Any) -> list[str]:
+    return [each.place for each in differences(ours, theirs)]
+
+
+def test_equal_values_have_no_differences_whatever_the_order_of_keys() -> None:
+    assert places({"a": [1, {"b": None}], "c": "x"}, {"c": "x", "a": [1, {"b": None}]}) == []
+
+
+def test_places_are_paths_in_the_order_of_ours_with_both_values() -> None:
+    found = list(differences({"a": [{"b": 1.5}, 2], "c": "x"}, {"a": [{"b": 2.5}, 2], "c": "y"}))
+    assert found == [Difference("a[0].b", "1.5", "2.5"), Difference("c", '"x"', '"y"')]
+
+
+def test_what_one_side_does_not_have_is_absent() -> None:
+    assert list(differences({"a": [1, 2]}, {"a": [1], "b": None})) == [
+        Difference("a[1]", "2", ABSENT),
+        Difference("b", ABSENT, "null"),
+    ]
+
+
+@pytest.mark.parametrize(("ours", "theirs"), [(1, 1.0), (1, True), (0.0, -0.0), (None, {}), ([], {}), ({"a": 1}, [1])])
+def test_values_that_are_written_in_another_way_differ(ours: Any, theirs: Any) -> None:
+    assert places({"a": ours}, {"a": theirs}) == ["a"]
+
+
+def test_numbers_differ_by_their_last_bit_and_no_number_is_itself() -> None:
+    assert places([0.1 + 0.2], [0.3]) == ["[0]"]
+    assert places([float("nan")], [float("nan")]) == []
+
+
+def test_whole_values_that_differ_have_an_empty_place() -> None:
+    assert places({"a": 1}, None) == [""]
+
+
+def test_times_and_versions_are_left_out_at_any_depth() -> None:
+    result = {"job": "a", "versions": {"numpy": "2"}, "equations": [{"seconds": 1.0, "size": 3}], "search_seconds": 2.0}
+    assert masked(result) == {"equations": [{"size": 3}]}
+
+
+def test_a_printed_line_loses_the_time_of_the_search_alone() -> None:
+    line = "1.67 M point evaluations in 0.614 s of search, seed 0"
+    assert masked_line(line) == masked_line("1.67 M point evaluations in 1 min 2 s of search, seed 0")
+    assert masked_line(line) != masked_line("1.68 M point evaluations in 0.614 s of search, seed 0")
+    assert masked_line("time t: 0 to 9.98 s, step 0.02 s") == "time t: 0 to 9.98 s, step 0.02 s"
+
+
+def test_progress_is_left_out_of_messages() -> None:
+    kept = ["read as text with commas", "result in out/result.json", "next: coordinator analyse out"]
+    progress = [
+        "note: 163 rows are left out",
+        "job same-3 running, 4.5 s, 1 worker",
+        "  dx/dt  epoch 1  error 5e-13",
+        "start-up 5.6 s, total 19.2 s",
+    ]
+    assert without_progress([kept[0], *progress, *kept[1:]]) == kept
+
+
+def test_a_report_shows_the_first_places_and_counts_the_others() -> None:
+    assert report("lv1", [], 2) == "lv1: equal"
+    found = list(differences([1, 2, 3], [4, 5, 6]))
+    assert report("lv1", found, 2).splitlines() == [
+        "lv1: DIFFERS",
+        "    [0]: 1 beside 4",
+        "    [1]: 2 beside 5",
+        "    and 1 more",
+    ]
+
+
+def test_long_values_are_cut() -> None:
+    assert Difference("a", "x" * 100, "y").shown(10) == f"a: {'x' * 9}… beside y"

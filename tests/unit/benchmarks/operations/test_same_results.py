@@ -1,0 +1,79 @@
+"""Sixty jobs by two revisions: what is compared, what is gone on with, and what the list holds."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from atoll.errors import UsageError
+from benchmarks.operations.same_results import Found, Side, compare, journal_of, main, summed
+from benchmarks.operations.small_jobs import EXAMPLES, JOBS, WRITERS, files_of, write_files
+from benchmarks.peers.strogatz_files import NAMES
+
+LINE = "2 k point evaluations in 0.6 s of search, seed 0"
+RESULT = {"digest": "a", "seconds": 1.0, "equations": [{"size": 1}]}
+FOUND = Found("lv1", "given", "code", 0, ["dx/dt = x", LINE], ["read as text"], RESULT)
+
+
+def test_times_do_not_differ() -> None:
+    later = replace(FOUND, printed=["dx/dt = x", LINE.replace("0.6", "7.1")], result={**FOUND.result, "seconds": 9.0})
+    assert compare({"lv1": FOUND}, {"lv1": later}) == {"lv1": []}
+
+
+def test_digests_results_printed_lines_exit_codes_and_what_was_given_are_compared() -> None:
+    result = {"digest": "b", "equations": [{"size": 2}]}
+    other = Found("lv1", "other", "new code", 4, ["dx/dt = y", LINE], ["read"], result)
+    found = [each.place for each in compare({"lv1": FOUND}, {"lv1": other})["lv1"]]
+    assert found[:5] == ["digest", "given", "exit_code", "printed[0]", "messages[0]"]
+    assert found[5:] == ["result.digest", "result.equations[0].size"]
+
+
+def test_a_job_that_the_other_side_does_not_have_differs() -> None:
+    found = compare({"lv1": FOUND, "lv2": FOUND}, {"lv1": FOUND})
+    assert [bool(each) for each in found.values()] == [False, True]
+    assert summed(found, 5).splitlines()[-1] == "1 of 2 jobs differ, 1 of them in their digests"
+
+
+def test_a_record_is_gone_on_with_by_the_same_code_only(tmp_path: Path) -> None:
+    side, path = Side(tmp_path / "coordinator", "code", tmp_path), tmp_path / "found.jsonl"
+    journal_of(side, path, []).add(FOUND)
+    assert journal_of(side, path, []).outcomes == {"lv1": FOUND}
+    with pytest.raises(UsageError, match="another state of the code"):
+        journal_of(replace(side, sources="new code"), path, [])
+
+
+def test_without_anything_to_compare_with_there_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == 2
+    assert "name a revision" in capsys.readouterr().err
+
+
+def test_there_are_sixty_jobs_whose_files_are_known() -> None:
+    known = {*EXAMPLES, *WRITERS, *(f"{name}.csv" for name in NAMES)}
+    named = [each for words in JOBS.values() for each in files_of(words)]
+    assert len(JOBS) == 60
+    assert {*named} <= known
+    assert {*EXAMPLES, *WRITERS} <= {*named}
+
+
+def test_no_job_ends_by_the_clock() -> None:
+    assert not [name for name, words in JOBS.items() if "--max-time" in words]
+
+
+def test_files_are_written_with_the_same_bytes(tmp_path: Path) -> None:
+    names = ["degrees.csv", "groups.csv", "lv1.csv", "lynx_hare.csv", "ornstein_uhlenbeck.csv"]
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        write_files(tmp_path / folder, names, None)
+    for name in names:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_what_was_given_depends_on_the_bytes_of_files(tmp_path: Path) -> None:
+    side = Side(tmp_path / "coordinator", "code", tmp_path)
+    (tmp_path / "lv1.csv").write_text("label,x,y\n", "utf-8")
+    before = side.given("label lv1")
+    assert before != side.given("label lv1, seed 7")
+    (tmp_path / "lv1.csv").write_text("label,x,z\n", "utf-8")
+    assert before != side.given("label lv1")
