@@ -50,7 +50,7 @@ class Reading:
 
 def integrated(rates: Callable[[float, FloatArray], Any], start: FloatArray, times: FloatArray) -> FloatArray:
     """Return the solution (N, D) of dx/dt = rates(t, x) at `times` (N,), far more accurate than what is compared."""
-    least = TOLERANCE * float(np.abs(start).max())
+    least = TOLERANCE * np.where(start == 0.0, np.abs(start).max(), np.abs(start))
     found = solve_ivp(
         rates, (float(times[0]), float(times[-1])), start, "DOP853", t_eval=times, rtol=TOLERANCE, atol=least
     )
@@ -71,7 +71,7 @@ def read_modelica(text: str) -> Reading:
     lines = _lines(text, "//")
     return Reading(
         _numbers(lines, r'parameter Real (\w+) = ([^ ;]+)(?: ".*")?;'),
-        _numbers(lines, r'Real (\w+)\(start = ([^,]+), fixed = true\)(?: ".*")?;'),
+        _numbers(lines, r'Real (\w+)\(start = ([^,]+), fixed = true, nominal = [^)]+\)(?: ".*")?;'),
         _texts(lines, r"der\((\w+)\) = (.+);"),
         "time",
     )

@@ -5,6 +5,7 @@ a number that has a unit and should have none.
 """
 
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -26,6 +27,8 @@ from atoll.model.model import Model
 from atoll.model.parameters import JointErrors
 from atoll.model.simulation import simulate
 from atoll.model.vector_field import VectorField
+from benchmarks.exports import programs
+from tests.unit.common.model.export.exported import run_python
 from tests.unit.common.model.results import result
 
 FAR = 40
@@ -38,6 +41,7 @@ COMPETITION = {"x": "x*(3.0 - x - 2.0*y)", "y": "y*(2.0 - x - y)"}
 VAN_DER_POL = {"x": "y", "y": "(1.0 - x**2)*y - x"}
 PENDULUM = {"x": "y", "y": "-2.0*sin(x)"}
 PREY = {"x": "x*(1.0 - y)", "y": "y*(x - 2.0)"}
+TROUGHS = {"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"}
 LORENZ = {"x": "10.0*(y - x)", "y": "x*(28.0 - z) - y", "z": "x*y - 2.6666666666666665*z"}
 FOLD = {"x": "u - x**2", "y": "x - y"}
 HOPF = {"x": "u*x - y - x*(x**2 + y**2)", "y": "x + u*y - y*(x**2 + y**2)"}
@@ -161,6 +165,27 @@ def test_a_simulation_and_its_bands_are_the_same_in_other_units(powers: Sequence
     np.testing.assert_allclose(found[1][0], found[0][0], rtol=1e-8)
     np.testing.assert_allclose(found[1][1], found[0][1], rtol=1e-3)
     assert found[0][1][-1, 2] == pytest.approx(3e-10, rel=0.9)
+
+
+@pytest.mark.parametrize(
+    ("equations", "start", "until"), [(CHAIN, (1.0, 0.0, 0.0), 3.0), (TROUGHS, (10.0, 10.0), 20.0)]
+)
+def test_exports_are_the_same_in_other_units_and_those_of_simulations(
+    equations: Mapping[str, str], start: tuple[float, ...], until: float
+) -> None:
+    found = []
+    for powers in (SAME, *UNITS):
+        sizes, clock = units_of(equations, powers)
+        its = result(in_units(equations, sizes.tolist(), clock))
+        begin = dict(zip(equations, (sizes * start).tolist(), strict=True))
+        times = np.linspace(0.0, until, 7) * clock
+        its["simulation"] = {"trajectories": [{"name": "1", "start": begin, "times": times.tolist()}]}
+        model = Model(its)
+        found += [model.simulate(has_bands=False).x / sizes, run_python(model.to_python())["simulate"]() / sizes]
+        if shutil.which("cc") is not None:
+            found.append(programs.c(model) / sizes)
+    for each in found[1:]:
+        np.testing.assert_allclose(each, found[0], rtol=1e-6)
 
 
 def test_paths_and_densities_of_a_process_are_the_same_in_other_units() -> None:

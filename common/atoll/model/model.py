@@ -401,7 +401,7 @@ class Model(Exports):
         if paths is not None:
             require_process(model)
         field, times, start = model.field, model.times_of(t), model.start_of(x0)
-        inputs = model._inputs(u, times, model.recorded if x0 is None else {})
+        inputs = model.inputs_along(u, times, x0)
         if paths is not None:
             return ensemble_of(model, start, times, inputs, (paths, seed))
         bands = (model._errors, model._quantile) if has_bands and model._errors is not None else None
@@ -793,12 +793,13 @@ class Model(Exports):
             raise UsageError(f"a simulation begins at {self.time} = {begin:g} and ends later, but {t!r} was given")
         return np.linspace(begin, float(times), ROWS)
 
-    def _inputs(
+    def inputs_along(
         self,
         u: Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None,
         times: FloatArray,
-        recorded: Mapping[str, tuple[FloatArray, FloatArray]],
+        x0: Given | None,
     ) -> Inputs | None:
+        recorded = self.recorded if x0 is None else {}
         if isinstance(u, Mapping):
             self.require_inputs(u)
         if not self.inputs:

@@ -130,7 +130,9 @@ def followed_sizes(
     """Return how large each state (D,) counts as, all above 0, by arguments of `simulate`.
 
     Errors that are small beside these keep each state right in its unit, and in its troughs where it cannot cross 0.
+    Raises UsageError where arguments do not fit.
     """
+    check_times(field, x0, t)
     course = _integrated(_Task(field, inputs, most), x0, t)
     return np.maximum(course.sizes, np.minimum(course.lowest, np.abs(x0)))
 

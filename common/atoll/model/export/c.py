@@ -11,7 +11,7 @@ _WORDS: Final = (
     "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
     "bool true false asm typeof nullptr constexpr main errno stdin stdout stderr NULL EOF INFINITY NAN HUGE_VAL "
     "isnan isfinite sin cos tan exp log sqrt fabs tanh pow fmin fmax exit printf fprintf strtod strtol t state rate "
-    "rates simulate along parameters value SIZE"
+    "rates simulate along parameters value SIZE sizes"
 )
 _MACROS: Final = (
     "BIG_ENDIAN BUFSIZ BYTE_ORDER EXIT_FAILURE EXIT_SUCCESS FD_SETSIZE FILENAME_MAX FOPEN_MAX FP_ILOGB0 FP_ILOGBNAN "
@@ -54,6 +54,8 @@ def _motion(words: Wording) -> list[str]:
     size = len(its.states)
     lines = ["#include <math.h>", "#include <stdio.h>", "#include <stdlib.h>", "", f"#define SIZE {size}", ""]
     lines += [f"static const double start[SIZE] = {{{', '.join(map(repr, its.start))}}};"]
+    lines += ["// beside these errors are small: how large the states are, as far as they come back from it"]
+    lines += [f"static const double sizes[SIZE] = {{{', '.join(map(repr, its.sizes))}}};"]
     lines += [f"static const double begin_time = {its.begin!r}, end_time = {its.end!r};"]
     lines += [f"static const long step_count = {its.steps};", *_parameters(words, held)]
     lines += _ALONG.splitlines() if its.tables else []
@@ -134,7 +136,8 @@ static const double errors[7] = {71.0 / 57600,      0,         -71.0 / 16695, 71
 static const double tolerance = 1e-12; // relative error of a step, about
 
 // Go from time *t to time end with steps of about *step, stages[0] being the rates there; 0 where that is not possible.
-static int advance(double *t, double end, double x[SIZE], double stages[7][SIZE], double *step, double least)
+static int advance(double *t, double end, double x[SIZE], double stages[7][SIZE], double *step,
+                   const double least[SIZE])
 {
     static long count = 0;
     double moved[SIZE];
@@ -159,7 +162,7 @@ static int advance(double *t, double end, double x[SIZE], double stages[7][SIZE]
             double sum = 0;
             for (int k = 0; k < 7; k++)
                 sum += errors[k] * stages[k][i];
-            const double its = fabs(h * sum / (least + tolerance * fmax(fabs(x[i]), fabs(moved[i]))));
+            const double its = fabs(h * sum / (least[i] + tolerance * fmax(fabs(x[i]), fabs(moved[i]))));
             size = its <= size ? size : its; // also where it is not a number
         }
         if (!(size <= 1)) {
@@ -189,14 +192,12 @@ int main(int count, char **words)
 {
     const double until = count > 1 ? strtod(words[1], NULL) : end_time;
     const long steps = count > 2 ? strtol(words[2], NULL, 10) : step_count;
-    double x[SIZE], stages[7][SIZE], t = begin_time, largest = 0, fastest = 0;
+    double x[SIZE], stages[7][SIZE], least[SIZE], t = begin_time;
     rates(t, start, stages[0]);
     for (int i = 0; i < SIZE; i++) {
         x[i] = start[i];
-        largest = fmax(largest, fabs(start[i]));
-        fastest = fmax(fastest, fabs(stages[0][i]));
+        least[i] = tolerance * (x[i] == 0 ? sizes[i] : fmin(fabs(x[i]), sizes[i]));
     }
-    const double least = tolerance * fmax(fmax(largest, 1e-3 * fastest * (until - t)), 1e-300);
     double step = 1e-4 * (until - t);
     printf("HEADER\\n");
     print_row(t, x);

@@ -21,12 +21,15 @@ from atoll.expression.text.notation import Notation
 from atoll.expression.text.parsing import from_infix
 from atoll.model.export.naming import Naming, harmless, spelled
 from atoll.model.parameters import Parameter
+from atoll.model.simulation import followed_sizes
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
 
 WIDTH: Final = 100
 """Columns of a heading."""
+_MOST_EVALUATIONS: Final = 20_000
+"""Of the rates, to see how small states become: a part of a second."""
 _UNDEFINED: Final = (
     "Arithmetic is that of doubles. Where the mathematics has no value (a division by zero, the logarithm or a broken "
     "power of a negative number)"
@@ -73,7 +76,8 @@ class Content:
     """A model as it is exported.
 
     `symbols` are the variables of all formulas. dx/dt of the D `states` are `rates`, from `start` (D,) at `begin` to
-    `end` in `steps` equal steps; velocities are states behind the positions for order 2. `covariance` has the entries
+    `end` in `steps` equal steps; velocities are states behind the positions for order 2. `sizes` (D,), above 0, are
+    those beside which errors of the states are to be small; of a process there are none. `covariance` has the entries
     of g g' of a process dx = f dt + g dW by the places of two states. A regression has no state, and one rate: its
     value. `constants` are those with a name, `lines` say where the model comes from.
     """
@@ -85,6 +89,7 @@ class Content:
     rates: tuple[Formula, ...]
     covariance: Mapping[tuple[int, int], Formula]
     start: tuple[float, ...]
+    sizes: tuple[float, ...]
     begin: float
     end: float
     steps: int
@@ -148,6 +153,7 @@ def content_of(
         tuple(formulas[:1]) if model.is_regression else _rates(model, formulas, names),
         {pair: by_name[name] for name, pair in components.items()},
         () if model.is_regression else tuple(model.start_of(x0).tolist()),
+        () if model.is_regression or components else _sizes(model, x0, times, u),
         float(times[0]),
         float(times[-1]),
         max(len(times) - 1, 1),
@@ -156,6 +162,16 @@ def content_of(
         str(result["equations"][0]["variable"]) if model.is_regression else "",
         (*_origin(model), *([""] if held else []), *held),
     )
+
+
+def _sizes(model: "Model", x0: Any, times: FloatArray, u: Mapping[str, Any] | None) -> tuple[float, ...]:
+    """Return how large simulations take the states to be, inputs of which nothing is known held at 0 as here."""
+    known = {*(u or {}), *(_recorded(model, x0))}
+    left = {name: 0.0 for name, column in inputs_beside_time(model).items() if not {name, column} & known}
+    found = followed_sizes(
+        model.field, model.start_of(x0), times, model.inputs_along({**left, **(u or {})}, times, x0), _MOST_EVALUATIONS
+    )
+    return tuple(found.tolist())
 
 
 def held_at_zero(model: "Model", x0: Any, u: Mapping[str, Any] | None, without_tables: str = "") -> tuple[str, ...]:

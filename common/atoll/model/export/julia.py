@@ -13,7 +13,7 @@ _WORDS: Final = (
     "time along value model equations problem solution system Base Core Main row table until range solve println "
     "print zip e ModelingToolkit OrdinaryDiffEq StochasticDiffEq t_nounits D_nounits parameters variables brownians "
     "named register_symbolic System mtkcompile ODEProblem SDEProblem Vern9 EM abstol reltol saveat dt length eachindex "
-    "as join Real clamp searchsortedlast view println"
+    "as join Real clamp searchsortedlast view println Dict string state tolerances least unknowns"
 )
 
 LANGUAGE: Final = Language(
@@ -101,8 +101,11 @@ def _solution(words: Wording) -> list[str]:
             f"problem = SDEProblem(model, [], {span})",
             f"solution = solve(problem, EM(); dt = {step!r}, saveat = {saved})",
         ]
-    tolerance = "abstol = 1e-12, reltol = 1e-12"
+    tolerance = "abstol = least, reltol = 1e-12"
+    pairs = ", ".join(f"string({name}) => {1e-12 * size!r}" for name, size in zip(words.states, its.sizes, strict=True))
     return [
+        f"tolerances = Dict({pairs})",
+        "least = [tolerances[string(state)] for state in unknowns(model)]  # in the order of the compiled system",
         f"problem = ODEProblem(model, [], {span})",
         f"solution = solve(problem, Vern9(); {tolerance}, saveat = {saved})",
     ]

@@ -44,7 +44,8 @@ def _motion(words: Wording) -> list[str]:
     header = ",".join([words.time, *words.states])
     lines = ["function [t, x] = atoll_model(last)", f"    if nargin < 1, last = {its.end!r}; end"]
     lines += [f"    times = linspace({its.begin!r}, last, {its.steps + 1});"]
-    lines += [f"    options = odeset('RelTol', 1e-12, 'AbsTol', {1e-12 * (max(map(abs, its.start)) or 1.0)!r});"]
+    least = ", ".join(repr(1e-12 * size) for size in its.sizes)
+    lines += [f"    options = odeset('RelTol', 1e-12, 'AbsTol', [{least}]);"]
     lines += [f"    [t, x] = ode45(@rates, times, [{start}], options);", "    if nargout == 0"]
     lines += [f"        fprintf('{header}\\n');"]
     numbers = ",".join(["%.17g"] * (len(its.states) + 1))

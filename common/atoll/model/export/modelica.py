@@ -13,7 +13,7 @@ _WORDS: Final = (
     "partial protected public pure record redeclare replaceable return stream then true type when while within "
     "time Real Integer Boolean String abs sign sqrt div mod rem ceil floor integer sin cos tan asin acos atan "
     "sinh cosh tanh exp log log10 pre edge change reinit sample smooth noEvent semiLinear delay cardinality "
-    "homotopy terminate AtollModel along table start fixed annotation experiment"
+    "homotopy terminate AtollModel along table start fixed annotation experiment nominal"
 )
 
 LANGUAGE: Final = Language(
@@ -23,6 +23,9 @@ LANGUAGE: Final = Language(
     "//",
     "the tool ends the simulation",
 )
+
+_LEAST_NOMINAL: Final = 1e-30
+"""Of the initial value: tools divide by nominal values, whose squares are to be numbers."""
 
 
 def write(content: Content) -> str:
@@ -35,8 +38,9 @@ def write(content: Content) -> str:
     given += [(words[each.name], each.value, f"input, {words.about(each)}") for each in content.held]
     lines += [f"  parameter Real {name} = {value!r}{_said(note)};" for name, value, note in given]
     lines += [f"  Real {words[each.name]}{_said('input, ' + words.about(each))};" for each in content.tables]
-    for state, begin in zip(content.states, content.start, strict=True):
-        lines.append(f"  Real {words[state.name]}(start = {begin!r}, fixed = true){_said(words.about(state))};")
+    for state, begin, size in zip(content.states, content.start, content.sizes, strict=True):
+        its = f"start = {begin!r}, fixed = true, nominal = {max(size, _LEAST_NOMINAL * abs(begin))!r}"
+        lines.append(f"  Real {words[state.name]}({its}){_said(words.about(state))};")
     lines += ["equation", *(f"  {words[each.name]} = along_{words[each.name]}(time);" for each in content.tables)]
     lines += [f"  der({name}) = {text};" for name, text in zip(words.states, words.rates, strict=True)]
     interval = (content.end - content.begin) / content.steps

@@ -7,7 +7,20 @@ from atoll.expression.text.notation import PYTHON
 from atoll.model.export.content import Content, Language, Wording
 from atoll.model.export.naming import Naming
 
-_OWN: Final = {"np", "sys", "t", "along", "parameters", "rates", "noise", "simulate", "main", "value", "PARAMETERS"}
+_OWN: Final = {
+    "np",
+    "sys",
+    "t",
+    "along",
+    "parameters",
+    "rates",
+    "noise",
+    "simulate",
+    "main",
+    "value",
+    "PARAMETERS",
+    "SIZES",
+}
 
 LANGUAGE: Final = Language(
     PYTHON,
@@ -42,6 +55,8 @@ def _motion(words: Wording) -> list[str]:
     held = [(words[each.name], each.value) for each in its.held]
     lines = ["import sys", "", "import numpy as np", "", f"STATES = ({_listed(map(repr, words.states))})"]
     lines += [f"START = np.array([{', '.join(map(repr, its.start))}])"]
+    if its.sizes:
+        lines += [f"SIZES = np.array([{', '.join(map(repr, its.sizes))}])  # beside these errors are small"]
     lines += [f"TIMES = np.linspace({its.begin!r}, {its.end!r}, {its.steps + 1})", *_parameters(words, held)]
     for each in its.tables:
         assert each.table is not None
@@ -136,7 +151,7 @@ def simulate(start=START, times=TIMES, parameters=PARAMETERS, tolerance=1e-12):
     with np.errstate(all="ignore"):
         stages[0] = rates(t, x, parameters)
         span = times[-1] - t
-        least = tolerance * max(np.abs(x).max(), 1e-3 * span * np.abs(stages[0]).max(), 1e-300)
+        least = tolerance * np.where(x == 0.0, SIZES, np.minimum(np.abs(x), SIZES))
         step = 1e-4 * span
         for end in times[1:]:
             while t < end:

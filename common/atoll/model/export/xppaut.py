@@ -71,4 +71,5 @@ def _settings(content: Content) -> list[str]:
     size = f"@ maxstor={max(5000, content.steps + 2)}, bounds=1e10"
     if content.covariance:
         return [f"{span}, dt={step / 100!r}, njmp=100, meth=euler", size]
-    return [f"{span}, dt={step!r}, meth=83dp, tol=1e-12, atol=1e-12", size]
+    least = 1e-12 * min(content.sizes)  # one for all states
+    return [f"{span}, dt={step!r}, meth=83dp, tol=1e-12, atol={least!r}", size]

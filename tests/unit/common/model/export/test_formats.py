@@ -160,6 +160,34 @@ def test_c_goes_along_tables() -> None:
     assert difference(programs.c(its), its) < 1e-8
 
 
+SIZES_APART = {"x": "-0.0001*x", "y": "1.3*y"}
+TROUGHS = {"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"}
+
+
+@pytest.mark.parametrize(
+    ("equations", "start", "until"),
+    [(SIZES_APART, {"x": 300.0, "y": 1e-12}, 20.0), (TROUGHS, {"x": 20.0, "y": 20.0}, 40.0)],
+)
+def test_each_state_has_errors_of_its_own_size(
+    equations: dict[str, str], start: dict[str, float], until: float
+) -> None:
+    found = model(equations, start).result
+    found["simulation"]["trajectories"][0]["times"] = np.linspace(0.0, until, 9).tolist()
+    its = Model(found)
+    expected = its.simulate(has_bands=False).x
+    np.testing.assert_allclose(run_python(its.to_python())["simulate"](), expected, rtol=1e-6)
+    if shutil.which("cc") is not None:
+        np.testing.assert_allclose(programs.c(its), expected, rtol=1e-6)
+
+
+def test_tolerances_that_other_solvers_are_given_have_the_units_of_the_states() -> None:
+    its = model(SIZES_APART, {"x": 300.0, "y": 1e-12})
+    assert f"'AbsTol', [{1e-12 * 300.0!r}, {1e-12 * 1e-12!r}]" in its.to_matlab()
+    assert f"Dict(string(x) => {1e-12 * 300.0!r}, string(y) => {1e-12 * 1e-12!r})" in its.to_julia()
+    assert f"tol=1e-12, atol={1e-12 * 1e-12!r}" in its.to_xppaut()
+    assert "Real y(start = 1e-12, fixed = true, nominal = 1e-12)" in its.to_modelica()
+
+
 def test_second_order_becomes_first_order() -> None:
     found = result({"x": "-4.5*x - 0.25*x_dot"}, ("x_dot",))
     found["equations"][0]["lhs"] = "d2x/dt2"
