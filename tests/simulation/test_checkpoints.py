@@ -65,7 +65,8 @@ def lasting(tmp_path: Path) -> Iterator[World]:
 
 
 def restart(world: World, tmp_path: Path) -> None:
-    world.network.crash("coordinator")
+    if "coordinator" in world.network.participants:
+        world.network.crash("coordinator")
     world.store.close()
     world.store = Store.open(tmp_path)
     world.service = world.start_service()
@@ -457,3 +458,37 @@ def test_workers_that_come_and_go_do_not_change_the_answer() -> None:
         world.at(4.2, lambda world=world: world.crash("w2"))  # type: ignore[misc]
         world.at(4.4, lambda world=world: world.start_worker("w3", slowness=5.0))  # type: ignore[misc]
         assert comparable(world.run(config(seed))) == undisturbed(seed)
+
+
+# ---------------------------------------------------------------------------------------------- damage
+
+DAMAGES = [
+    "UPDATE states SET island = island + 500", "UPDATE states SET data = x'00ff'", "UPDATE states SET digest = '00'",
+    "DELETE FROM states", "UPDATE states SET data = 'text'",
+]  # fmt: skip
+LAST = "epoch = (SELECT max(epoch) FROM checkpoints AS c WHERE c.variable = states.variable)"
+
+
+@pytest.mark.parametrize("where", ["", f" WHERE {LAST}"], ids=["all", "last"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_states_cost_time_and_not_the_answer(lasting: World, tmp_path: Path, damage: str, where: str) -> None:
+    lasting.submit(config())
+    while committed(lasting) < 12 or committed(lasting, "y") < 12:
+        lasting.client.pause(0.05)
+    lasting.network.crash("coordinator")
+    lasting.store._connection.execute(damage + where)
+    restart(lasting, tmp_path)
+    assert lasting.finish().state == "done"
+    assert comparable(lasting.result()) == undisturbed()
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_states_that_are_damaged_while_they_are_needed_end_their_job(lasting: World, damage: str) -> None:
+    lasting.submit(config())
+    while not committed(lasting):
+        lasting.client.pause(0.05)
+    lasting.store._connection.execute(damage)
+    lasting.crash("w0")
+    view = lasting.finish(limit_s=60.0)
+    assert view.state == "failed"
+    assert "missing or damaged in the coordinator's store" in (view.reason or "")

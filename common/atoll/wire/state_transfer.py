@@ -23,6 +23,11 @@ class State(NamedTuple):
         """Return the state that these bytes are."""
         return cls(data, hashlib.sha256(data).hexdigest())
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether these are bytes, and have that digest."""
+        return isinstance(self.data, bytes) and hashlib.sha256(self.data).hexdigest() == self.digest
+
 
 def split_states(
     islands: Sequence[int], offset: int, load: Callable[[int], State], room: int = CHUNK_SIZE

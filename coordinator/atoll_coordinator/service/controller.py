@@ -139,8 +139,8 @@ class Controller:
             return job.fail("data", unknown)
         try:
             cuts = {name: decode(data, Cut) for name, data in self._store.cuts(job.id).items()}
-            stored = self._store.checkpoints(job.id)
-            resumed = {name: decode(data, StoredSearchState) for name, (_, data) in stored.items()}
+            stored = self._stored_checkpoints(job, prepared)
+            resumed = {name: decode(data, StoredSearchState) for name, (_, data) in stored.items() if name not in cuts}
         except RemoteProtocolError as error:  # nobody else has written it: it is of another version of ours
             return job.fail("internal", checks.stored_search_reason(error))
         reason = checks.resume_reason(prepared, record.dataset_digest, bool(cuts), resumed)
@@ -151,6 +151,29 @@ class Controller:
         self.events.record_preparation(job)
         self._channel.publish(job.announcement())
         return actions
+
+    def _stored_checkpoints(self, job: Job, prepared: Prepared) -> dict[str, tuple[int, bytes]]:
+        """Return epoch and contents of the checkpoints from which a search goes on, by variable.
+
+        Where states of the last one are damaged that is the one before or, if there is none, the beginning: by purity
+        the answer is the same, and workers would ask for ever for what is not there.
+        """
+        last = self._store.checkpoints(job.id)
+        whole = self._store.whole_checkpoints(job.id, prepared.config.evolution.islands) if last else {}
+        for variable in last:
+            if whole.get(variable) != last[variable]:
+                epoch = whole[variable][0] if variable in whole else 0
+                text = f"states of its last checkpoint are damaged in the store; its search goes on from epoch {epoch}"
+                self.events.record("unplaced", text, job.id, variable=variable, epoch=epoch)
+        return whole
+
+    def has_lost(self, pull: PullStates) -> bool:
+        """Tell whether states that are not in the store are those from which a search goes on now."""
+        job = self.jobs.get(pull.job)
+        archipelago = job.open_archipelago(pull.variable) if job is not None else None
+        if archipelago is None or archipelago.durable == 0 or pull.epoch != archipelago.durable:
+            return False
+        return set(pull.islands) <= set(range(archipelago.collector.limits.islands))
 
     def finish_job(self, job_id: str, refinement: Refinement, now: float) -> None:
         """End a job with what refining gave."""

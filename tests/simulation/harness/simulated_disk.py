@@ -15,9 +15,8 @@ from atoll_coordinator.service.store.store import Room, Store
 
 READS: Final = frozenset({
     "job", "jobs", "job_page", "count_jobs", "submitter", "is_deleted", "result", "cuts", "checkpoints", "state",
-    "events", "has_blob", "get_blob", "get_chunk", "missing_chunks", "blob_bytes", "deaths",
-    "oldest_ended_job", "used_bytes", "unused_blobs", "timing", "check", "close",
-    "room",
+    "whole_checkpoints", "events", "has_blob", "get_blob", "get_chunk", "missing_chunks", "blob_bytes", "deaths",
+    "oldest_ended_job", "used_bytes", "unused_blobs", "timing", "check", "close", "room",
 })  # fmt: skip
 """What needs no room: it answers on a full disk as well, and no coordinator dies of it."""
 

@@ -29,6 +29,14 @@ def stored_search_reason(error: RemoteProtocolError) -> str:
     )
 
 
+def lost_states_reason(variable: str) -> str:
+    """Return why a search cannot go on whose states were durable and are not in the store any more."""
+    return (
+        f"states of the last checkpoint of {variable} are missing or damaged in the coordinator's store; see that its "
+        "disk is sound, and submit the job again under another id"
+    )
+
+
 def epoch_limit_reason(config: JobConfig, prepared: Prepared) -> str | None:
     """Return why the limits of epochs do not fit the equations that are sought; None: they do."""
     sought = [target.variable for target in prepared.sought]

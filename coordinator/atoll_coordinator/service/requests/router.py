@@ -11,8 +11,9 @@ from atoll.wire.messages.handshake import GreetingAnswer
 from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.messages.workers import Control, Pull, PullAnswer, PullStates, States
 from atoll.wire.rejects import Rejects
-from atoll.wire.state_transfer import split_states
+from atoll.wire.state_transfer import State, split_states
 from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.jobs import checks
 from atoll_coordinator.service.requests.clients import Body, ClientRequests
 from atoll_coordinator.service.requests.handshake import Handshake, refusal
 from atoll_coordinator.service.store.store import Store
@@ -96,13 +97,18 @@ class RequestRouter:
         pull = decode(payload, Pull, MAX_MESSAGE).body
         if not isinstance(pull, PullStates) or pull.job != key.job:
             raise RemoteProtocolError(f"states of job {key.job} were to be asked for, and {pull.kind!r} came")
+
+        def load(island: int) -> State:
+            state = self._store.state(pull.job, pull.variable, pull.epoch, island)
+            if not state.is_whole:
+                raise KeyError(island)
+            return state
+
         try:
-            pieces = split_states(
-                pull.islands,
-                pull.offset,
-                lambda island: self._store.state(pull.job, pull.variable, pull.epoch, island),
-            )
+            pieces = split_states(pull.islands, pull.offset, load)
         except KeyError:
+            if self._controller.has_lost(pull):  # the worker would ask for ever
+                self._controller.fail_job(pull.job, "internal", checks.lost_states_reason(pull.variable), self._now())
             return None
         return encode(PullAnswer(body=States(pieces=pieces)))
 

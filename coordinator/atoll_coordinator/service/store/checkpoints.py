@@ -34,6 +34,25 @@ def last(sql: sqlite3.Connection, job: str) -> dict[str, tuple[int, bytes]]:
     return {variable: (epoch, progress) for variable, epoch, progress in rows}
 
 
+def last_whole(sql: sqlite3.Connection, job: str, islands: int) -> dict[str, tuple[int, bytes]]:
+    """Return epoch and progress of the last checkpoint by variable of which all states are there and undamaged."""
+    rows = sql.execute(
+        "SELECT variable, epoch, progress FROM checkpoints WHERE job = ? ORDER BY epoch DESC", (job,)
+    ).fetchall()
+    found: dict[str, tuple[int, bytes]] = {}
+    for variable, epoch, progress in rows:
+        if variable not in found and _is_whole(sql, job, variable, epoch, islands):
+            found[variable] = (epoch, progress)
+    return found
+
+
+def _is_whole(sql: sqlite3.Connection, job: str, variable: str, epoch: int, islands: int) -> bool:
+    try:
+        return all(state(sql, job, variable, epoch, island).is_whole for island in range(islands))
+    except KeyError:
+        return False
+
+
 def state(sql: sqlite3.Connection, job: str, variable: str, epoch: int, island: int) -> State:
     """Return the state of an island at a checkpoint; raises KeyError when it is not there."""
     row = sql.execute(

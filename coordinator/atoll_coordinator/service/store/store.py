@@ -336,6 +336,11 @@ class Store:
         with self._transaction() as sql:
             return checkpoint_table.last(sql, job)
 
+    def whole_checkpoints(self, job: str, islands: int) -> dict[str, tuple[int, bytes]]:
+        """Return what `checkpoints` does, but of each variable the last checkpoint whose states are undamaged."""
+        with self._transaction() as sql:
+            return checkpoint_table.last_whole(sql, job, islands)
+
     def state(self, job: str, variable: str, epoch: int, island: int) -> State:
         """Return the state of an island at a checkpoint; raises KeyError when it is not there."""
         with self._transaction() as sql:
