@@ -35,9 +35,12 @@ LEFT_OUT = {
     (WorkerChannel, "take_pull"),  # one look into a dict; without it nobody knows whose answer came
 }
 LEFT_OUT_ALWAYS = {
-    (Controller, "guarded"),  # what ends a job over which something breaks
+    (Controller, "guarded"),  # what ends a job over which something breaks, and what does nothing but call that
+    (Controller, "_change"),
+    (Controller, "_advance_checkpoint"),
     (Controller, "_end_broken"),
     (Controller, "_end_without_job"),
+    (Controller, "view"),  # who asks is told what broke
     (Store, "job"),
     (Store, "commit_result"),
 }

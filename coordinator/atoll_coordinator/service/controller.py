@@ -41,7 +41,7 @@ from atoll_coordinator.service.jobs.job import (
 from atoll_coordinator.service.jobs.queue import Line, next_job
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.event_log import EventLog
-from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, result_text
+from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, result_text, view_of_record
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoints import StoredSearchState
 from atoll_coordinator.service.search.cut import Cut
@@ -85,6 +85,9 @@ class Controller:
                 self.ended[record.id] = None
                 continue
             with self.guarded(record.id, "taking over a job", now):
+                if not record.is_sound:
+                    self._end_without_job(record.id, checks.DAMAGED_RECORD)
+                    continue
                 try:
                     config = JobConfig.model_validate_json(record.spec)
                 except ValidationError as error:
@@ -200,7 +203,7 @@ class Controller:
                 raise
             except Exception as error:
                 record, sentence = self._store.job(job_id), self.breakages.add("showing a job", error)
-                view = ended_view(record, None).model_copy(update={"warnings": (sentence,)}) if record else None
+                view = view_of_record(record, sentence) if record else None
             if view is not None:
                 yield view
 

@@ -238,7 +238,7 @@ class Service:
                 self.controller.add_heartbeat(key.worker, status, self._bus.now())
             case topics.WorkerKey(part="report"):
                 report = decode(event.payload, EpochReport, MAX_MESSAGE)
-                self.controller.add_report(key.worker, report, self._bus.now())
+                self._add_report(key.worker, report)
             case _:
                 raise RemoteProtocolError(f"nothing is expected on key {event.key}")
 
@@ -252,7 +252,13 @@ class Service:
             case (worker, PullReports()) if event.payload is not None:
                 body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
                 for report in body.reports if isinstance(body, Reports) else ():
-                    self.controller.add_report(worker, report, self._bus.now())
+                    self._add_report(worker, report)
+
+    def _add_report(self, worker: str, report: EpochReport) -> None:
+        """Hand on a report: it is sent once, or pulled for ever, so that its job ends where that breaks."""
+        now = self._bus.now()
+        with self.controller.guarded(report.job, "taking in a report", now, by_peer=True):
+            self.controller.add_report(worker, report, now)
 
     def _add_states(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
         """Hand on what came, also that nothing came: it is asked for again."""

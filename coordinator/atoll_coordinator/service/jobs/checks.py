@@ -1,6 +1,7 @@
 """Reasons for which a job of the store, or a prepared one, cannot be searched. Pure; each is a sentence for people."""
 
 from collections.abc import Mapping
+from typing import Final
 
 from pydantic import ValidationError
 
@@ -9,6 +10,8 @@ from atoll.config import JobConfig
 from atoll.errors import RemoteProtocolError
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.search.checkpoints import StoredSearchState
+
+DAMAGED_RECORD: Final = "its record in the coordinator's store is damaged; submit it again under another id"
 
 
 def settings_reason(error: ValidationError) -> str:

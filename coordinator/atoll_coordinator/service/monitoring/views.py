@@ -10,10 +10,11 @@ from pydantic import ValidationError
 from atoll import VERSION
 from atoll.config import JobConfig
 from atoll.expression.text.infix import to_infix
-from atoll.wire.messages.views import JobCounters, JobState, JobView, VariableView
+from atoll.wire.messages.views import FINAL_STATES, JobCounters, JobState, JobView, VariableView
 from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from atoll_coordinator.model.result.trust import verdict
+from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job, Prepared
 from atoll_coordinator.service.jobs.queue import Line
 from atoll_coordinator.service.search.archipelago import Archipelago
@@ -145,6 +146,30 @@ def ended_view(record: JobRecord, result: str | None) -> JobView:
     except (ValueError, KeyError, TypeError):
         warning = f"the stored result of this job cannot be read by version {VERSION}"
         return view.model_copy(update={"warnings": (warning,)})
+
+
+def view_of_record(record: JobRecord, warning: str) -> JobView:
+    """Return the view of a job that cannot be shown whole, from its record alone; it never raises.
+
+    Of a damaged record only what is sure is shown: one that says that its job goes on is of a job that failed.
+    """
+    try:
+        return ended_view(record, None).model_copy(update={"warnings": (warning,)})
+    except Exception:
+        is_final = record.state in FINAL_STATES
+        return JobView(
+            job=str(record.id),
+            name=str(record.name),
+            state=cast(JobState, record.state) if is_final else "failed",
+            seed=0,
+            preset="default",
+            reason=DAMAGED_RECORD,
+            warnings=(warning,),
+            submitted=str(record.submitted),
+            elapsed=0.0,
+            workers=0,
+            point_evaluations=0,
+        )
 
 
 def _stored_equations(result: dict[str, Any]) -> dict[str, Any]:

@@ -30,6 +30,16 @@ class JobRecord:
     priority: int = 0
     ended_at: float = 0.0
 
+    @property
+    def is_sound(self) -> bool:
+        """Whether all has the types that it was written with: SQLite keeps whatever a damaged store holds."""
+        texts = (self.id, self.name, self.spec, self.table_digest, self.submitted, self.state)
+        return (
+            all(isinstance(each, str) for each in texts)
+            and isinstance(self.priority, int)
+            and isinstance(self.elapsed, int | float)
+        )
+
 
 _COLUMNS: Final = tuple(field.name for field in fields(JobRecord))
 _FIXED: Final = ("id", "spec", "table_digest", "submitted", "priority")

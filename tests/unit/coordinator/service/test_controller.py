@@ -6,6 +6,7 @@ import pytest
 
 from atoll.config import JobConfig
 from atoll.errors import StoreError
+from atoll.wire.messages.clients import JobList
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.store.store import JobRecord, Store
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
@@ -62,3 +63,22 @@ def test_no_result_is_read_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(Store, "result", is_damaged)
     with Store.open(None) as store:
         assert list(recovered(store, READABLE).ended) == ["job"]
+
+
+@pytest.mark.parametrize(
+    "damage", ["elapsed = 'x'", "priority = 'x'", "name = x'ff00'", "submitted = 7", "state = 'lost'", "spec = 3"]
+)
+def test_a_damaged_record_takes_no_list_of_jobs_with_it(damage: str) -> None:
+    with Store.open(None) as store:
+        recovered(store, READABLE)
+        for name in ("damaged", "live"):
+            store.add_job(JobRecord(name, "a job", JobConfig().model_dump_json(), "0", "2026-01-01T00:00:00"))
+        store.commit_result("damaged", "done", READABLE)
+        store._connection.execute(f"UPDATE jobs SET {damage} WHERE id != 'job'")
+        controller = controller_of(store, Tasks())
+        controller.recover(0.0)
+        views = {view.job: view for view in controller.views(["job", "damaged", "live"], 1.0)}
+    assert (views["job"].state, views["job"].name) == ("done", "a job")
+    assert views.keys() == {"job", "damaged", "live"}
+    assert views["live"].state in ("failed", "queued")  # what can be read is understood
+    JobList(jobs=tuple(views.values())).model_dump_json()
