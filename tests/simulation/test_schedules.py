@@ -55,6 +55,13 @@ def test_no_schedule_changes_an_answer_stops_a_job_or_leaves_anything(first: int
             assert not outcome.wrong, told(outcome)
 
 
+@pytest.mark.parametrize("seed", [9661])
+def test_nor_does_one_that_once_did(seed: int) -> None:
+    """9661: a fetch was given up for islands that were placed elsewhere meanwhile, and not begun again."""
+    outcome = play(schedule_of(seed))
+    assert not outcome.wrong, told(outcome)
+
+
 @pytest.mark.parametrize("seed", REAL)
 def test_nor_does_it_with_real_islands(seed: int) -> None:
     assert is_real(seed)
