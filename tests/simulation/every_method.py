@@ -20,9 +20,11 @@ from atoll.errors import AtollError
 from atoll_coordinator.cli.terminal.output import say
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.monitoring.breakages import Breakages
+from atoll_coordinator.service.requests.router import RequestRouter
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
+from atoll_coordinator.service.workers.scheduling import Scheduler
 from tests.simulation.harness import stub_islands
 from tests.simulation.harness.schedule_run import hurried
 from tests.simulation.harness.simulated_cluster import World
@@ -38,9 +40,11 @@ LEFT_OUT_ALWAYS = {
     (Controller, "guarded"),  # what ends a job over which something breaks, and what does nothing but call that
     (Controller, "_change"),
     (Controller, "_advance_checkpoint"),
+    (RequestRouter, "_answer"),
+    (RequestRouter, "_tell_worker"),
     (Controller, "_end_broken"),
     (Controller, "_end_without_job"),
-    (Controller, "view"),  # who asks is told what broke
+    (Scheduler, "plan"),  # is called with all jobs
     (Store, "job"),
     (Store, "commit_result"),
 }

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
+from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
 from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import Membership
@@ -16,10 +17,13 @@ class Quarantine:
         self._crash_loops = crash_loops
         self._reserved: dict[ArchipelagoKey, str | None] = {}
 
-    def reserve(self, archipelagos: Sequence[Archipelago]) -> None:
-        """Reserve workers for the quarantined ones of all open archipelagos, in order."""
+    def reserve(self, archipelagos: Sequence[Archipelago], guarded: JobGuard = unguarded) -> None:
+        """Reserve workers for the quarantined ones of all open archipelagos, in order; each is looked at `guarded`."""
         keys = [each.key for each in archipelagos]
-        quarantined = [key for key in keys if self._crash_loops.loop(key).state == "quarantined"]
+        quarantined: list[ArchipelagoKey] = []
+        for key in keys:
+            with guarded(key[0]):
+                quarantined += [key] if self._crash_loops.loop(key).state == "quarantined" else []
         load = Counter(worker for each in archipelagos for worker in each.workers)
         workers = {worker for worker in self._reserved.values() if worker and not self._membership.is_lost(worker)}
         self._reserved = reserve_workers(

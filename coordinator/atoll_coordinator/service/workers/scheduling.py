@@ -68,7 +68,7 @@ class Scheduler:
         Archipelagos whose placements end are unplaced, and those that are to move are asked to hold. Each is looked at
         under `guarded`, so that one over which something breaks keeps no other from its workers.
         """
-        self._quarantine.reserve([each for job in jobs for each in job.open_archipelagos])
+        self._quarantine.reserve([each for job in jobs for each in job.open_archipelagos], guarded)
         plan = Plan()
         # The term after the current one begins at the checkpoint that is being written.
         changing = [
