@@ -125,6 +125,10 @@ class Controller:
         """End a job and keep what it has found; without effect when it has ended."""
         self._change(job_id, "cancelling", now, Job.cancel)
 
+    def begin_preparing(self, job_id: str, now: float) -> None:
+        """Take in that the process that prepares a job is loaded: its time counts from now on."""
+        self._change(job_id, "having a job prepared", now, lambda job: job.start_clock(now))
+
     def start_search(self, job_id: str, prepared: Prepared, data: bytes, now: float) -> None:
         """Begin the search of a job whose data are prepared, its dataset as bytes: announce it and place its islands.
 
@@ -458,7 +462,7 @@ class Controller:
             self.fail_job(waiting.id, "internal", "its table is not in the store any more; submit it again", now)
             return
         self._store.update_job(waiting.id, state="preparing")
-        waiting.start_preparing(now)
+        waiting.start_preparing()
         self._tasks.prepare(waiting.id, table, waiting.config)
 
     def _live_view(self, job: Job, line: Line, now: float) -> JobView:

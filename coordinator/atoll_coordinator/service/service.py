@@ -33,7 +33,7 @@ from atoll.wire.rejects import Rejects
 from atoll.wire.security.access_control import Roster
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.runner import CheckpointWritten, TaskRunner
-from atoll_coordinator.service.background.tasks import JobPrepared, JobRefined, PreparationFailed
+from atoll_coordinator.service.background.tasks import JobPrepared, JobRefined, PreparationBegun, PreparationFailed
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
@@ -187,6 +187,8 @@ class Service:
         match item:
             case _TimeCheck():
                 self._check_time(now)
+            case PreparationBegun():
+                self.controller.begin_preparing(item.job, now)
             case JobPrepared():
                 with self.controller.guarded(item.job, "beginning the search", now):
                     self.controller.start_search(item.job, item.prepared, item.data, now)

@@ -37,6 +37,20 @@ def load_preparation() -> None:
     import atoll_coordinator.data.prepare  # noqa: F401
 
 
+def ready_preparation() -> None:
+    """Load what preparing needs, compiling its kernels if need be; an error is logged, since preparing meets it too."""
+    try:
+        load_preparation()
+        import atoll_coordinator.model.sparse.rates.screening  # noqa: F401
+        from atoll_coordinator.data.differentiation.warmup import warm_up as warm_up_data
+        from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
+
+        warm_up_data()
+        warm_up_sparse()
+    except Exception:
+        _LOG.exception("warm-up failed")
+
+
 def load_refinement() -> None:
     """Load what refining needs, compiling its kernels if need be; an error is logged, since refining meets it too."""
     try:

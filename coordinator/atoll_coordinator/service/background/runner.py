@@ -6,9 +6,15 @@ from functools import partial
 
 from atoll.config import JobConfig
 from atoll_coordinator.model.refinement import Pools
-from atoll_coordinator.service.background.child_main import load_refinement
+from atoll_coordinator.service.background.child_main import load_refinement, ready_preparation
 from atoll_coordinator.service.background.ports import Ports
-from atoll_coordinator.service.background.tasks import preparation_failed, prepare_job, refine_job, refinement_failed
+from atoll_coordinator.service.background.tasks import (
+    PreparationBegun,
+    preparation_failed,
+    prepare_job,
+    refine_job,
+    refinement_failed,
+)
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.monitoring.breakages import what_to_send
 from atoll_coordinator.service.search.archipelago import Checkpoint
@@ -47,7 +53,8 @@ class TaskRunner:
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """Prepare a table; `JobPrepared` or `PreparationFailed` is posted unless the job is cancelled.
 
-        While the job is searched, a process loads what its refinement needs.
+        Where `--max-time` counts, a process is made ready before, and `PreparationBegun` is posted between. While the
+        job is searched, a process loads what its refinement needs.
         """
 
         def finish(outcome: object) -> None:
@@ -56,7 +63,18 @@ class TaskRunner:
 
         to_send = what_to_send(config, is_certain=False)
         task = partial(prepare_job, self._ports.preparer, job, table, config)
-        self._ports.pool.submit(job, task, finish, lambda why: self._post(preparation_failed(job, why, to_send)))
+
+        def fail(why: str) -> None:
+            self._post(preparation_failed(job, why, to_send))
+
+        def begin(_: None) -> None:
+            self._post(PreparationBegun(job))
+            self._ports.pool.submit(job, task, finish, fail)
+
+        if config.budget.max_time is None:
+            self._ports.pool.submit(job, task, finish, fail)
+        else:
+            self._ports.pool.submit(job, ready_preparation, begin, fail)
 
     def refine(self, job: str, prepared: Prepared, pools: Pools, seconds: float | None = None) -> None:
         """Make the equations of the pools, in so many seconds if that is not None.

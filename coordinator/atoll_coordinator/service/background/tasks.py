@@ -28,6 +28,13 @@ Refiner = Callable[[Preparation, JobConfig, Pools, Deadline, LawsByGroup | None]
 
 
 @dataclass(frozen=True, slots=True)
+class PreparationBegun:
+    """Posted when the process that prepares a job of limited time is loaded, its kernels compiled: now time counts."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
 class JobPrepared:
     """Posted when a job is prepared: its dataset, also as bytes."""
 

@@ -165,10 +165,15 @@ class Job:
             priority=self.priority,
         )
 
-    def start_preparing(self, now: float) -> None:
-        """Take in that its data are being prepared."""
+    def start_preparing(self) -> None:
+        """Take in that its data are to be prepared; a process for it is started and loaded first."""
         self._step("prepare")
-        self.preparing_since = now
+
+    def start_clock(self, now: float) -> list[JobAction]:
+        """Take in that its data are being prepared, by a process that is loaded: the time of `--max-time` begins."""
+        if self.state == "preparing":
+            self.preparing_since = now
+        return []
 
     def start(
         self, prepared: Prepared, cuts: Mapping[str, Cut], now: float,
@@ -204,7 +209,8 @@ class Job:
     def spent_seconds(self, now: float) -> float:
         """Return what has gone by of `--max-time`: preparing, searching and refining.
 
-        Waiting for the job's turn, and for workers until islands are placed, does not count.
+        Waiting for the job's turn, for a process to load or compile what preparing needs, and for workers until
+        islands are placed, does not count.
         """
         if self.state == "preparing":
             return self._preparing_seconds(now)

@@ -14,6 +14,8 @@ from atoll_coordinator.model import pipeline
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.selection.shortcut import with_laws
 from atoll_coordinator.model.sparse import laws
+from atoll_coordinator.service.background import runner
+from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.tasks import (
     JobPrepared,
     PreparationFailed,
@@ -26,6 +28,8 @@ from atoll_coordinator.service.background.tasks import (
 )
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.monitoring.breakages import Breakages, what_to_send
+from atoll_coordinator.service.store.store import Store
+from tests.task_pools import LocalPool
 from tests.unit.coordinator.model.sparse.ring import RING, SUMS, ring
 
 ROOT = Path(__file__).resolve().parents[5]
@@ -87,3 +91,17 @@ def test_a_report_names_version_command_seed_and_data(is_certain: bool) -> None:
     sentence = what_to_send(SUMS.model_copy(update={"seed": 77}), is_certain=is_certain)
     assert ("a mistake of Atoll" in sentence) is is_certain
     assert all(each in sentence for each in (f"Atoll {VERSION}", "command or call", "seed 77", "the data", "to_csv"))
+
+
+@pytest.mark.parametrize(("limit", "expected"), [(None, ["prepare"]), (20.0, ["ready", "PreparationBegun", "prepare"])])
+def test_the_time_of_a_job_begins_when_its_process_is_loaded(
+    monkeypatch: pytest.MonkeyPatch, limit: float | None, expected: list[str]
+) -> None:
+    happened: list[str] = []
+    monkeypatch.setattr(runner, "ready_preparation", lambda: happened.append("ready"))
+    config = SUMS.model_copy(update={"budget": SUMS.budget.model_copy(update={"max_time": limit})})
+    ports = Ports(LocalPool(), preparer=lambda *_: happened.append("prepare"))  # type: ignore[arg-type, return-value]
+    with Store.open(None) as store:
+        tasks = runner.TaskRunner(ports, store, lambda item: happened.append(type(item).__name__))
+        tasks.prepare("j", b"", config)
+    assert happened[:-1] == expected

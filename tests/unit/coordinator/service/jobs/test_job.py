@@ -48,7 +48,8 @@ def job_with(**budget: object) -> Job:
 
 def running(**budget: object) -> Job:
     job = job_with(**budget)
-    job.start_preparing(0.0)
+    job.start_preparing()
+    job.start_clock(0.0)
     job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, 0.0)
     for archipelago in job.archipelagos.values():
         archipelago.place(
@@ -154,7 +155,8 @@ def searched(job: Job, now: float) -> list[JobAction]:
 
 def test_preparing_counts_for_the_time_and_waiting_for_workers_does_not() -> None:
     job = job_with(max_time=20.0)
-    job.start_preparing(100.0)
+    job.start_preparing()
+    job.start_clock(100.0)
     assert job.tick(119.9) == []
     job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, 104.0)
     assert job.tick(1000.0) == []
@@ -162,9 +164,20 @@ def test_preparing_counts_for_the_time_and_waiting_for_workers_does_not() -> Non
     assert (job.spent_seconds(1003.0), job.spent_seconds(1006.0)) == (7.0, 10.0)
 
 
+def test_loading_and_compiling_what_prepares_a_job_do_not_count_for_the_time() -> None:
+    job = job_with(max_time=20.0)
+    job.start_preparing()
+    assert job.tick(1000.0) == []
+    assert job.spent_seconds(1000.0) == 0.0
+    assert job.start_clock(1000.0) == []
+    assert job.spent_seconds(1003.0) == 3.0
+    assert job.tick(1020.0) == [CommitResult()]
+
+
 def test_a_job_whose_time_ends_while_it_is_prepared_fails_and_says_why() -> None:
     job = job_with(max_time=2.0)
-    job.start_preparing(5.0)
+    job.start_preparing()
+    job.start_clock(5.0)
     assert job.tick(7.0) == [CommitResult()]
     assert (job.state, job.fault) == ("failed", "data")
     assert "--max-time" in str(job.reason)
@@ -270,7 +283,8 @@ def test_under_a_new_term_old_epochs_count_once() -> None:
 
 def test_a_job_goes_on_from_its_checkpoints_and_from_the_time_it_had_taken() -> None:
     job = job_with()
-    job.start_preparing(0.0)
+    job.start_preparing()
+    job.start_clock(0.0)
     kept = StoredSearchState.of(SearchState(epochs=24, evaluations={"offspring": 7}, improved_at=3), 12.5)
     assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, 0.0, {"x": kept}) == []
     resumed, new = job.archipelagos["x"], job.archipelagos["y"]
@@ -288,7 +302,8 @@ def test_the_time_of_what_has_ended_counts_after_a_restart() -> None:
     cut = before.archipelagos["y"].cut
     assert cut is not None
     job = job_with()
-    job.start_preparing(0.0)
+    job.start_preparing()
+    job.start_clock(0.0)
     job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"y": cut}, 0.0)
     assert job.search_seconds(5.0) == 3.5
 
@@ -307,12 +322,14 @@ def test_reports_that_a_heartbeat_promises_and_that_did_not_come_are_pulled() ->
 
 def test_cuts_that_were_committed_before_a_restart_stand() -> None:
     job = job_with()
-    job.start_preparing(0.0)
+    job.start_preparing()
+    job.start_clock(0.0)
     cut = Cut(variable="x", epochs=3, generation=None, why="max-time", front=(), evaluations={}, seconds=1.0)
     assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}, 0.0) == []
     assert [each.variable for each in job.open_archipelagos] == ["y"]
     other = job_with()
-    other.start_preparing(0.0)
+    other.start_preparing()
+    other.start_clock(0.0)
     both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
     assert other.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), both, 0.0) == [
         Refine({"x": Pool(()), "y": Pool(())})
@@ -338,7 +355,8 @@ def test_what_is_gained_at_the_level_of_errors_that_go_together_is_no_progress()
 
 def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuration() -> None:
     job = job_with(stagnation=7)
-    job.start_preparing(0.0)
+    job.start_preparing()
+    job.start_clock(0.0)
     config = job.config.model_copy(update={"evolution": job.config.evolution.model_copy(update={"runners_up": 3})})
     job.start(Prepared(Preparation(DATASET), config, BLOB, 100), {}, 0.0)
     limits = job.archipelagos["x"].collector.limits
@@ -361,7 +379,8 @@ def test_programs_are_checked() -> None:
 
 def test_runners_up_are_handed_on_beside_the_front() -> None:
     job = job_with()
-    job.start_preparing(0.0)
+    job.start_preparing()
+    job.start_clock(0.0)
     best, next_best = (FrontEntry(1, error, error, 0, 5, 0, bytes([1, 0, 0, 0, 0, 0])) for error in (0.5, 0.6))
     cut = Cut(
         variable="x",
