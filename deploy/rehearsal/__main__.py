@@ -9,12 +9,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from deploy.rehearsal.containers import rehearse_containers
 from deploy.rehearsal.image import build_image
 from deploy.rehearsal.machine import FailedError, Machine, NotPossibleError
 from deploy.rehearsal.manifests import check_compose, check_kubernetes
-from deploy.rehearsal.slurm import rehearse_slurm
-from deploy.rehearsal.systemd import rehearse_systemd
+from deploy.rehearsal.services import rehearse_containers, rehearse_slurm, rehearse_systemd
 
 STEPS: dict[str, Callable[[Machine], str]] = {
     "compose": check_compose,
@@ -28,16 +26,6 @@ STEPS: dict[str, Callable[[Machine], str]] = {
 
 def main(arguments: list[str]) -> int:
     """Run the steps that are asked for; return 1 if one failed."""
-    options = _parser().parse_args(arguments)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    if options.work:
-        options.work.mkdir(parents=True, exist_ok=True)
-        return _run_steps(options, options.work.resolve())
-    with tempfile.TemporaryDirectory(prefix="atoll-rehearsal-", ignore_cleanup_errors=True) as folder:
-        return _run_steps(options, Path(folder))
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m deploy.rehearsal", description=__doc__)
     parser.add_argument("steps", nargs="*", metavar="STEP", help=f"of {', '.join(STEPS)} (default: all)")
     parser.add_argument("--install", action="store_true", help="install what is missing: Debian packages, as root; "
@@ -47,21 +35,25 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--base", help="base image, such as python:3.12-slim (default: Debian, made by debootstrap)")
     parser.add_argument("--kernels", default="generic", help='kinds of processor to compile for (default: "generic"; '
                         '"" for all)')  # fmt: skip
-    return parser
-
-
-def _run_steps(options: argparse.Namespace, work: Path) -> int:
+    options = parser.parse_args(arguments)
     unknown = [name for name in options.steps if name not in STEPS]
     if unknown:
         print(f"unknown step {unknown[0]}; there are {', '.join(STEPS)}", file=sys.stderr)
         return 2
-    (work / "logs").mkdir(exist_ok=True)
-    machine = Machine(work, options.install, options.base, options.kernels)
-    try:
-        verdicts = [_run_step(machine, name) for name in options.steps or STEPS]
-    finally:
-        machine.end_all()
-        _unmount(work)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    with tempfile.TemporaryDirectory(prefix="atoll-rehearsal-", ignore_cleanup_errors=True) as folder:
+        work = (options.work or Path(folder)).resolve()
+        work.mkdir(parents=True, exist_ok=True)
+        machine = Machine(work, options.install, options.base, options.kernels)
+        try:
+            verdicts = [_run_step(machine, name) for name in options.steps or STEPS]
+        finally:
+            machine.end_all()
+            mounts = [line.split()[1] for line in Path("/proc/mounts").read_text("utf-8").splitlines()]
+            for mount in reversed(
+                [each for each in mounts if each.startswith(f"{work}/")]
+            ):  # what buildah keeps mounted
+                subprocess.run(["umount", mount], check=False, capture_output=True)
     return 1 if "failed" in verdicts else 0
 
 
@@ -79,13 +71,6 @@ def _run_step(machine: Machine, name: str) -> str:
         verdict, text = "failed", f"{left} processes were left behind"
     print(f"{name:10} {verdict}: {text} ({time.monotonic() - begin:.0f} s)", flush=True)
     return verdict
-
-
-def _unmount(work: Path) -> None:
-    """Unmount what buildah keeps mounted below a folder, so that it can be deleted."""
-    mounts = [line.split()[1] for line in Path("/proc/mounts").read_text("utf-8").splitlines()]
-    for mount in reversed([each for each in mounts if each.startswith(f"{work}/")]):
-        subprocess.run(["umount", mount], check=False, capture_output=True)
 
 
 if __name__ == "__main__":

@@ -39,24 +39,21 @@ def build_image(machine: Machine) -> str:
 
 def image_name(machine: Machine) -> str:
     """Return the name of the image, in which the sources, the base and the kernels have their part."""
-    files = [
-        file for name in COPIED for file in ([ROOT / name] if (ROOT / name).is_file() else (ROOT / name).rglob("*"))
-    ]
-    sources = [file for file in files if file.is_file() and "__pycache__" not in file.parts]
+    files = [file for name in COPIED for file in (ROOT / name, *(ROOT / name).rglob("*")) if file.is_file()]
     digest = hashlib.sha256(f"{machine.base} {machine.kernels}".encode())
-    for file in sorted(sources):
+    for file in sorted(file for file in files if "__pycache__" not in file.parts):
         digest.update(f"{file.relative_to(ROOT)}\n".encode() + file.read_bytes())
     return f"localhost/atoll-rehearsal:{digest.hexdigest()[:16]}"
 
 
-def has_image(machine: Machine) -> bool:
-    return buildah(machine, "inspect", "--type", "image", image_name(machine), check=False).returncode == 0
+def has_image(machine: Machine, name: str) -> bool:
+    return buildah(machine, "inspect", "--type", "image", name, check=False).returncode == 0
 
 
 def require_image(machine: Machine) -> None:
     """Build the image unless it is there; raises NotPossibleError."""
     require_buildah(machine)
-    if not has_image(machine):
+    if not has_image(machine, image_name(machine)):
         build_image(machine)
 
 
@@ -85,7 +82,7 @@ def _tmp(machine: Machine) -> str:
 
 def _make_base(machine: Machine) -> str:
     """Make an image of Debian with its Python and return its name; no registry of images is needed."""
-    if buildah(machine, "inspect", "--type", "image", BASE, check=False).returncode == 0:
+    if has_image(machine, BASE):
         return BASE
     machine.need({"debootstrap": "debootstrap"})
     folder = machine.work / "base"
@@ -123,8 +120,8 @@ class Container:
     """One container of the image, started, asked and ended as a container engine does it."""
 
     def __init__(self, machine: Machine, name: str, *, hosts: tuple[str, ...] = ()) -> None:
-        self._machine, self.name = machine, name
-        self._full_name = f"{machine.id}-{name}"
+        self._machine, self.name, self._full_name = machine, name, f"{machine.id}-{name}"
+        self._tmp = {"TMPDIR": _tmp(machine)}
         names = [f"--add-host={host}:127.0.0.1" for host in hosts]
         image = image_name(machine)
         buildah(machine, "from", "--pull-never", "--name", self._full_name, *names, image)
@@ -136,20 +133,17 @@ class Container:
     ) -> subprocess.Popen[bytes]:
         """Start a command behind the image's entry point, without capabilities."""
         words = self._run(environment, volumes)
-        return self._machine.start(self.name, *words, "--", *self._entrypoint, *command, environment=self._tmp())
+        return self._machine.start(self.name, *words, "--", *self._entrypoint, *command, environment=self._tmp)
 
     def execute(self, command: list[str], *, environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
         """Run a command beside the entry point, as a health check is run."""
-        return self._machine.run(*self._run(environment, {}), "--", *command, check=False, environment=self._tmp())
+        return self._machine.run(*self._run(environment, {}), "--", *command, check=False, environment=self._tmp)
 
     def _run(self, environment: Mapping[str, str], volumes: Mapping[Path, str]) -> list[str]:
         words = [*_buildah(self._machine), "run", "--isolation", "chroot", "--cap-drop", "ALL"]
         words += [f"--env={key}={value}" for key, value in environment.items()]
         words += [f"--env={MARK}={self._machine.mark(self.name)}"]
         return [*words, *(f"--volume={outside}:{inside}" for outside, inside in volumes.items()), self._full_name]
-
-    def _tmp(self) -> dict[str, str]:
-        return {"TMPDIR": _tmp(self._machine)}
 
     def _inside(self) -> list[int]:
         """Return the container's own processes, without those of buildah."""

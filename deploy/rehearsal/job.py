@@ -1,11 +1,12 @@
 """The job that every step runs: a table of 21 rows, searched for long enough to kill a worker meanwhile."""
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-from deploy.rehearsal.machine import ROOT, FailedError, Machine
+from deploy.rehearsal.machine import ROOT, FailedError, Machine, wait_until
 
 DATA = ROOT / "examples" / "lynx_hare.csv"
 OPTIONS = ("--time", "year", "--preset", "paper", "--max-epochs", "400", "--seed", "3")
@@ -55,6 +56,19 @@ def ask(machine: Machine, verb: str, *where: str) -> list[dict[str, Any]]:
     if done.returncode not in (0, UNREACHABLE):
         raise FailedError(f"coordinator {verb} ended with {done.returncode}: {done.stderr.strip()}")
     return list(json.loads(done.stdout)) if done.returncode == 0 else []
+
+
+def wait_until_under_way(machine: Machine, workers: int, *where: str) -> list[str]:
+    """Wait until the only job has come to epoch `EARLY` with so many workers computing; return their names."""
+    wait_until(f"{workers} workers compute", lambda: is_under_way(machine, workers, *where), LIMIT_S)
+    return computing(machine, *where)
+
+
+def check_submitted(machine: Machine, submitting: subprocess.Popen[bytes], out: Path) -> None:
+    """Wait for a ``coordinator submit`` to end well, and compare its digest; raises FailedError."""
+    if submitting.wait(LIMIT_S) != 0:
+        raise FailedError(f"coordinator submit ended with {submitting.returncode}; see {machine.logs}")
+    check_digest(machine, digest_of(out / "result.json"))
 
 
 def is_under_way(machine: Machine, workers: int, *where: str) -> bool:

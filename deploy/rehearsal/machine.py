@@ -51,34 +51,30 @@ class Machine:
     def need(self, programs: Mapping[str, str]) -> None:
         """Make sure that there are programs, given with the Debian package of each; raises NotPossibleError."""
         missing = [program for program in programs if not find_program(program)]
-        packages = sorted({programs[program] for program in missing})
         if not missing:
             return
+        packages = sorted({programs[program] for program in missing})
         if not self.install or os.geteuid() != 0 or not shutil.which("apt-get"):
             raise NotPossibleError(
                 f"{', '.join(missing)} not found; as root on Debian --install installs {' '.join(packages)}"
             )
-        quiet = {"DEBIAN_FRONTEND": "noninteractive"}
         if not self._updated:
             self.run("apt-get", "update", timeout=600)
             self._updated = True
-        self.run(
-            "apt-get", "install", "--yes", "--no-install-recommends", *packages, environment=quiet, timeout=1200
-        )  # fmt: skip
+        words = ("apt-get", "install", "--yes", "--no-install-recommends", *packages)
+        self.run(*words, environment={"DEBIAN_FRONTEND": "noninteractive"}, timeout=1200)
 
     def python_tool(self, name: str, package: str) -> str:
         """Return the path of a program that a Python package has; raises NotPossibleError."""
-        found = shutil.which(name)
-        if found:
-            return found
-        folder = self.work / "tools"
-        if not (folder / "bin" / name).exists():
-            if not self.install:
-                raise NotPossibleError(f"{name} not found; --install fetches the Python package {package}")
-            if not (folder / "bin" / "pip").exists():
-                self.run(sys.executable, "-m", "venv", str(folder))
-            self.run(str(folder / "bin" / "pip"), "install", "--quiet", package, timeout=600)
-        return str(folder / "bin" / name)
+        tool = self.work / "tools" / "bin" / name
+        if shutil.which(name) or tool.exists():
+            return shutil.which(name) or str(tool)
+        if not self.install:
+            raise NotPossibleError(f"{name} not found; --install fetches the Python package {package}")
+        if not tool.with_name("pip").exists():
+            self.run(sys.executable, "-m", "venv", str(self.work / "tools"))
+        self.run(str(tool.with_name("pip")), "install", "--quiet", package, timeout=600)
+        return str(tool)
 
     def run(
         self, *words: str, environment: Mapping[str, str] | None = None, timeout: float = 120, check: bool = True,
@@ -114,14 +110,13 @@ class Machine:
 
     def processes(self, name: str = "") -> list[int]:
         """Return the processes that carry our mark with a name, or with any."""
-        wanted = f"{MARK}={self.mark(name)}".encode()
-        found = []
+        wanted, marked = f"{MARK}={self.mark(name)}".encode(), []
         for folder in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
                 variables = (folder / "environ").read_bytes().split(b"\0")
                 if any(each == wanted or (not name and each.startswith(wanted)) for each in variables):
-                    found.append(int(folder.name))
-        return found
+                    marked.append(int(folder.name))
+        return marked
 
     def end_all(self, grace: float = 10.0) -> int:
         """End every process that was started, after `grace` seconds by SIGKILL; return how many were still there."""
