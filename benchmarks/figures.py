@@ -20,6 +20,7 @@ import statistics
 import subprocess
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,7 @@ from atoll import ENGINE_REVISION
 from atoll.errors import DataError
 from atoll_coordinator.cli.terminal.output import note, say, table
 from benchmarks.corpus.cases import LEAST_T
-from benchmarks.harness.command_line import plain_errors, positive, seeds
+from benchmarks.harness.command_line import option, positive, program, seeds, verb, verbs
 from benchmarks.harness.record import head
 from benchmarks.judging.generalisation import GOOD_R2
 
@@ -102,7 +103,7 @@ def _labels(runs: Runs) -> dict[str, str]:
 
 
 def _equations(runs: Runs) -> Iterator[Mapping[str, Any]]:
-    return (its for each in runs for its in each["equations"])
+    return (equation for each in runs for equation in each["equations"])
 
 
 def _identifiable(runs: Runs) -> dict[str, str]:
@@ -171,7 +172,7 @@ def runs_of(path: Path) -> Runs:
     if path.suffix == ".jsonl":
         whole, _, _ = text.rpartition("\n")
         lines = map(json.loads, whole.splitlines())
-        return [each["outcome"] for each in lines if "outcome" in each]
+        return [line["outcome"] for line in lines if "outcome" in line]
     contents = json.loads(text)
     runs: Runs = contents.get("verdicts") or contents.get("runs") or []
     return runs
@@ -283,7 +284,7 @@ class Campaign:
         )
 
 
-def measure(options: argparse.Namespace) -> int:
+def measure(options: Namespace) -> int:
     """Run the plan; return 1 where a benchmark was left out or did not come to its end, else 0."""
     folders = {"strogatz": options.strogatz, "dysts": options.dysts}
     campaign = Campaign(folders, revision(), options.file, load_figures())
@@ -350,18 +351,6 @@ def quote() -> int:
     return 0
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, show or quote."""
-    options = _parser().parse_args(arguments)
-    with plain_errors("benchmarks.figures"):
-        if options.verb == "measure":
-            return measure(options)
-        if options.verb == "quote":
-            return quote()
-        say(shown(load_figures()))
-    return 0
-
-
 def _seeds_of(text: str) -> tuple[str, str]:
     name, _, chosen = text.partition("=")
     if name not in {each.name for each in PLAN}:
@@ -372,24 +361,33 @@ def _seeds_of(text: str) -> tuple[str, str]:
     return name, chosen
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.figures", description=__doc__.split("\n")[0])
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    measuring = verbs.add_parser("measure", help="run the benchmarks, write the figures to the file")
-    measuring.add_argument("--strogatz", type=Path, metavar="DIR", help="folder with the Strogatz label files")
-    measuring.add_argument(
-        "--dysts", type=Path, metavar="DIR", help="chaotic flows, by benchmarks.dysts make --seed 2000"
-    )
-    measuring.add_argument("--only", choices=[each.name for each in PLAN], nargs="+", help="default: all")
-    measuring.add_argument("--quick", action="store_true", help="with few seeds: about half an hour")
-    measuring.add_argument("--minutes", type=positive, help="bound of all of it, of which each benchmark has its share")
-    measuring.add_argument(
-        "--seeds", type=_seeds_of, action="append", default=[], metavar="NAME=SEEDS", help="of one of them"
-    )
-    measuring.add_argument("--file", type=Path, default=FILE, help="where figures are written (%(default)s)")
-    verbs.add_parser("show", help="print the figures of the file")
-    verbs.add_parser("quote", help="write the figures of the file into README and documentation")
-    return parser
+@program(
+    "benchmarks.figures",
+    __doc__,
+    verbs(
+        verb(
+            "measure",
+            "run the benchmarks, write the figures to the file",
+            option("--strogatz", type=Path, metavar="DIR", help="folder with the Strogatz label files"),
+            option("--dysts", type=Path, metavar="DIR", help="chaotic flows, by benchmarks.dysts make --seed 2000"),
+            option("--only", choices=[each.name for each in PLAN], nargs="+", help="default: all"),
+            option("--quick", action="store_true", help="with few seeds: about half an hour"),
+            option("--minutes", type=positive, help="bound of all of it, of which each benchmark has its share"),
+            option("--seeds", type=_seeds_of, action="append", default=[], metavar="NAME=SEEDS", help="of one of them"),
+            option("--file", type=Path, default=FILE, help="where figures are written (%(default)s)"),
+        ),
+        verb("show", "print the figures of the file"),
+        verb("quote", "write the figures of the file into README and documentation"),
+    ),
+)
+def main(options: Namespace) -> int:
+    """Measure, show or quote."""
+    if options.verb == "measure":
+        return measure(options)
+    if options.verb == "quote":
+        return quote()
+    say(shown(load_figures()))
+    return 0
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ systems without searching them.
 
 import argparse
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -21,8 +22,8 @@ from benchmarks.corpus.families import NAMED
 from benchmarks.corpus.outcomes import Outcome
 from benchmarks.corpus.qualities import NAMED_QUALITIES, QUALITIES, quality
 from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
-from benchmarks.harness.command_line import plain_errors, positive, seeds, whole
-from benchmarks.harness.journal import Journal
+from benchmarks.harness.campaign import journal_of
+from benchmarks.harness.command_line import option, positive, program, seeds_of, whole, workers
 from benchmarks.peers import operon, pysindy_models
 from benchmarks.peers.operon_models import OPERON
 
@@ -52,31 +53,6 @@ def keys(options: argparse.Namespace) -> list[Key]:
         for each in ([qualities[(seed + states) % len(qualities)]] if options.in_turn else qualities)
         for method in options.methods
     ]
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Do what the options ask for."""
-    words = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(words)
-    with plain_errors("benchmarks.corpus"):
-        wanted = keys(options)
-        for key in wanted:
-            quality(key.quality)
-        _require(options.methods)
-        if options.show:
-            _show(wanted)
-            return 0
-        out = options.out
-        journal = Journal("corpus", Outcome, out, words, resume=out is not None and out.exists())
-        if options.judge_again:
-            judge_again(wanted, journal)
-        if options.only_judge:
-            outcomes = [journal.outcomes[key] for key in wanted if key in journal.outcomes]
-        else:
-            changes: dict[str, Any] = {} if options.epochs is None else {"max_epochs": options.epochs}
-            outcomes = run_jobs(wanted, journal, options.workers, options.max_time, changes)
-        _tables(outcomes, all_equations=options.named is not None)
-    return 0
 
 
 def _require(methods: Sequence[str]) -> None:
@@ -113,30 +89,44 @@ def _quality(text: str) -> str:
     return text
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.corpus", description=__doc__.split("\n")[0])
-    parser.add_argument(
-        "--named", nargs="*", choices=tuple(NAMED), help="single systems; default: all but chaotic ones"
-    )
-    parser.add_argument("--seeds", type=seeds, default=seeds("0"), help="such as 0-19 (0)")
-    parser.add_argument("--qualities", type=_quality, nargs="+", help=f"of {', '.join(QUALITIES)}; default: all")
-    parser.add_argument("--in-turn", action="store_true", help="one quality a system, in turn, rather than each")
-    parser.add_argument("--states", type=int, choices=range(1, 6), nargs="+", default=[1, 2], help="default: 1 2")
-    parser.add_argument("--trajectories", type=whole, nargs="+", default=[4], help="default: 4")
-    parser.add_argument("--samplings", type=_sampling, nargs="+", default=["even"], help=f"of {', '.join(SAMPLINGS)}")
-    parser.add_argument(
-        "--methods", choices=METHODS, nargs="+", default=[OURS], help="ours and other programs on the same data"
-    )
-    parser.add_argument("--workers", type=whole, default=2, help="worker processes (%(default)s)")
-    parser.add_argument("--max-time", type=positive, metavar="SECONDS", help="end of a search; default: none")
-    parser.add_argument("--epochs", type=whole, help="end of a search in epochs; default: the configuration's")
-    parser.add_argument(
-        "--out", "--resume", type=Path, metavar="FILE", help="file of JSON lines, gone on with if it exists"
-    )
-    parser.add_argument("--judge-again", action="store_true", help="judge what the file holds by the present rules")
-    parser.add_argument("--only-judge", action="store_true", help="search nothing; tables of what the file holds")
-    parser.add_argument("--show", action="store_true", help="draw the systems and print them, nothing else")
-    return parser
+@program(
+    "benchmarks.corpus",
+    __doc__,
+    option("--named", nargs="*", choices=tuple(NAMED), help="single systems; default: all but chaotic ones"),
+    seeds_of("0", "such as 0-19 (0)"),
+    option("--qualities", type=_quality, nargs="+", help=f"of {', '.join(QUALITIES)}; default: all"),
+    option("--in-turn", action="store_true", help="one quality a system, in turn, rather than each"),
+    option("--states", type=int, choices=range(1, 6), nargs="+", default=[1, 2], help="default: 1 2"),
+    option("--trajectories", type=whole, nargs="+", default=[4], help="default: 4"),
+    option("--samplings", type=_sampling, nargs="+", default=["even"], help=f"of {', '.join(SAMPLINGS)}"),
+    option("--methods", choices=METHODS, nargs="+", default=[OURS], help="ours and other programs on the same data"),
+    workers(),
+    option("--max-time", type=positive, metavar="SECONDS", help="end of a search; default: none"),
+    option("--epochs", type=whole, help="end of a search in epochs; default: the configuration's"),
+    option("--out", "--resume", type=Path, metavar="FILE", help="file of JSON lines, gone on with if it exists"),
+    option("--judge-again", action="store_true", help="judge what the file holds by the present rules"),
+    option("--only-judge", action="store_true", help="search nothing; tables of what the file holds"),
+    option("--show", action="store_true", help="draw the systems and print them, nothing else"),
+)
+def main(options: Namespace) -> int:
+    """Do what the options ask for."""
+    wanted = keys(options)
+    for key in wanted:
+        quality(key.quality)
+    _require(options.methods)
+    if options.show:
+        _show(wanted)
+        return 0
+    journal = journal_of("corpus", Outcome, options)
+    if options.judge_again:
+        judge_again(wanted, journal)
+    if options.only_judge:
+        outcomes = [journal.outcomes[key] for key in wanted if key in journal.outcomes]
+    else:
+        changes: dict[str, Any] = {} if options.epochs is None else {"max_epochs": options.epochs}
+        outcomes = run_jobs(wanted, journal, options.workers, options.max_time, changes)
+    _tables(outcomes, all_equations=options.named is not None)
+    return 0
 
 
 if __name__ == "__main__":

@@ -7,13 +7,13 @@ refines them with the settings as they are, and with ``--change regression.beam=
 ``--change`` are changed together. With settings of the preparation, tables are prepared anew and the search is not.
 """
 
-import argparse
 import ast
 import json
 import math
 import pickle
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ from benchmarks.corpus.campaign import configuration
 from benchmarks.corpus.cases import Case, Key, make_case
 from benchmarks.corpus.outcomes import judge_job
 from benchmarks.corpus.systems import CorpusSystem
-from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.command_line import option, program, whole
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.service import TIED_COORDINATOR, searching
 from benchmarks.noise import data as noise
@@ -264,26 +264,6 @@ def differences(base: Sequence[Replay], found: Sequence[Replay]) -> Iterator[str
                 yield f"  {title}: {was[0]} {was[1]} -> {now[0]} {now[1]}: {text} -> {other}"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Do what the options ask for."""
-    options = _parser().parse_args(sys.argv[1:] if arguments is None else arguments)
-    with plain_errors("benchmarks.corpus.ablation"):
-        if options.record:
-            record(options.folder, options.workers)
-            return 0
-        base = [] if options.against is None else _read(options.against)
-        rows = [summary("as it was", base)] if base else []
-        for words in options.change or [[]]:
-            changes = dict(_change(word) for word in words)
-            found = replay_all(options.folder, changes, options.workers)
-            rows.append(summary(" ".join(words) or "as it is", found))
-            say("\n".join([" | ".join(rows[-1]), *differences(base, found)]))
-            if options.out is not None:
-                options.out.write_text(json.dumps([vars(each) for each in found]))
-        say(table(("change", "forms right", "verdicts that hold", "cpu s"), rows))
-    return 0
-
-
 def _change(word: str) -> tuple[str, Any]:
     name, _, value = word.partition("=")
     try:
@@ -302,15 +282,32 @@ def _read(path: Path) -> list[Replay]:
     ]  # fmt: skip
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.corpus.ablation", description=__doc__.split("\n")[0])
-    parser.add_argument("folder", type=Path, help="where the recorded jobs are")
-    parser.add_argument("--record", action="store_true", help="search the jobs that the folder lacks, and keep them")
-    parser.add_argument("--change", nargs="+", action="append", metavar="NAME=VALUE", help="see above; may be repeated")
-    parser.add_argument("--against", type=Path, metavar="FILE", help="outcomes to compare with, written by --out")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="file for the outcomes of the last change")
-    parser.add_argument("--workers", type=whole, default=1, help="processes (%(default)s)")
-    return parser
+@program(
+    "benchmarks.corpus.ablation",
+    __doc__,
+    option("folder", type=Path, help="where the recorded jobs are"),
+    option("--record", action="store_true", help="search the jobs that the folder lacks, and keep them"),
+    option("--change", nargs="+", action="append", metavar="NAME=VALUE", help="see above; may be repeated"),
+    option("--against", type=Path, metavar="FILE", help="outcomes to compare with, written by --out"),
+    option("--out", type=Path, metavar="FILE", help="file for the outcomes of the last change"),
+    option("--workers", type=whole, default=1, help="processes (%(default)s)"),
+)
+def main(options: Namespace) -> int:
+    """Do what the options ask for."""
+    if options.record:
+        record(options.folder, options.workers)
+        return 0
+    base = [] if options.against is None else _read(options.against)
+    rows = [summary("as it was", base)] if base else []
+    for words in options.change or [[]]:
+        changes = dict(_change(word) for word in words)
+        found = replay_all(options.folder, changes, options.workers)
+        rows.append(summary(" ".join(words) or "as it is", found))
+        say("\n".join([" | ".join(rows[-1]), *differences(base, found)]))
+        if options.out is not None:
+            options.out.write_text(json.dumps([vars(each) for each in found]))
+    say(table(("change", "forms right", "verdicts that hold", "cpu s"), rows))
+    return 0
 
 
 if __name__ == "__main__":

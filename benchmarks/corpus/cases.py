@@ -11,9 +11,8 @@ import numpy as np
 from atoll.data.table import Table
 from benchmarks.corpus.qualities import measure, quality
 from benchmarks.corpus.systems import CorpusSystem, DivergedError, draw_system, named_system, solution
-from benchmarks.harness.systems import Sampled
+from benchmarks.harness.systems import Sampled, table_of
 from benchmarks.judging.fractions import FloatArray
-from benchmarks.kernels.derivatives import table_of
 from benchmarks.noise.data import Path
 
 OURS: Final = "atoll"
@@ -195,7 +194,7 @@ def _weights(clean: Sequence[FloatArray], measured: Sequence[FloatArray]) -> Flo
     errors = [left - right for left, right in zip(measured, clean, strict=True)]
     pooled = np.concatenate(errors)
     size = np.sqrt((pooled**2).mean(axis=0))
-    products = sum((each[:-1] * each[1:]).sum(axis=0) for each in errors)
+    products = sum((error[:-1] * error[1:]).sum(axis=0) for error in errors)
     correlation = np.clip(products / np.maximum((pooled**2).sum(axis=0), 1e-300), 0.0, 0.999)
     floor = 1e-12 * np.maximum(np.concatenate(clean).std(axis=0), 1e-300)
     weights: FloatArray = np.sqrt((1.0 - correlation) / (1.0 + correlation)) / np.maximum(size, floor)

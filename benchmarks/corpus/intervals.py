@@ -6,8 +6,8 @@ trajectories: the share of intervals that contain the truth; the error of estima
 mean square), which is 1 where these are right; and how many constants are shown outside of their own interval.
 """
 
-import argparse
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -31,13 +31,12 @@ from atoll_coordinator.model.selection.joint_search import ModellingTask, Select
 from benchmarks.corpus.families import NAMED
 from benchmarks.corpus.qualities import measure, quality
 from benchmarks.corpus.systems import CorpusSystem, named_system, solution
-from benchmarks.corpus.tables import markdown, share
-from benchmarks.harness.command_line import plain_errors, seeds, whole
+from benchmarks.harness.command_line import option, program, seeds_of, whole
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record
-from benchmarks.harness.systems import Sampled
+from benchmarks.harness.systems import Sampled, table_of
+from benchmarks.harness.tables import markdown, share
 from benchmarks.judging.coverage import Covered, covered
-from benchmarks.kernels.derivatives import table_of
 
 ROWS: Final = {1: 200, 4: 100}
 """Of a trajectory, by the number of trajectories."""
@@ -133,7 +132,7 @@ def table(estimated: Sequence[Estimated], by: Sequence[str]) -> str:
 
 
 def _row(estimated: Sequence[Estimated]) -> tuple[str, ...]:
-    constants = [each for its in estimated for each in its.constants]
+    constants = [constant for its in estimated for constant in its.constants]
     scores = [NORMAL_95 * _half_widths(each) for each in constants]
     outside = sum(not (each.low or 0.0) <= each.value <= (each.high or 0.0) for each in constants)
     return (
@@ -152,10 +151,19 @@ def _half_widths(its: Covered) -> float:
     return (middle - its.truth) / half if half > 0.0 else 0.0
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.corpus.intervals",
+    __doc__,
+    option("--systems", nargs="+", choices=tuple(NAMED), default=SYSTEMS),
+    option("--qualities", nargs="+", default=QUALITIES, help=f"default: {' '.join(QUALITIES)}"),
+    option("--trajectories", type=int, choices=ROWS, nargs="+", default=tuple(ROWS), help="default: 1 4"),
+    seeds_of("0-9", "such as 1000-1024 (0-9)"),
+    option("--workers", type=whole, default=2, help="processes (%(default)s)"),
+    option("--json", type=Path, metavar="FILE", help="file for all figures"),
+    description=__doc__.split("?")[0],
+)
+def main(options: Namespace) -> int:
     """Fit all tables and print the shares."""
-    words = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(words)
     keys = [
         Key(kind, trajectories, system, seed)
         for seed in options.seeds
@@ -163,26 +171,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for kind in options.qualities
         for trajectories in options.trajectories
     ]
-    with plain_errors("benchmarks.corpus.intervals"):
-        record = Record("corpus.intervals", words, options.json)
-        done: list[Estimated] = []
-        for each in in_parallel(estimate, keys, options.workers):
-            done.append(each)
-            record.write(tables=[asdict(its) for its in done])
-        say(table(done, ("quality", "trajectories")) + "\n")
-        say(table(done, ("quality", "trajectories", "system")))
+    record = Record("corpus.intervals", options.words, options.json)
+    done: list[Estimated] = []
+    for each in in_parallel(estimate, keys, options.workers):
+        done.append(each)
+        record.write(tables=[asdict(its) for its in done])
+    say(table(done, ("quality", "trajectories")) + "\n")
+    say(table(done, ("quality", "trajectories", "system")))
     return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.corpus.intervals", description=__doc__.split("?")[0])
-    parser.add_argument("--systems", nargs="+", choices=tuple(NAMED), default=SYSTEMS)
-    parser.add_argument("--qualities", nargs="+", default=QUALITIES, help=f"default: {' '.join(QUALITIES)}")
-    parser.add_argument("--trajectories", type=int, choices=ROWS, nargs="+", default=tuple(ROWS), help="default: 1 4")
-    parser.add_argument("--seeds", type=seeds, default=seeds("0-9"), help="such as 1000-1024 (0-9)")
-    parser.add_argument("--workers", type=whole, default=2, help="processes (%(default)s)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="file for all figures")
-    return parser
 
 
 if __name__ == "__main__":

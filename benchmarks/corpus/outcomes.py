@@ -8,9 +8,9 @@ from typing import Any, Final
 from atoll.config import JobConfig
 from atoll.errors import UsageError
 from benchmarks.corpus.cases import LEAST_T, Case, Key
-from benchmarks.corpus.forms import Kind, judge_form
 from benchmarks.corpus.lengths import excess_of_truth
 from benchmarks.harness.stopwatch import Stopwatch
+from benchmarks.judging.fits import Kind, judge_form
 from benchmarks.judging.generalisation import GOOD_R2, field_of, simulated
 
 MOST_LOOKED_AT: Final = 60
@@ -21,7 +21,7 @@ MOST_LOOKED_AT: Final = 60
 class EquationOutcome:
     """How one equation came out.
 
-    `form` and `extra` are those of `benchmarks.corpus.forms`; `t` is the smallest estimate over standard error of a
+    `form` and `extra` are those of `benchmarks.judging.fits`; `t` is the smallest estimate over standard error of a
     constant that the data allow (infinite without constants); `elsewhere` says where the true form is when it is not
     shown: "candidates" or "front", `nats` how much longer its description is there; `r2` is that of the state along
     all fresh trajectories together, -inf where the model cannot be simulated, None where there are none.
@@ -46,6 +46,18 @@ class EquationOutcome:
     def is_right(self) -> bool:
         """Whether the form is right, with nothing else."""
         return self.form == "right"
+
+    @property
+    def shown_form(self) -> str:
+        """The form, and how many terms are too many."""
+        return self.form + (f" {self.extra}" if self.extra else "")
+
+    @property
+    def place(self) -> str:
+        """Where the true form is when it is not shown, and how much longer its description is."""
+        return (self.elsewhere or "") + (
+            "" if self.elsewhere is None or self.nats is None else f" {self.nats:+.1f} nats"
+        )
 
     @property
     def is_identifiable(self) -> bool:

@@ -6,15 +6,10 @@ from typing import Final
 import numpy as np
 
 from benchmarks.corpus.outcomes import EquationOutcome, Outcome
+from benchmarks.harness.tables import Columns, markdown, share
 
 GRADES: Final = ("exact", "good", "doubtful", "no model", "-")
 LONGEST: Final = 110
-
-
-def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table in Markdown."""
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in each) + " |" for each in lines)
 
 
 def by_quality(outcomes: Sequence[Outcome]) -> str:
@@ -25,8 +20,8 @@ def by_quality(outcomes: Sequence[Outcome]) -> str:
     """
     kinds = dict.fromkeys(map(_kind, outcomes))
     rows = [_row(kind, [each for each in outcomes if _kind(each) == kind]) for kind in kinds]
-    methods = dict.fromkeys(each.key.method for each in outcomes)
-    rows += [_row((each, "all", ""), [its for its in outcomes if its.key.method == each]) for each in methods]
+    methods = dict.fromkeys(outcome.key.method for outcome in outcomes)
+    rows += [_row((method, "all", ""), [its for its in outcomes if its.key.method == method]) for method in methods]
     return markdown(
         (
             "method", "quality", "states", "equations", "identifiable", "right, of these", "extra terms", "missing",
@@ -41,7 +36,7 @@ def _kind(outcome: Outcome) -> tuple[str, str, str]:
 
 
 def _row(kind: tuple[str, str, str], outcomes: Sequence[Outcome]) -> tuple[str, ...]:
-    equations = [its for each in outcomes for its in each.equations]
+    equations = [equation for outcome in outcomes for equation in outcome.equations]
     able = [its for its in equations if its.is_identifiable]
     judged = [its for its in equations if its.is_foretold is not None]
 
@@ -64,11 +59,6 @@ def _row(kind: tuple[str, str, str], outcomes: Sequence[Outcome]) -> tuple[str, 
     )
 
 
-def share(part: int, whole: int) -> str:
-    """Return a count and the share that it is."""
-    return f"{part} of {whole} ({100.0 * part / whole:.0f} %)" if whole else "-"
-
-
 def _quantiles(values: Sequence[float]) -> str:
     return f"{np.median(values):.1f} / {np.quantile(values, 0.95):.1f}" if values else "-"
 
@@ -76,7 +66,7 @@ def _quantiles(values: Sequence[float]) -> str:
 def by_grade(outcomes: Sequence[Outcome]) -> str:
     """Return the reliability table: for each verdict, how many equations are right, and how many foretell."""
     rows = []
-    equations = [its for each in outcomes for its in each.equations]
+    equations = [equation for outcome in outcomes for equation in outcome.equations]
     for grade in GRADES:
         its = [each for each in equations if (each.grade or "-") == grade]
         if its:
@@ -92,28 +82,26 @@ def by_grade(outcomes: Sequence[Outcome]) -> str:
     return markdown(("verdict", "equations", "right in form", "R2 > 0.9 from fresh states"), rows)
 
 
+EQUATION: Final = Columns("form={shown_form} | truth is in={place} | verdict={grade} | R2={r2:.3f} | t={t:.2g}")
+JOB: Final = Columns("truth's nats={excess:+.1f} | wall / cpu s={seconds:.1f} / {cpu_seconds:.1f}")
+
+
 def equation_rows(outcomes: Sequence[Outcome], *, only_wrong: bool) -> str:
     """Return a row for each equation, or for each that is not right in form."""
     rows = [
         (
-            f"{each.key.title} {its.variable}",
-            its.truth,
-            its.expression
-            if its.expression and len(its.expression) <= LONGEST
-            else (its.expression or "-")[:LONGEST] + "…",
-            its.form + (f" {its.extra}" if its.extra else ""),
-            "" if its.elsewhere is None else f"{its.elsewhere}{'' if its.nats is None else f' {its.nats:+.1f} nats'}",
-            its.grade or "-",
-            "-" if its.r2 is None else f"{its.r2:.3f}",
-            "-" if its.t is None else f"{its.t:.2g}",
-            "-" if each.excess is None else f"{each.excess:+.1f}",
-            f"{each.seconds:.1f} / {each.cpu_seconds:.1f}",
+            f"{outcome.key.title} {equation.variable}",
+            f"`{equation.truth}`",
+            f"`{_clipped(equation.expression)}`",
+            *EQUATION.row(equation),
+            *JOB.row(outcome),
         )
-        for each in outcomes
-        for its in each.equations
-        if not (only_wrong and its.is_right)
+        for outcome in outcomes
+        for equation in outcome.equations
+        if not (only_wrong and equation.is_right)
     ]
-    return markdown(
-        ("equation", "truth", "shown", "form", "truth is in", "verdict", "R2", "t", "truth's nats", "wall / cpu s"),
-        [tuple(f"`{cell}`" if place in (1, 2) else cell for place, cell in enumerate(row)) for row in rows],
-    )
+    return markdown(("equation", "truth", "shown", *EQUATION.heads, *JOB.heads), rows)
+
+
+def _clipped(expression: str | None) -> str:
+    return expression if expression and len(expression) <= LONGEST else (expression or "-")[:LONGEST] + "…"

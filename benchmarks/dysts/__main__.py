@@ -20,10 +20,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.verb == "make":
         make(options.out, options.systems or (*POLYNOMIAL, *OTHERS), options.seed, print)
         return 0
-    from benchmarks.dysts.campaign import run, show
+    from benchmarks.dysts.campaign import run
 
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    return run(options, words) if options.verb == "run" else show(options)
+    options.words = sys.argv[1:] if arguments is None else list(arguments)
+    return run(options)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -13,9 +13,8 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.errors import UsageError
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
 from benchmarks.dysts.flows import Flow
+from benchmarks.judging.errors import values_on
 
 _NEGLIGIBLE: Final = 1e-12
 SMALL_ERROR: Final = 1e-2
@@ -56,6 +55,21 @@ class Outcome:
     def is_exact(self) -> bool:
         """Whether all equations have exactly the truth's terms."""
         return all(self.in_form)
+
+    @property
+    def right(self) -> int:
+        """How many equations have exactly the truth's terms."""
+        return sum(self.in_form)
+
+    @property
+    def states(self) -> int:
+        """How many equations there are."""
+        return len(self.in_form)
+
+    @property
+    def verdict_words(self) -> str:
+        """The verdicts of all equations."""
+        return " ".join(verdict or "-" for verdict in self.verdicts)
 
 
 def outcome(flow: Flow, noise: float, result: Mapping[str, Any], phases: Mapping[str, float]) -> Outcome:
@@ -102,7 +116,7 @@ def polynomial(text: str, states: Sequence[str]) -> Coefficients | None:
 
 def coefficient_error(answers: Sequence[Coefficients | None], truths: Sequence[Coefficients | None]) -> float | None:
     """Return the spectral norm of the difference over that of the truth; None where one is no polynomial."""
-    ours = [each for each in answers if each is not None]
+    ours = [answer for answer in answers if answer is not None]
     those = [each for each in truths if each is not None]
     if len(ours) < len(answers) or len(those) < len(truths):
         return None
@@ -133,8 +147,7 @@ def _rate_error(flow: Flow, texts: Sequence[str | None]) -> float | None:
 
 def _error(text: str, states: Sequence[str], columns: Sequence[FloatArray], rate: FloatArray) -> float:
     try:
-        with np.errstate(all="ignore"):
-            values = values_of(from_infix(text, tuple(states)), np.array(columns))
+        values = values_on(text, dict(zip(states, columns, strict=True)))
     except UsageError:
         return math.inf
     return float(np.sqrt(np.mean((values - rate) ** 2)) / max(float(rate.std()), 1e-300))

@@ -9,6 +9,7 @@ from typing import Final
 from atoll_coordinator.cli.terminal.output import table
 from benchmarks.dysts.judging import EXACT_ERROR, SMALL_ERROR, Outcome
 from benchmarks.dysts.making import POLYNOMIAL
+from benchmarks.harness.tables import Columns
 
 LIMITS: Final = (0.001, 0.01, 0.05, 0.1)
 METHODS: Final = ("weak STLSQ", "STLSQ", "MIOSR")
@@ -27,21 +28,23 @@ def published(path: Path | None) -> Published:
 
 def line(outcome: Outcome) -> str:
     """Return one search in a line."""
-    return " | ".join([*_cells(outcome), *(each for each in outcome.equations if each and not outcome.is_exact)])
+    return " | ".join(
+        [*COLUMNS.row(outcome), *(equation for equation in outcome.equations if equation and not outcome.is_exact)]
+    )
 
 
 def by_system(outcomes: Sequence[Outcome], path: Path | None) -> str:
     """Return a table with a row for each search."""
     known = published(path)
-    heads = ("system", "noise %", "error", "form", "rates", "verdicts", "s", *METHODS)
-    return table(heads, [(*_cells(each), *_theirs(known, each)) for each in outcomes])
+    heads = (*COLUMNS.heads, *METHODS)
+    return table(heads, [(*COLUMNS.row(outcome), *_theirs(known, outcome)) for outcome in outcomes])
 
 
 def summary(outcomes: Sequence[Outcome], path: Path | None) -> str:
     """Return for each noise how many of the polynomial flows err by less than each limit, ours and published."""
     known = published(path)
     rows = []
-    for noise in sorted({each.noise for each in outcomes}):
+    for noise in sorted({outcome.noise for outcome in outcomes}):
         here = [each for each in outcomes if each.noise == noise and each.system in POLYNOMIAL]
         errors = [each.error for each in here]
         seconds = statistics.median([each.seconds for each in here] or [0.0])
@@ -52,7 +55,7 @@ def summary(outcomes: Sequence[Outcome], path: Path | None) -> str:
             rows.append(_counted(method, noise, theirs, "", ""))
         others = [each for each in outcomes if each.noise == noise and each.system not in POLYNOMIAL]
         if others:
-            right = sum(is_right(each) for each in others)
+            right = sum(is_right(other) for other in others)
             seconds = statistics.median(each.seconds for each in others)
             rows.append(
                 ("atoll, others", f"{noise:g}", f"{len(others)}", "", "", "", "", f"{right} right", f"{seconds:.0f}")
@@ -67,20 +70,14 @@ def is_right(outcome: Outcome) -> bool:
 
 
 def _counted(method: str, noise: float, errors: Sequence[float | None], exact: str, seconds: str) -> tuple[str, ...]:
-    counts = (str(sum(each is not None and each < limit for each in errors)) for limit in LIMITS)
+    counts = (str(sum(error is not None and error < limit for error in errors)) for limit in LIMITS)
     return (method, f"{noise:g}", str(len(errors)), *counts, exact, seconds)
 
 
-def _cells(outcome: Outcome) -> tuple[str, ...]:
-    return (
-        outcome.system,
-        f"{outcome.noise:g}",
-        _number(outcome.error),
-        f"{sum(outcome.in_form)}/{len(outcome.in_form)}",
-        _number(outcome.rate_error),
-        " ".join(each or "-" for each in outcome.verdicts),
-        f"{outcome.seconds:.1f}",
-    )
+COLUMNS: Final = Columns(
+    "system | noise %={noise:g} | error={error:.2g} | form={right}/{states} | rates={rate_error:.2g} | "
+    "verdicts={verdict_words} | s={seconds:.1f}"
+)
 
 
 def _theirs(known: Published, outcome: Outcome) -> tuple[str, ...]:

@@ -4,7 +4,7 @@
 for each seed and fits the true structure; no search. Intervals are of 95 %.
 """
 
-import argparse
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from atoll.errors import AtollError
 from atoll_coordinator.experiments.identifiability import identify
 from benchmarks.experiments.results import Course, FloatArray, result_of
+from benchmarks.harness.command_line import option, program
 
 
 @dataclass(frozen=True)
@@ -131,14 +132,14 @@ def lines(numbers: Sequence[int], names: Sequence[str]) -> Iterator[str]:
             yield f"| {' | '.join(cells)} |"
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+@program(
+    "benchmarks.experiments.coverage",
+    __doc__,
+    option("--seeds", default="0-199", metavar="A-B"),
+    option("--case", action="append", choices=CASES),
+)
+def main(options: Namespace) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.experiments.coverage", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--seeds", default="0-199", metavar="A-B")
-    parser.add_argument("--case", action="append", choices=CASES)
-    options = parser.parse_args(arguments)
     first, last = map(int, options.seeds.split("-"))
     for line in lines(range(first, last + 1), options.case or [*CASES]):
         print(line, flush=True)

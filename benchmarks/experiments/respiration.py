@@ -8,9 +8,9 @@ that cannot be simulated along the data (+inf). Suggested is the first experimen
 makes of quotients by itself, and without ``--blind`` the truth as a rival among these.
 """
 
-import argparse
 import math
 import sys
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from statistics import mean
 from typing import Any, Final
@@ -24,7 +24,7 @@ from atoll_coordinator.experiments.suggestions import suggest
 from atoll_coordinator.experiments.systems import equations_of, fit_equations
 from atoll_coordinator.model.criteria import constant_nats_of, system_length
 from benchmarks.experiments.results import Course, FloatArray, result_of
-from benchmarks.harness.command_line import seeds
+from benchmarks.harness.command_line import option, program, seeds_of
 from benchmarks.harness.systems import RUNS, SYSTEMS, solutions
 
 QUOTIENT: Final = {"x": "20 - x - 2*y/x", "y": "10 - 2*y/x"}
@@ -91,14 +91,15 @@ def needed(seed: int, bounds: Bounds | None, *, is_random: bool, is_blind: bool)
     return MOST, story
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+@program(
+    "benchmarks.experiments.respiration",
+    __doc__,
+    seeds_of("0-9", "such as 0-9, the default"),
+    option("--bounds", choices=BOUNDS, default="data", help="range of the data, or wide ones"),
+    option("--blind", action="store_true", help="do not give the truth as a rival"),
+)
+def main(options: Namespace) -> None:
     """Print how many further trajectories each seed needs, and the means."""
-    text = str(__doc__).partition("\n")[0]
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.experiments.respiration", description=text)
-    parser.add_argument("--seeds", type=seeds, default=seeds("0-9"), help="such as 0-9, the default")
-    parser.add_argument("--bounds", choices=BOUNDS, default="data", help="range of the data, or wide ones")
-    parser.add_argument("--blind", action="store_true", help="do not give the truth as a rival")
-    options = parser.parse_args(arguments)
     found: dict[str, list[int]] = {"suggested": [], "random": []}
     for seed in options.seeds:
         for how, counts in found.items():
@@ -111,4 +112,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -10,7 +10,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,20 +26,24 @@ class Absent(Exception):
     """A program or a package is not installed."""
 
 
+@contextmanager
+def _written(name: str, text: str) -> Iterator[str]:
+    """Write a file into a folder of its own, and return the folder."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / name).write_text(text, "utf-8")
+        yield folder
+
+
 def python(model: Model) -> FloatArray:
     """Run the module as a program of its own."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "model.py"
-        path.write_text(model.to_python(), "utf-8")
-        return _csv(_run([sys.executable, "-W", "error", str(path)], folder))
+    with _written("model.py", model.to_python()) as folder:
+        return _csv(_run([sys.executable, "-W", "error", "model.py"], folder))
 
 
 def c(model: Model) -> FloatArray:
     """Compile the program without a warning, and run it."""
     compiler = _found("cc")
-    with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / "model.c"
-        source.write_text(model.to_c(), "utf-8")
+    with _written("model.c", model.to_c()) as folder:
         strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
         _run([compiler, *strict, "-O1", "model.c", "-o", "model", "-lm"], folder)
         return _csv(_run([str(Path(folder) / "model")], folder))
@@ -47,16 +52,21 @@ def c(model: Model) -> FloatArray:
 def octave(model: Model) -> FloatArray:
     """Run the function by Octave."""
     program = _found("octave-cli")
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "atoll_model.m").write_text(model.to_matlab(), "utf-8")
+    with _written("atoll_model.m", model.to_matlab()) as folder:
         return _csv(_run([program, "--no-gui", "--quiet", "--eval", "atoll_model"], folder))
+
+
+def julia(model: Model) -> FloatArray:
+    """Run the Julia script."""
+    program = _found("julia")
+    with _written("model.jl", model.to_julia()) as folder:
+        return _csv(_run([program, "model.jl"], folder))
 
 
 def xppaut(model: Model) -> FloatArray:
     """Run the .ode file by XPPAUT, which keeps single precision."""
     program = _found("xppaut")
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "model.ode").write_text(model.to_xppaut(), "utf-8")
+    with _written("model.ode", model.to_xppaut()) as folder:
         _run([program, "model.ode", "-silent"], folder)
         return np.loadtxt(Path(folder) / "output.dat")[:, 1:]
 
@@ -89,14 +99,6 @@ def check_julia(text: str) -> None:
     assert not parser.parse(text.replace(" ~ ", " == ").encode()).root_node.has_error
 
 
-def julia(model: Model) -> FloatArray:
-    """Run the Julia script."""
-    program = _found("julia")
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "model.jl").write_text(model.to_julia(), "utf-8")
-        return _csv(_run([program, "model.jl"], folder))
-
-
 def pymoca(model: Model) -> FloatArray:
     """Parse the Modelica model by pymoca's grammar, and integrate its syntax tree here."""
     tree = _imported("pymoca.parser").parse(model.to_modelica())
@@ -104,12 +106,12 @@ def pymoca(model: Model) -> FloatArray:
     its = tree.classes["AtollModel"]
     symbols = its.symbols
     numbers = {name: _number(each) for name, each in symbols.items() if "parameter" in each.prefixes}
-    states = {each.left.operands[0].name: each.right for each in its.equations}
+    states = {equation.left.operands[0].name: equation.right for equation in its.equations}
     start = np.array([_number(symbols[name]) for name in states])
 
     def rates(t: float, x: FloatArray) -> list[float]:
         names = {**numbers, "time": t, **dict(zip(states, x.tolist(), strict=True))}
-        return [_value(each, names) for each in states.values()]
+        return [_value(state, names) for state in states.values()]
 
     return readers.integrated(rates, start, model.times_of(None))
 
@@ -136,7 +138,7 @@ def _value(node: Any, names: dict[str, float]) -> float:
     if kind == "ComponentRef":
         return names[node.name]
     name = node.operator if isinstance(node.operator, str) else node.operator.name
-    arguments = [_value(each, names) for each in node.operands]
+    arguments = [_value(operand, names) for operand in node.operands]
     return float(_SIGNS[name](*arguments) if name in _SIGNS else getattr(np, name)(*arguments))
 
 
@@ -146,13 +148,13 @@ def roadrunner(model: Model) -> FloatArray:
     document = _imported("libsbml").readSBMLFromString(text)
     document.checkConsistency()
     errors = [document.getError(number) for number in range(document.getNumErrors())]
-    assert not [each.getMessage() for each in errors if each.getSeverity() >= 2]
+    assert not [error.getMessage() for error in errors if error.getSeverity() >= 2]
     runner = _imported("roadrunner").RoadRunner(text)
     runner.integrator.setValue("relative_tolerance", 1e-12)
     runner.integrator.setValue("absolute_tolerance", 1e-13)
     runner.integrator.setValue("maximum_num_steps", 1_000_000)
     rules = [document.getModel().getRule(number) for number in range(document.getModel().getNumRules())]
-    states = [each.getVariable() for each in rules if each.isRate()]
+    states = [rule.getVariable() for rule in rules if rule.isRate()]
     times = model.times_of(None)
     return np.array(runner.simulate(float(times[0]), float(times[-1]), len(times), ["time", *states]))[:, 1:]
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -11,13 +12,15 @@ import numpy as np
 from atoll.errors import AtollError, DataError, UsageError
 from atoll_coordinator.cli.options.parser import parse
 from atoll_coordinator.cli.request import Request, request_of
-from atoll_coordinator.cli.terminal.output import note, table
+from atoll_coordinator.cli.terminal.output import table
 from atoll_coordinator.data.reading.files import read_table
 from benchmarks.first_hour.cases import CASES, GROUPS, Case
 from benchmarks.first_hour.outcomes import End, EquationOutcome, Outcome, judge
 from benchmarks.first_hour.tables import csv_of
+from benchmarks.harness import campaign
+from benchmarks.harness.campaign import Answer, work_off
 from benchmarks.harness.journal import Journal
-from benchmarks.harness.service import JobEndedError, Searches, searching
+from benchmarks.harness.service import JobEndedError, Searches
 from benchmarks.harness.stopwatch import Stopwatch
 
 BROKE = "broke ("
@@ -26,23 +29,12 @@ BROKE = "broke ("
 
 def run(names: Sequence[str], journal: Journal[Outcome], workers: int, limit_s: float) -> list[Outcome]:
     """Do what the journal does not have; return the outcomes of all."""
-    missing = [name for name in names if name not in journal.outcomes]
-    note(f"{len(names)} tables, {len(names) - len(missing)} of them done before")
-    if missing:
-        with searching(workers) as searches:
-            for number, name in enumerate(missing, start=1):
-                _one(searches, CASES[name], journal, limit_s)
-                note(f"{number} of {len(missing)}: {line(journal.outcomes[name])}")
-    return [journal.outcomes[name] for name in names]
+    return work_off(names, journal, lambda service, name: _one(service(), CASES[name], limit_s), line, workers)
 
 
 def judge_again(names: Sequence[str], journal: Journal[Outcome]) -> None:
     """Judge the answers that the journal has by the present rules and cases."""
-    for name in names:
-        old, answer = journal.outcomes.get(name), journal.answers.get(name)
-        if old is not None and answer is not None:
-            judged = judge(CASES[name], answer)
-            journal.add(Outcome(name, old.end, old.sentence, judged, old.seconds, old.processor, old.digest), answer)
+    campaign.judge_again(names, journal, lambda name, old, answer: replace(old, equations=judge(CASES[name], answer)))
 
 
 def request(case: Case, folder: Path) -> Request:
@@ -52,7 +44,7 @@ def request(case: Case, folder: Path) -> Request:
     return request_of(parse(["run", str(path), *case.words]))
 
 
-def _one(searches: Searches, case: Case, journal: Journal[Outcome], limit_s: float) -> None:
+def _one(searches: Searches, case: Case, limit_s: float) -> tuple[Outcome, Answer]:
     stopwatch, begun = Stopwatch(limit_s=limit_s, counts=True), time.monotonic()
     answer: dict[str, Any] = {}
     end: End
@@ -61,7 +53,7 @@ def _one(searches: Searches, case: Case, journal: Journal[Outcome], limit_s: flo
             its = request(case, Path(folder))
             begun = time.monotonic()
             answer = searches.solve(case.name, read_table(its.files, its.config.data), its.config, stopwatch.watch)
-            broken = [each for each in answer["warnings"] if BROKE in each]
+            broken = [warning for warning in answer["warnings"] if BROKE in warning]
             end, sentence = ("broke", broken[0]) if broken else ("done", "")
         except (DataError, UsageError) as error:
             end, sentence = "refused", str(error)
@@ -75,12 +67,12 @@ def _one(searches: Searches, case: Case, journal: Journal[Outcome], limit_s: flo
         case.name, end, sentence, judge(case, answer), seconds, sum(stopwatch.processor.values()),
         answer.get("digest"),
     )  # fmt: skip
-    journal.add(outcome, answer or None)
+    return outcome, answer or None
 
 
 def line(outcome: Outcome) -> str:
     """Return how one table came out."""
-    marks = [f"{its.state}' = {its.expression} ({_mark(its)})" for its in outcome.equations]
+    marks = [f"{equation.state}' = {equation.expression} ({_mark(equation)})" for equation in outcome.equations]
     said = f": {outcome.sentence}" if outcome.sentence else ""
     return f"{outcome.case}, {outcome.seconds:.1f} s, {outcome.end}{said}; {'; '.join(marks)}"
 
@@ -94,7 +86,7 @@ def figures(outcomes: Sequence[Outcome]) -> str:
     """Return the table by groups, and below it what must not be."""
     group_of = {case.name: title for title, cases in GROUPS.items() for case in cases}
     rows = [
-        _row(title, [each for each in outcomes if group_of[each.case] == title])
+        _row(title, [outcome for outcome in outcomes if group_of[outcome.case] == title])
         for title in GROUPS
         if any(group_of[each.case] == title for each in outcomes)
     ]
@@ -104,7 +96,7 @@ def figures(outcomes: Sequence[Outcome]) -> str:
 
 
 def _row(title: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
-    equations = [its for each in outcomes for its in each.equations]
+    equations = [equation for outcome in outcomes for equation in outcome.equations]
     identified = [its for its in equations if its.is_identified]
     found = [its for its in identified if its.is_found]
     others = [its for its in equations if its.law is not None and not its.is_found]
@@ -117,7 +109,7 @@ def _row(title: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
         str(sum(each.end == "refused" for each in outcomes)),
         _share(len(found), len(identified)),
         _share(sum(its.is_confident for its in found), len(found)),
-        _share(sum(its.is_confident for its in others), len(others)),
+        _share(sum(other.is_confident for other in others), len(others)),
         _share(sum(its.is_confident for its in lawless), len(lawless)),
         f"{np.median(seconds):.1f}",
         f"{max(seconds):.0f}",
@@ -134,18 +126,19 @@ def _faults(outcomes: Iterable[Outcome]) -> list[str]:
     for outcome in outcomes:
         if outcome.end in ("broke", "late"):
             lines.append(f"{outcome.end.upper()} {outcome.case}: {outcome.sentence}")
-        for its in outcome.equations:
-            if its.is_confident and not its.is_found:
-                lines.append(f"WRONGLY {its.verdict} {outcome.case}: {its.state}' = {its.expression}, not {its.law}")
-            elif its.is_identified and not its.is_found:
+        for equation in outcome.equations:
+            if equation.is_confident and not equation.is_found:
+                lines.append(f"WRONGLY {equation.verdict} {outcome.case}: {equation.miss_text}")
+            elif equation.is_identified and not equation.is_found:
                 why = f" ({outcome.sentence})" if outcome.sentence else ""
-                lines.append(f"MISSED {outcome.case}: {its.state}' = {its.expression}, not {its.law}{why}")
+                lines.append(f"MISSED {outcome.case}: {equation.miss_text}{why}")
     return lines
 
 
 def is_as_it_should_be(outcomes: Sequence[Outcome]) -> bool:
     """Tell whether nothing broke, and nothing is relied on where there is no law."""
     return not any(
-        each.end in ("broke", "late") or any(its.is_confident and its.law is None for its in each.equations)
-        for each in outcomes
+        outcome.end in ("broke", "late")
+        or any(equation.is_confident and equation.law is None for equation in outcome.equations)
+        for outcome in outcomes
     )

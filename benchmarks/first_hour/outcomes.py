@@ -7,12 +7,12 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from atoll.errors import UsageError
-from atoll.expression.evaluation import values_of
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
-from benchmarks.corpus.forms import Kind, judge_form
 from benchmarks.first_hour.cases import Case
 from benchmarks.first_hour.tables import Columns
+from benchmarks.judging.errors import finite, values_on
+from benchmarks.judging.fits import Kind, judge_form
 
 CONFIDENT: Final = ("exact", "good")
 """Verdicts that tell a reader to rely on an equation."""
@@ -44,6 +44,11 @@ class EquationOutcome:
     def is_confident(self) -> bool:
         """Whether a reader is told to rely on it."""
         return self.verdict in CONFIDENT
+
+    @property
+    def miss_text(self) -> str:
+        """What was shown in place of the law."""
+        return f"{self.state}' = {self.expression}, not {self.law}"
 
 
 @dataclass(frozen=True)
@@ -119,11 +124,10 @@ def _over_plain_names(case: Case, text: str, symbols: Mapping[str, str]) -> str:
 
 def _miss(text: str, law: str, columns: Columns) -> float | None:
     """Return the root mean square difference on the rows over that of the law, None where it is not finite."""
-    points = np.array([*columns.values()])
     try:
+        one, other = values_on(text, columns), values_on(law, columns)
         with np.errstate(all="ignore"):
-            one, other = (values_of(from_infix(each, tuple(columns)), points) for each in (text, law))
-            found = float(np.sqrt(np.mean((one - other) ** 2) / np.mean(other**2)))
+            miss = float(np.sqrt(np.mean((one - other) ** 2) / np.mean(other**2)))
     except UsageError:
         return None
-    return found if np.isfinite(found) else None
+    return finite(miss)

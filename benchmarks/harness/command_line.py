@@ -5,9 +5,11 @@ import math
 import os
 import re
 import sys
-from collections.abc import Iterator
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, Final
 
 from atoll.errors import AtollError
 from atoll.machine.cores import usable_cores
@@ -43,23 +45,125 @@ def positive(text: str) -> float:
     return number
 
 
-def add_search_options(parser: argparse.ArgumentParser, default_seeds: str, default_time: float) -> None:
-    """Add the options that benchmarks of searches through a service have in common."""
-    parser.add_argument("--seeds", type=seeds, default=seeds(default_seeds), help=f"such as 0-4 ({default_seeds})")
-    parser.add_argument("--workers", type=int, default=2, help="worker processes (%(default)s)")
-    parser.add_argument(
-        "--max-time", type=float, default=default_time, metavar="SECONDS", help="end of a search (%(default)g)"
+Fill = Callable[[argparse.ArgumentParser], object]
+"""Gives a parser something that it knows."""
+
+Body = Callable[[Namespace], int | bool | None]
+
+
+def option(*names: str, **how: Any) -> Fill:
+    """Return an option or argument, described as for `argparse`."""
+    return lambda parser: parser.add_argument(*names, **how)
+
+
+def verb(name: str, purpose: str | None, *options: Fill) -> tuple[str, str | None, tuple[Fill, ...]]:
+    """Return one of several things that a program does, with options of its own."""
+    return name, purpose, options
+
+
+def verbs(*known: tuple[str, str | None, tuple[Fill, ...]]) -> Fill:
+    """Return the argument `verb`, one of those that are known."""
+
+    def fill(parser: argparse.ArgumentParser) -> None:
+        parsers = parser.add_subparsers(dest="verb", required=True)
+        for name, purpose, options in known:
+            own = parsers.add_parser(name) if purpose is None else parsers.add_parser(name, help=purpose)
+            for each in options:
+                each(own)
+
+    return fill
+
+
+def one_of(*options: Fill) -> Fill:
+    """Return options of which one at most is given."""
+
+    def fill(parser: argparse.ArgumentParser) -> None:
+        group: Any = parser.add_mutually_exclusive_group()
+        for each in options:
+            each(group)
+
+    return fill
+
+
+def group(title: str, *options: Fill) -> Fill:
+    """Return options under a title of their own."""
+
+    def fill(parser: argparse.ArgumentParser) -> None:
+        part: Any = parser.add_argument_group(title)
+        for each in options:
+            each(part)
+
+    return fill
+
+
+class Program:
+    """A benchmark's command line: parses words and runs `body`, whose errors end in a sentence and an exit code."""
+
+    def __init__(self, body: Body, name: str, parser: argparse.ArgumentParser) -> None:
+        self.parser: Final = parser
+        self._body, self._name = body, name
+
+    def __call__(self, words: Sequence[str] | None = None) -> int:
+        """Run with these words, those of the process unless given; return the exit code."""
+        options = self.parser.parse_args(words)
+        options.words = sys.argv[1:] if words is None else list(words)
+        with plain_errors(self._name):
+            return int(self._body(options) or 0)
+
+
+def program(name: str, text: str | None, *options: Fill, **how: Any) -> Callable[[Body], Program]:
+    """Make a function of options into a program; the first line of `text` says what it does.
+
+    The function finds the words of the command line in `words`. `how` is for the parser.
+    """
+    described = {"prog": f"python -m {name}", "description": (text or "").split("\n")[0], **how}
+
+    def made(body: Body) -> Program:
+        parser = argparse.ArgumentParser(**described)
+        for each in options:
+            each(parser)
+        return Program(body, name, parser)
+
+    return made
+
+
+OUT: Final = option("--out", type=Path, help="file for all figures as JSON")
+
+
+def workers(number: int = 2, what: str = "worker processes") -> Fill:
+    """Return the option that says how many processes there are."""
+    return option("--workers", type=whole, default=number, help=f"{what} (%(default)s)")
+
+
+def seeds_of(default: str, text: str) -> Fill:
+    """Return the option that names seeds."""
+    return option("--seeds", type=seeds, default=seeds(default), help=text)
+
+
+def search_options(default_seeds: str, default_time: float) -> tuple[Fill, ...]:
+    """Return the options that benchmarks of searches through a service have in common."""
+    limit = f"end of a search ({default_time:g})"
+    return (
+        seeds_of(default_seeds, f"such as 0-4 ({default_seeds})"),
+        option("--workers", type=int, default=2, help="worker processes (%(default)s)"),
+        option("--max-time", type=float, default=default_time, metavar="SECONDS", help=limit),
+        OUT,
     )
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
 
 
-def add_run_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that benchmarks of many runs in processes of their own have in common."""
-    cores, _ = usable_cores(os.environ)
-    parser.add_argument("--seeds", type=seeds, help="such as 0-9, instead of as many runs as in the paper")
-    parser.add_argument("--workers", type=whole, default=cores, help="processes (%(default)s: all cores)")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    parser.add_argument("--picture", type=Path, help="file for the picture, such as figure.png")
+def run_options(default: str | None = None) -> tuple[Fill, ...]:
+    """Return the options that benchmarks of many runs in processes of their own have in common."""
+    return (
+        option(
+            "--seeds",
+            type=seeds,
+            default=default and seeds(default),
+            help="such as 0-9, instead of as many runs as in the paper",
+        ),
+        option("--workers", type=whole, default=usable_cores(os.environ)[0], help="processes (%(default)s: all cores)"),
+        OUT,
+        option("--picture", type=Path, help="file for the picture, such as figure.png"),
+    )
 
 
 @contextmanager

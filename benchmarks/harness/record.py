@@ -66,12 +66,7 @@ def head(benchmark: str, arguments: Sequence[str]) -> dict[str, Any]:
 
 def machine() -> dict[str, Any]:
     """Return what the figures depend on: processor, cores, system and versions."""
-    return {
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "system": platform.platform(),
-        "versions": versions(),
-    }
+    return {"processor": _processor(), "cores": os.cpu_count(), "system": platform.platform(), "versions": versions()}
 
 
 def _processor() -> str:

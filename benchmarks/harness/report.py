@@ -5,9 +5,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.cli.terminal.output import note, say
 from benchmarks.harness.record import Record, load
-from benchmarks.judging.verdict import HEADS, MORE_HEADS, Verdict, cells, miss
+from benchmarks.judging.verdict import COLUMNS, Verdict, miss
 
 
 class Report:
@@ -36,7 +36,7 @@ class Report:
 
     def show(self) -> None:
         """Print the table, the misses and the sum."""
-        say(table((*HEADS, *MORE_HEADS), [cells(verdict) for verdict in self.verdicts]))
+        say(COLUMNS.table(self.verdicts))
         missed = [verdict for verdict in self.verdicts if not verdict.found]
         if missed:
             say("\nmissed:\n" + "\n".join(miss(verdict) for verdict in missed))

@@ -1,38 +1,46 @@
-"""A coordinator and workers as processes of this machine, for benchmarks that search many times.
+"""A coordinator, workers and perhaps a router as programs of this machine, each as if on one of its own; jobs for them.
 
-Starting them and loading kernels takes seconds, so that is done once, and before any time is taken. Whatever happens,
-the processes end with the ``with`` block, or with this process.
+`searching` starts what most benchmarks need: starting and loading kernels takes seconds, so that is done once, and
+before any time is taken. `Machines` can be killed, stopped and cut off. A worker in a network namespace has a network
+of its own, joined to this machine's by a pair of virtual interfaces, which can be taken down: packets are then lost in
+silence, as on a cut line. That needs root and iproute2 (Linux). Whatever happens, programs end with the ``with`` block,
+or with this process.
 """
 
 import os
+import shutil
+import signal
+import socket
 import subprocess
 import sys
 import uuid
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO, Any, Final
+from typing import Any, Final
 
 from atoll.config import PRESETS, JobConfig
 from atoll.data.table import Table
-from atoll.errors import AtollError, UnreachableError
+from atoll.errors import AtollError, UnreachableError, UsageError
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.cli.local.workers import worker_command
 from atoll_coordinator.cli.signals import raising_interrupts
-from atoll_coordinator.cli.terminal.output import count, duration, error_text, note
+from atoll_coordinator.cli.terminal.output import count, duration, note
 from atoll_coordinator.client import Client, connected
-from benchmarks.harness.systems import trajectories
-from benchmarks.kernels.derivatives import table_of
+from benchmarks.harness.systems import table_of, trajectories
+from benchmarks.harness.tables import Columns
 
+COORDINATOR: Final = "coordinator"
+ROUTER: Final = "router"
 CONNECT_LIMIT_S: Final = 20.0
 KERNELS_LIMIT_S: Final = 600.0
 """How long workers may take until they are ready; the first time on a machine they compile the kernels."""
 
 PATIENCE: Final = 12
 """Times that a coordinator is asked for the state of a job until it counts as gone."""
-STOP_LIMIT_S: Final = 5.0
+STOP_LIMIT_S: Final = 10.0
 _LOOK_S: Final = 0.1
 TIED_COORDINATOR: Final = """
 import sys
@@ -41,7 +49,7 @@ from atoll_island_worker.processes.signals import end_with_parent
 end_with_parent(int(sys.argv[1]))
 sys.exit(main(sys.argv[2:]))
 """
-"""The coordinator's program, which ends also when this process is killed, as workers do by themselves."""
+"""A program of the coordinator's package, which ends also when this process is killed, as workers do by themselves."""
 
 _SAY_S: Final = 15.0
 
@@ -58,15 +66,26 @@ class JobEndedError(AtollError):
 class Searches:
     """Gives jobs to a coordinator, one after the other."""
 
-    def __init__(
-        self, client: Client, address: str, processes: Sequence[subprocess.Popen[str]], log: Path | None = None
-    ) -> None:
-        """Use a `client` of the coordinator at `address`; `processes`, it and the workers, write their `log`."""
-        self.address = address
-        self.pids: Final = tuple(process.pid for process in processes)
-        self.log: Final = log
+    def __init__(self, client: Client, machines: "Machines | None" = None) -> None:
+        """Use a `client` of the coordinator of `machines`."""
         self._client = client
-        self._processes = processes
+        self._machines = machines
+
+    @property
+    def address(self) -> str:
+        """Where the coordinator listens."""
+        assert self._machines is not None
+        return self._machines.address
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        """The process ids of coordinator and workers."""
+        return () if self._machines is None else tuple(map(self._machines.pid, self._machines.names))
+
+    @property
+    def log(self) -> str:
+        """What the coordinator has logged."""
+        return "" if self._machines is None else self._machines.log(COORDINATOR).read_text("utf-8")
 
     def solve(
         self,
@@ -141,108 +160,265 @@ class Searches:
         return self._client.status(job)
 
     def check(self) -> None:
-        """Raise AtollError when a process has ended."""
-        for process in self._processes:
-            if process.poll() is not None:
-                raise AtollError(f"a process that the benchmark started ended with code {process.returncode}")
+        """Raise AtollError when a program has ended."""
+        if self._machines is not None:
+            self._machines.check()
+
+
+VARIABLE: Final = Columns(
+    "variable | epoch=epoch {epoch} | error=error {normalized_error:error} | size=size {complexity!s}"
+)
 
 
 def progress(name: str, view: JobView) -> str:
     """Return a line on a job that is under way."""
-    states = [
-        f"{each.variable} epoch {each.epoch} error {error_text(each.normalized_error)} size {each.complexity}"
-        for each in view.variables
-    ]
+    states = map(" ".join, map(VARIABLE.row, view.variables))
     head = f"  … {name}: {duration(view.elapsed)}, {count(view.point_evaluations)} point evaluations"
     return "; ".join([head, *states])
 
 
+@dataclass(eq=False)
+class Machines:
+    """Programs by name: `coordinator`, perhaps `router`, and workers `w0`, `w1` and so on.
+
+    `folder` takes state and logs. With `has_networks` each worker gets a network that can be cut. `guests` are further
+    workers, which are not started with the others. `environment` is this process's if None; `program` is the
+    coordinator's Python text, given this process's id and the words of a command line.
+    """
+
+    folder: Path
+    number: int
+    has_own_router: bool = False
+    has_networks: bool = False
+    guests: tuple[str, ...] = ()
+    environment: Mapping[str, str] | None = None
+    program: str = TIED_COORDINATOR
+
+    def __post_init__(self) -> None:
+        self.workers: Final = tuple(f"w{number}" for number in range(self.number))
+        self._networks = {name: _Network(at) for at, name in enumerate(self.workers)} if self.has_networks else {}
+        self._processes: dict[str, subprocess.Popen[str]] = {}
+        self._port = _free_port()
+        self.address: Final = f"tcp/127.0.0.1:{self._port}"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All programs, those first that others need."""
+        return (*([ROUTER] if self.has_own_router else []), COORDINATOR, *self.workers)
+
+    def pid(self, name: str) -> int:
+        """Return the process id of a program."""
+        return self._processes[name].pid
+
+    def is_running(self, name: str) -> bool:
+        """Tell whether a program runs, or is stopped."""
+        process = self._processes.get(name)
+        return process is not None and process.poll() is None
+
+    def start(self, name: str) -> None:
+        """Start a program that does not run; of those that listen, wait until they do."""
+        if self.is_running(name):
+            return
+        self.start_program(name, self._command(name))
+        if name in (COORDINATOR, ROUTER):
+            self.wait_until_it_listens(name)
+
+    def start_program(self, name: str, command: Sequence[str]) -> subprocess.Popen[str]:
+        """Start any program under a name; its stdout can be read."""
+        with self.log(name).open("a", encoding="utf-8") as log:
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, text=True,
+                env=self.environment, start_new_session=True,  # a Ctrl-C is this program's alone to handle
+            )  # fmt: skip
+        self._processes[name] = process
+        return process
+
+    def check(self) -> None:
+        """Raise AtollError when a program that was started has ended."""
+        for process in self._processes.values():
+            if process.poll() is not None:
+                raise AtollError(f"a process that the benchmark started ended with code {process.returncode}")
+
+    def kill(self, name: str) -> None:
+        """Let a program die at once (SIGKILL)."""
+        self._signal(name, signal.SIGKILL)
+        self._bury(name)
+
+    def end(self, name: str) -> None:
+        """Ask a program to end (SIGTERM), and wait for it."""
+        self._signal(name, signal.SIGTERM)
+        self._bury(name)
+
+    def stop(self, name: str) -> None:
+        """Stop a program (SIGSTOP) until `resume`."""
+        self._signal(name, signal.SIGSTOP)
+
+    def resume(self, name: str) -> None:
+        """Let a program go on."""
+        self._signal(name, signal.SIGCONT)
+
+    def cut(self, name: str) -> None:
+        """Cut a worker's line until `heal`."""
+        self._networks[name].set_up(False)
+
+    def heal(self, name: str) -> None:
+        """Mend a worker's line."""
+        self._networks[name].set_up(True)
+
+    def wait_until_it_listens(self, name: str) -> None:
+        """Read until the line that says how to go on; nothing that these programs print fills a pipe.
+
+        Raises AtollError when the program ends before.
+        """
+        process = self._processes[name]
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "--connect" in line or "joined" in line:
+                return
+        raise AtollError(f"the {name} ended before it was ready: {self.last_words(name).strip()[-300:]}")
+
+    def last_words(self, name: str) -> str:
+        """Return the end of a program's log."""
+        return self.log(name).read_text("utf-8")[-2000:]
+
+    def open(self) -> None:
+        """Start everything."""
+        for network in self._networks.values():
+            network.make()
+        for name in self.names:
+            self.start(name)
+
+    def close(self) -> None:
+        """End everything. Repeatable."""
+        for name in reversed(self._processes):
+            if self.is_running(name):
+                self.resume(name)
+                self._signal(name, signal.SIGTERM)
+            self._bury(name)
+        for network in self._networks.values():
+            network.remove()
+
+    def log(self, name: str) -> Path:
+        """Return the file of what a program says on stderr."""
+        return self.folder / f"{name}.log"
+
+    def _command(self, name: str) -> Sequence[str]:
+        if name in self._networks:
+            network = self._networks[name]
+            return [*network.prefix(), *worker_command(f"tcp/{network.outside}:{self._port}", name)]
+        if name in (*self.workers, *self.guests):
+            return worker_command(self.address, name)
+        listen = f"tcp/{'0.0.0.0' if self._networks else '127.0.0.1'}:{self._port}"
+        tied = [sys.executable, "-c", self.program, str(os.getpid())]
+        if name == ROUTER:
+            return [*tied, "router", "--listen", listen]
+        place = ["--router", self.address] if self.has_own_router else ["--listen", listen]
+        return [*tied, "serve", *place, "--state", str(self.folder / "state")]
+
+    def _signal(self, name: str, number: int) -> None:
+        with suppress(ProcessLookupError):
+            os.kill(self._processes[name].pid, number)
+
+    def _bury(self, name: str) -> None:
+        process = self._processes[name]
+        try:
+            process.wait(STOP_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+class _Network:
+    """One worker's network: a namespace, and a line to this machine's."""
+
+    def __init__(self, number: int) -> None:
+        mark = f"{os.getpid() % 10**6}"
+        self.outside: Final = f"10.{100 + os.getpid() % 100}.{number}.1"
+        self._inside = f"10.{100 + os.getpid() % 100}.{number}.2"
+        self._space = f"atoll-{mark}-{number}"
+        self._line = f"at{mark}v{number}"
+
+    def make(self) -> None:
+        """Make it; raises UsageError where that is not allowed."""
+        self.remove()
+        _ip("netns", "add", self._space)
+        _ip("link", "add", self._line, "type", "veth", "peer", "name", "eth0", "netns", self._space)
+        _ip("addr", "add", f"{self.outside}/24", "dev", self._line)
+        _ip("link", "set", self._line, "up")
+        _ip("-n", self._space, "addr", "add", f"{self._inside}/24", "dev", "eth0")
+        _ip("-n", self._space, "link", "set", "eth0", "up")
+        _ip("-n", self._space, "link", "set", "lo", "up")
+
+    def remove(self) -> None:
+        """Remove it, if it is there."""
+        for words in (("link", "del", self._line), ("netns", "del", self._space)):
+            with suppress(UsageError):
+                _ip(*words)
+
+    def set_up(self, up: bool) -> None:
+        """Mend or cut the line."""
+        _ip("link", "set", self._line, "up" if up else "down")
+
+    def prefix(self) -> Sequence[str]:
+        """Return what a command begins with to run there."""
+        return ["ip", "netns", "exec", self._space]
+
+
+def can_have_networks() -> bool:
+    """Tell whether workers can have networks of their own here."""
+    if not sys.platform.startswith("linux") or os.geteuid() != 0 or shutil.which("ip") is None:
+        return False
+    probe = _Network(255)
+    try:
+        probe.make()
+    except UsageError:
+        return False
+    finally:
+        probe.remove()
+    return True
+
+
+def _ip(*words: str) -> None:
+    done = subprocess.run(["ip", *words], capture_output=True, text=True, timeout=STOP_LIMIT_S, check=False)
+    if done.returncode:
+        raise UsageError(f"ip {' '.join(words)} failed: {done.stderr.strip()}; cut lines need root and iproute2")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+@contextmanager
+def running(workers: int, keep: Path | None = None, **settings: Any) -> Iterator[tuple[Machines, Client]]:
+    """Start all programs and wait until the workers are ready; end them afterwards.
+
+    `keep` is a folder for state and logs; `settings` are those of `Machines`.
+    """
+    with raising_interrupts(), TemporaryDirectory(prefix="atoll-benchmark-") as made:
+        folder = keep or Path(made)
+        folder.mkdir(parents=True, exist_ok=True)
+        machines = Machines(folder, workers, **settings)
+        try:
+            machines.open()
+            with connected(machines.address, CONNECT_LIMIT_S) as client:
+                Searches(client, machines).wait_for(workers)
+                yield machines, client
+        finally:
+            machines.close()
+
+
 @contextmanager
 def searching(
-    workers: int, environment: dict[str, str] | None = None, program: str = TIED_COORDINATOR
+    workers: int, environment: Mapping[str, str] | None = None, program: str = TIED_COORDINATOR
 ) -> Iterator[Searches]:
-    """Start a coordinator and `workers` in `environment` (this process's if None); end them afterwards."""
-    with ExitStack() as stack:
-        its = stack.enter_context(coordinating(environment, program))
-        commands = [worker_command(its.address, f"w{index}") for index in range(workers)]
-        ours = [its.process, *(stack.enter_context(its.started(each)) for each in commands)]
-        client = stack.enter_context(connected(its.address, CONNECT_LIMIT_S))
-        searches = Searches(client, its.address, ours, its.folder / "log")
-        searches.wait_for(workers)
+    """Start a coordinator and `workers`, see `Machines`, and load all that they need; end them afterwards."""
+    with running(workers, environment=environment, program=program) as (machines, client):
+        searches = Searches(client, machines)
         searches.warm_up()
-        note(f"{workers} workers ready at {its.address}")
+        note(f"{workers} workers ready at {machines.address}")
         yield searches
-
-
-@dataclass(frozen=True)
-class Coordinating:
-    """A coordinator as a process of this machine; `folder` is removed at its end."""
-
-    address: str
-    process: subprocess.Popen[str]
-    folder: Path
-    log: IO[str]
-    environment: dict[str, str] | None
-
-    def started(self, command: Sequence[str]) -> AbstractContextManager[subprocess.Popen[str]]:
-        """Start another process, which ends with the block; what it says on stderr goes to the log."""
-        return started(command, self.log, self.environment)
-
-
-@contextmanager
-def coordinating(environment: dict[str, str] | None = None, program: str = TIED_COORDINATOR) -> Iterator[Coordinating]:
-    """Start a coordinator on a free port, in `environment` (this process's if None); end it afterwards.
-
-    `program` is its Python text, which is given this process's id and the words of a command line.
-    """
-    with ExitStack() as stack:
-        stack.enter_context(raising_interrupts())
-        folder = Path(stack.enter_context(TemporaryDirectory(prefix="atoll-benchmark-")))
-        log = stack.enter_context((folder / "log").open("w", encoding="utf-8"))
-        coordinator = stack.enter_context(started(_serve_command(program, folder), log, environment))
-        yield Coordinating(address_in(coordinator, folder / "log"), coordinator, folder, log, environment)
-
-
-def _serve_command(program: str, folder: Path) -> Sequence[str]:
-    options = ["--listen", "tcp/127.0.0.1:0", "--state", str(folder / "state")]
-    return [sys.executable, "-c", program, str(os.getpid()), "serve", *options]
-
-
-def address_in(coordinator: subprocess.Popen[str], log: Path) -> str:
-    """Return the address in the line by which a coordinator tells how to start a worker; raises AtollError."""
-    assert coordinator.stdout is not None
-    for line in coordinator.stdout:
-        if "--connect" in line:
-            return line.split("--connect")[1].strip()
-    raise AtollError(f"the coordinator ended before it listened: {log.read_text('utf-8').strip()[-300:]}")
-
-
-@contextmanager
-def started(
-    command: Sequence[str], log: IO[str], environment: dict[str, str] | None = None
-) -> Iterator[subprocess.Popen[str]]:
-    """Start a process, what it says on stderr going to `log`; end it with the block."""
-    process = subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=log,
-        text=True,
-        env=environment,
-        start_new_session=True,  # a Ctrl-C on the terminal is this program's alone to handle
-    )
-    try:
-        yield process
-    finally:
-        _end(process)
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    process.terminate()
-    try:
-        process.wait(STOP_LIMIT_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    if process.stdout is not None:
-        process.stdout.close()

@@ -5,7 +5,7 @@
 are the paper's printed ones (its van der Pol differs from that of the published data files of the same name).
 """
 
-import argparse
+from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +14,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
+
+from atoll.data.table import Table
+from benchmarks.harness.command_line import option, program
 
 FloatArray = npt.NDArray[np.float64]
 Draw = Callable[[np.random.Generator], tuple[float, float]]
@@ -85,10 +88,7 @@ SYSTEMS: Final[dict[str, System]] = {
         _normal(5.0, 10.0),
     ),
     "bar_magnets": System(
-        {
-            "theta1": "0.5*sin(theta1 - theta2) - sin(theta1)",
-            "theta2": "0.5*sin(theta2 - theta1) - sin(theta2)",
-        },
+        {"theta1": "0.5*sin(theta1 - theta2) - sin(theta1)", "theta2": "0.5*sin(theta2 - theta1) - sin(theta2)"},
         lambda a, b: (0.5 * np.sin(a - b) - np.sin(a), 0.5 * np.sin(b - a) - np.sin(b)),
         _uniform((0.0, 0.0), (2 * np.pi, 2 * np.pi)),
     ),
@@ -183,6 +183,17 @@ def _solved(system: System, start: Sequence[float], times: FloatArray) -> FloatA
     return np.ascontiguousarray(solution.y.T)
 
 
+def table_of(sampled: Sampled) -> Table:
+    """Return the table that a file with these trajectories would be read as."""
+    times = np.concatenate(sampled.times)
+    lengths = [len(each) for each in sampled.times]
+    columns = np.ascontiguousarray(np.column_stack((times, np.concatenate(sampled.values))).T)
+    starts = tuple(int(start) for start in np.cumsum([0, *lengths[:-1]]))
+    rows = np.arange(len(times), dtype=np.int64)
+    names = ("t", *sampled.names)
+    return Table(names, ("",) * len(names), columns, starts, ("sampled",), np.zeros_like(rows), rows + 2)
+
+
 def write_csv(path: Path, sampled: Sampled) -> None:
     """Write columns ``trajectory,t,states…`` with 17 significant digits."""
     lines = [",".join(("trajectory", "t", *sampled.names))]
@@ -194,17 +205,19 @@ def write_csv(path: Path, sampled: Sampled) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+@program(
+    "benchmarks.harness.systems",
+    __doc__,
+    option("--system", choices=SYSTEMS, default="lotka_volterra"),
+    option("--all", action="store_true", help="every system, not only --system"),
+    option("--step", type=float, default=0.1, help="sampling step (default 0.1)"),
+    option("--duration", type=float, default=10.0, help="length of a trajectory (default 10)"),
+    option("--seed", type=int, default=0, help="initial conditions and noise (default 0)"),
+    option("--noise", type=float, default=0.0, help="as a fraction of each state's sd (default 0)"),
+    option("--out", type=Path, default=Path(), help="folder to write to (default: this one)"),
+)
+def main(options: Namespace) -> None:
     """Write one CSV file per system asked for and print its path."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.harness.systems", description=__doc__.split("\n")[0])
-    parser.add_argument("--system", choices=SYSTEMS, default="lotka_volterra")
-    parser.add_argument("--all", action="store_true", help="every system, not only --system")
-    parser.add_argument("--step", type=float, default=0.1, help="sampling step (default 0.1)")
-    parser.add_argument("--duration", type=float, default=10.0, help="length of a trajectory (default 10)")
-    parser.add_argument("--seed", type=int, default=0, help="initial conditions and noise (default 0)")
-    parser.add_argument("--noise", type=float, default=0.0, help="as a fraction of each state's sd (default 0)")
-    parser.add_argument("--out", type=Path, default=Path(), help="folder to write to (default: this one)")
-    options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     for name in SYSTEMS if options.all else (options.system,):
         path = options.out / f"{name}.csv"

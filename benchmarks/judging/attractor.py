@@ -6,9 +6,9 @@ true equations and at those with 26 in place of 28, and prints what share of the
 to be a hundredth, `InferenceSettings.improbable`.
 """
 
-import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -20,7 +20,7 @@ from atoll_coordinator.model.inference.attractor import along, look_for_chaos
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import System, system_of
-from benchmarks.harness.command_line import whole
+from benchmarks.harness.command_line import option, program, whole
 
 STEP: Final = 0.01
 RATE: Final = 0.9
@@ -82,12 +82,14 @@ def refused(system: System, rows: int, draws: int) -> Iterator[bool]:
         yield found is not None and not found.is_kept
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.judging.attractor",
+    __doc__,
+    option("--rows", type=whole, nargs="+", default=[2000, 6000, 10_000, 40_000], help="of a trajectory"),
+    option("--draws", type=whole, default=200, help="trajectories of each length (%(default)s)"),
+)
+def main(options: Namespace) -> int:
     """Do what the options ask for."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.judging.attractor", description=__doc__.split("\n")[0])
-    parser.add_argument("--rows", type=whole, nargs="+", default=[2000, 6000, 10_000, 40_000], help="of a trajectory")
-    parser.add_argument("--draws", type=whole, default=200, help="trajectories of each length (%(default)s)")
-    options = parser.parse_args(arguments)
     say("| rows | truth refused | 26 for 28 refused |\n|---|---|---|")
     for rows in options.rows:
         shares = [np.mean(list(refused(lorenz(its), rows, options.draws))) for its in (28.0, 26.0)]

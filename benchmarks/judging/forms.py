@@ -15,11 +15,11 @@ Constants inside sin, cos and other functions are coefficients like all others: 
 The truth must be written in lowest terms.
 """
 
-import argparse
 import csv
 import math
 import re
 import sys
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +30,7 @@ import numpy as np
 from atoll.errors import UsageError
 from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
+from benchmarks.harness.command_line import option, program
 from benchmarks.judging.fractions import (
     Atoms,
     FloatArray,
@@ -69,12 +70,12 @@ class _DifferentError(Exception):
 
 
 def compare(
-    model: str, truth: str, data: Mapping[str, FloatArray], target_sd: float, tolerance: float = 0.01
+    model: str | None, truth: str, data: Mapping[str, FloatArray], target_sd: float, tolerance: float = 0.01
 ) -> FormVerdict:
     """Compare `model` with `truth`, both infix text over the names of `data`.
 
     Args:
-        model: the expression that was found.
+        model: the expression that was found, None where there is none.
         truth: the expression sought, in lowest terms.
         data: the rows on which contributions are measured: by name, R values each.
         target_sd: standard deviation of the target, in its units.
@@ -83,6 +84,8 @@ def compare(
     Raises:
         UsageError: one of the texts is no expression over `data`'s names.
     """
+    if model is None:
+        return FormVerdict(False, "no equation was found", None, None)
     with np.errstate(all="ignore"):
         function_error = _function_error(model, truth, data)
         try:
@@ -242,30 +245,6 @@ def _function_error(model: str, truth: str, data: Mapping[str, FloatArray]) -> f
     return error if math.isfinite(error) else None
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Compare two expressions on the command line; exit code 0 when they have the same form, else 1."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.judging.forms", description="Is a model exact in form?")
-    parser.add_argument("model")
-    parser.add_argument("truth")
-    parser.add_argument("--data", type=Path, help="CSV with the variables as columns; default: uniform on [0.5, 2.5]")
-    parser.add_argument("--deviation", type=float, help="standard deviation of the target; default: the truth's")
-    parser.add_argument("--tolerance", type=float, default=0.01, help="relative, for each coefficient (0.01)")
-    options = parser.parse_args(arguments)
-    data = _read(options.data) if options.data else _uniform(options.model, options.truth)
-    try:
-        deviation = options.deviation or float(
-            np.std(values_of(from_infix(options.truth, tuple(data)), np.array([*data.values()])))
-        )
-        verdict = compare(options.model, options.truth, data, deviation, options.tolerance)
-    except UsageError as error:
-        print(error, file=sys.stderr)
-        return 2
-    print(f"{'exact in form' if verdict.exact else 'not exact in form'}: {verdict.reason}")
-    print(f"largest difference of a constant: {_shown(verdict.constants_error)}")
-    print(f"error on fresh points: {_shown(verdict.function_error)}")
-    return 0 if verdict.exact else 1
-
-
 def _shown(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
@@ -280,6 +259,33 @@ def _uniform(*texts: str) -> dict[str, FloatArray]:
     generator = np.random.default_rng(1)
     names = dict.fromkeys(name for text in texts for name in re.findall(r"[^\W\d]\w*(?!\w*\s*\()", text))
     return {name: generator.uniform(0.5, 2.5, 200) for name in names if name != "pi"}
+
+
+@program(
+    "benchmarks.judging.forms",
+    __doc__,
+    option("model"),
+    option("truth"),
+    option("--data", type=Path, help="CSV with the variables as columns; default: uniform on [0.5, 2.5]"),
+    option("--deviation", type=float, help="standard deviation of the target; default: the truth's"),
+    option("--tolerance", type=float, default=0.01, help="relative, for each coefficient (0.01)"),
+    description="Is a model exact in form?",
+)
+def main(options: Namespace) -> int:
+    """Compare two expressions on the command line; exit code 0 when they have the same form, else 1."""
+    data = _read(options.data) if options.data else _uniform(options.model, options.truth)
+    try:
+        deviation = options.deviation or float(
+            np.std(values_of(from_infix(options.truth, tuple(data)), np.array([*data.values()])))
+        )
+        verdict = compare(options.model, options.truth, data, deviation, options.tolerance)
+    except UsageError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(f"{'exact in form' if verdict.exact else 'not exact in form'}: {verdict.reason}")
+    print(f"largest difference of a constant: {_shown(verdict.constants_error)}")
+    print(f"error on fresh points: {_shown(verdict.function_error)}")
+    return 0 if verdict.exact else 1
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from atoll.data.dataset import Dataset, FloatArray
 from atoll_coordinator.cli.terminal.output import error_text
+from benchmarks.harness.tables import Columns
 from benchmarks.judging.forms import FormVerdict, compare
 
 TOLERANCE: Final = 0.01
@@ -48,6 +49,16 @@ class Verdict:
     seconds: float
     exact_on_front: int | None
     digest: str
+
+    @property
+    def mark(self) -> str:
+        """What is said of an equation that is judged by its function."""
+        return " (singular)" if self.is_singular else ""
+
+    @property
+    def end(self) -> str:
+        """Why the search ended."""
+        return self.why or "-"
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +114,6 @@ def _verdict(question: Question, result: Mapping[str, Any], equation: Mapping[st
 
 
 def _compared(question: Question, variable: str, expression: str | None) -> FormVerdict:
-    if expression is None:
-        return FormVerdict(False, "no equation was found", None, None)
     dataset = question.dataset
     columns: dict[str, FloatArray] = dict(zip(dataset.names, dataset.inputs, strict=True))
     deviation = dataset.problem(variable).target.standard_deviation
@@ -118,28 +127,12 @@ def _on_front(question: Question, variable: str, front: list[Mapping[str, Any]])
     return None
 
 
-HEADS: Final = ("case", "seed", "equation", "found", "constants", "function", "error", "threshold", "size", "epochs")
-MORE_HEADS: Final = ("evaluations", "search s", "s", "end")
-
-
-def cells(verdict: Verdict) -> tuple[str, ...]:
-    """Return the row of a table under `HEADS` and `MORE_HEADS`."""
-    return (
-        verdict.case,
-        str(verdict.seed),
-        verdict.lhs,
-        ("yes" if verdict.found else "NO") + (" (singular)" if verdict.is_singular else ""),
-        error_text(verdict.constants_error),
-        error_text(verdict.function_error),
-        error_text(verdict.error),
-        error_text(verdict.threshold),
-        str(verdict.complexity),
-        str(verdict.epoch),
-        f"{verdict.point_evaluations:.2e}",
-        f"{verdict.equation_seconds:.2f}",
-        f"{verdict.seconds:.2f}",
-        verdict.why or "-",
-    )
+COLUMNS: Final = Columns(
+    "case | seed | equation={lhs} | found={found:yes}{mark} | constants={constants_error:error} | "
+    "function={function_error:error} | error={error:error} | threshold={threshold:error} | size={complexity!s} | "
+    "epochs={epoch} | evaluations={point_evaluations:.2e} | search s={equation_seconds:.2f} | s={seconds:.2f} | "
+    "end={end}"
+)
 
 
 def miss(verdict: Verdict) -> str:

@@ -16,6 +16,7 @@ import re
 import statistics
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,28 +26,16 @@ import numpy as np
 
 from atoll.config import PRESETS
 from atoll.expression.builder import Expression, ProgramBuilder
-from atoll.expression.operators import (
-    ADD,
-    CONSTANT,
-    COS,
-    DIVIDE,
-    MULTIPLY,
-    NEGATE,
-    SIN,
-    SQUARE,
-    SUBTRACT,
-    VARIABLE,
-)
+from atoll.expression.operators import ADD, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT, VARIABLE
 from atoll.expression.program import Program
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.cli.terminal.output import clipped, note, say, table
-from benchmarks.harness.command_line import add_search_options, plain_errors, whole
+from benchmarks.harness.command_line import option, program, search_options, whole
 from benchmarks.harness.record import Record
 from benchmarks.harness.service import searching
-from benchmarks.harness.systems import TABLE_III, TRUTH
-from benchmarks.kernels.derivatives import table_of
+from benchmarks.harness.systems import TABLE_III, TRUTH, table_of
 from benchmarks.paper.seven import case, configured
 
 _TOKEN: Final = re.compile(r"[^\W\d]\w*|\d+\.?\d*(?:[eE][-+]?\d+)?|\*\*|[-+*/()]")
@@ -147,7 +136,10 @@ def searched(options: argparse.Namespace, record: Record) -> Iterator[Writing]:
                 its = case(system, options.step, seed)
                 config = configured(PRESETS["default"], seed, its.order, options.max_time)
                 result = searches.solve(f"{system} seed {seed}", table_of(its.sampled), config)
-                note(f"{system} seed {seed}: " + "; ".join(str(each["expression"]) for each in result["equations"]))
+                note(
+                    f"{system} seed {seed}: "
+                    + "; ".join(str(equation["expression"]) for equation in result["equations"])
+                )
                 yield from of_result(result, system, seed)
 
 
@@ -237,8 +229,8 @@ def undressed(law: str, names: Sequence[str], seed: int, steps: int) -> Dressing
 
 def _show(writings: Sequence[Writing]) -> None:
     groups: dict[tuple[str, str], list[Writing]] = {}
-    for each in writings:
-        groups.setdefault((each.system, each.variable), []).append(each)
+    for writing in writings:
+        groups.setdefault((writing.system, writing.variable), []).append(writing)
     rows = [
         (
             system or "?",
@@ -274,36 +266,33 @@ def _show_dresses(found: Sequence[Dressing], worst: int = 8) -> None:
             say(f"{each.law}: {each.excess} nodes too many: {each.found}\n    {clipped(each.dress, 200)}")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.judging.writings",
+    __doc__,
+    option("--results", type=Path, nargs="+", metavar="FILE", help="saved results; nothing is searched"),
+    option("--dresses", type=whole, metavar="N", help="other writings of each law; nothing is searched"),
+    option("--step", type=float, default=0.02, help="sampling step (%(default)s; the paper's is 0.1)"),
+    *search_options("100-109", 120.0),
+)
+def main(options: Namespace) -> int:
     """Measure, print the tables; return 0 when at least 95 % are short, else 1."""
-    options = _parser().parse_args(arguments)
-    record = Record("writings", sys.argv[1:] if arguments is None else arguments, options.out)
-    with plain_errors("benchmarks.judging.writings"):
-        if options.dresses:
-            found = [
-                undressed(law, names, 1000 * number + seed, 1 + seed % 4)
-                for number, (law, names) in enumerate(LAWS)
-                for seed in range(options.dresses)
-            ]
-            _show_dresses(found)
-            record.write(dresses=[asdict(each) for each in found])
-            return 0 if sum(each.excess <= 0 for each in found) >= 0.95 * len(found) else 1
-        if options.results:
-            writings = [each for path in options.results for each in read(path)]
-        else:
-            writings = list(searched(options, record))
+    record = Record("writings", options.words, options.out)
+    if options.dresses:
+        found = [
+            undressed(law, names, 1000 * number + seed, 1 + seed % 4)
+            for number, (law, names) in enumerate(LAWS)
+            for seed in range(options.dresses)
+        ]
+        _show_dresses(found)
+        record.write(dresses=[asdict(each) for each in found])
+        return 0 if sum(each.excess <= 0 for each in found) >= 0.95 * len(found) else 1
+    if options.results:
+        writings = [each for path in options.results for each in read(path)]
+    else:
+        writings = list(searched(options, record))
     _show(writings)
-    record.write(writings=[asdict(each) for each in writings])
+    record.write(writings=[asdict(writing) for writing in writings])
     return 0 if sum(each.is_short for each in writings) >= 0.95 * len(writings) else 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.judging.writings", description=__doc__.split("\n")[0])
-    parser.add_argument("--results", type=Path, nargs="+", metavar="FILE", help="saved results; nothing is searched")
-    parser.add_argument("--dresses", type=whole, metavar="N", help="other writings of each law; nothing is searched")
-    parser.add_argument("--step", type=float, default=0.02, help="sampling step (%(default)s; the paper's is 0.1)")
-    add_search_options(parser, "100-109", 120.0)
-    return parser
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ compared with numpy's. Returns 1 when a fitness is wrong, else 0.
 
 import argparse
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -24,8 +25,9 @@ from atoll.errors import UsageError
 from atoll.expression.kernels.tape import LANES
 from atoll.expression.operators import BY_NAME
 from atoll_coordinator.cli.terminal.output import note, say, table
-from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.command_line import OUT, option, program, whole
 from benchmarks.harness.record import Record, load
+from benchmarks.harness.tables import Columns
 from benchmarks.kernels.corpus import CORPUS, load_corpus, make_corpus, save_corpus
 from benchmarks.kernels.speeds import OperatorSpeed, Peak, Speed, operator_speed, parts_of, peak, speed, wrong
 
@@ -49,62 +51,26 @@ def corpus_text(size: int, mean: float, its: Speed) -> str:
 
 
 def rows_table(speeds: Sequence[Speed], limit: Peak) -> str:
-    """Return the speeds by number of rows; shares are of `limit.in_registers`, an operation being a node."""
-    heads = (
-        "rows",
-        "M points/s",
-        "G nodes/s",
-        "with gradient M",
-        "G",
-        "x numpy",
-        "of peak",
-        "of L1 loop",
+    """Return the speeds by number of rows; shares are of `limit`, an operation being a node."""
+    columns = Columns(
+        "rows | M points/s={points:M.1f} | G nodes/s={nodes:G.2f} | with gradient M={gradient_points:M.1f} | "
+        "G={gradient_nodes:G.2f} | x numpy={numpy_ratio:.1f}"
     )
-    return table(
-        heads,
-        [
-            (
-                str(its.rows),
-                f"{its.points / 1e6:.1f}",
-                f"{its.nodes / 1e9:.2f}",
-                f"{its.gradient_points / 1e6:.1f}",
-                f"{its.gradient_nodes / 1e9:.2f}",
-                f"{its.numpy_ratio:.1f}",
-                f"{its.nodes / limit.in_registers:.1%}",
-                f"{its.nodes / limit.in_cache:.1%}",
-            )
-            for its in speeds
-        ],
-    )
+    return _with_shares(columns, speeds, limit)
 
 
 def operators_table(speeds: Sequence[OperatorSpeed], limit: Peak) -> str:
     """Return the speeds by operator."""
-    heads = ("operator", "rows", "G nodes/s", "with gradient", "x numpy", "of peak", "of L1 loop")
-    return table(
-        heads,
-        [
-            (
-                its.operator,
-                str(its.rows),
-                f"{its.nodes / 1e9:.2f}",
-                f"{its.gradient_nodes / 1e9:.2f}",
-                f"{its.numpy_ratio:.1f}",
-                f"{its.nodes / limit.in_registers:.1%}",
-                f"{its.nodes / limit.in_cache:.1%}",
-            )
-            for its in speeds
-        ],
+    columns = Columns(
+        "operator | rows | G nodes/s={nodes:G.2f} | with gradient={gradient_nodes:G.2f} | x numpy={numpy_ratio:.1f}"
     )
+    return _with_shares(columns, speeds, limit)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and print, or make the corpus; return 1 when a fitness is not what numpy computes, else 0."""
-    options = _parser().parse_args(arguments)
-    with plain_errors("benchmarks.kernels"):
-        if options.make_corpus:
-            return _make(options)
-        return _measure(options, sys.argv[1:] if arguments is None else arguments)
+def _with_shares(columns: Columns, speeds: Sequence[Speed] | Sequence[OperatorSpeed], limit: Peak) -> str:
+    peaks = limit.in_registers, limit.in_cache
+    rows = [(*columns.row(speed), *(f"{speed.nodes / peak:.1%}" for peak in peaks)) for speed in speeds]
+    return table((*columns.heads, "of peak", "of L1 loop"), rows)
 
 
 def _make(options: argparse.Namespace) -> int:
@@ -143,7 +109,7 @@ def _measure(options: argparse.Namespace, arguments: Sequence[str]) -> int:
         "corpus": {"lists": len(corpus.code), "mean_live_size": mean, "wrong": bad},
         "peak": asdict(limit),
         "by_rows": [asdict(its) for its in speeds],
-        "by_operator": [asdict(its) for its in operators],
+        "by_operator": [asdict(operator) for operator in operators],
     }
     Record("kernels", arguments, options.out).write(**figures)
     return 1 if bad else 0
@@ -156,17 +122,24 @@ def _rows(text: str) -> list[int]:
     return [int(part) for part in parts]
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.kernels", description=__doc__.split("\n")[0])
-    default = ",".join(map(str, ROWS))
-    parser.add_argument("--rows", type=_rows, default=list(ROWS), help=f"besides {LANES}, such as 64,1024 ({default})")
-    parser.add_argument("--operator", choices=BY_NAME, action="append", help="repeat for several; default: all")
-    parser.add_argument("--repetitions", type=whole, default=7, help="the fastest counts (%(default)s)")
-    parser.add_argument("--corpus", type=Path, default=CORPUS, help="file of operation lists (the committed one)")
-    parser.add_argument("--make-corpus", action="store_true", help="write that file anew, from searches in --data")
-    parser.add_argument("--data", type=Path, help="folder of the Strogatz label files, for --make-corpus")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    return parser
+@program(
+    "benchmarks.kernels",
+    __doc__,
+    option(
+        "--rows", type=_rows, default=list(ROWS), help=f"besides {LANES}, such as 64,1024 ({','.join(map(str, ROWS))})"
+    ),
+    option("--operator", choices=BY_NAME, action="append", help="repeat for several; default: all"),
+    option("--repetitions", type=whole, default=7, help="the fastest counts (%(default)s)"),
+    option("--corpus", type=Path, default=CORPUS, help="file of operation lists (the committed one)"),
+    option("--make-corpus", action="store_true", help="write that file anew, from searches in --data"),
+    option("--data", type=Path, help="folder of the Strogatz label files, for --make-corpus"),
+    OUT,
+)
+def main(options: Namespace) -> int:
+    """Measure and print, or make the corpus; return 1 when a fitness is not what numpy computes, else 0."""
+    if options.make_corpus:
+        return _make(options)
+    return _measure(options, options.words)
 
 
 if __name__ == "__main__":

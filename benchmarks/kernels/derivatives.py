@@ -6,31 +6,19 @@ twice the floor), so the ratio must stay below 2), and the share of the range of
 still cover.
 """
 
-import argparse
 import time
-from collections.abc import Sequence
+from argparse import Namespace
 
 import numpy as np
 
 from atoll.config import PRESETS, JobConfig
 from atoll.data.dataset import Dataset
-from atoll.data.table import Table
 from atoll_coordinator.data.prepare import prepare
-from benchmarks.harness.systems import SYSTEMS, TABLE_III, FloatArray, Sampled, trajectories
+from benchmarks.harness.command_line import option, program
+from benchmarks.harness.systems import SYSTEMS, TABLE_III, FloatArray, Sampled, table_of, trajectories
 
 SMALLEST = 1e-9
 """Normalized error that always counts as converged."""
-
-
-def table_of(sampled: Sampled) -> Table:
-    """Return the table that a file with these trajectories would be read as."""
-    times = np.concatenate(sampled.times)
-    lengths = [len(each) for each in sampled.times]
-    columns = np.ascontiguousarray(np.column_stack((times, np.concatenate(sampled.values))).T)
-    starts = tuple(int(start) for start in np.cumsum([0, *lengths[:-1]]))
-    rows = np.arange(len(times), dtype=np.int64)
-    names = ("t", *sampled.names)
-    return Table(names, ("",) * len(names), columns, starts, ("sampled",), np.zeros_like(rows), rows + 2)
 
 
 def truth_of(system: str, dataset: Dataset) -> FloatArray:
@@ -80,17 +68,17 @@ def _seeds(text: str) -> list[int]:
     return list(range(int(first), int(last or first) + 1))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+@program(
+    "benchmarks.kernels.derivatives",
+    __doc__,
+    option("--step", type=float, default=0.02),
+    option("--seeds", type=_seeds, default=_seeds("0-4"), help="one seed or a range such as 0-4"),
+    option("--noise", type=float, default=0.0),
+    option("--preset", choices=PRESETS, default="default"),
+    option("--system", choices=SYSTEMS, action="append", help="repeat for several; default: Table III"),
+)
+def main(options: Namespace) -> None:
     """Print the table for all systems and seeds, and the worst ratio."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.kernels.derivatives", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--step", type=float, default=0.02)
-    parser.add_argument("--seeds", type=_seeds, default=_seeds("0-4"), help="one seed or a range such as 0-4")
-    parser.add_argument("--noise", type=float, default=0.0)
-    parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--system", choices=SYSTEMS, action="append", help="repeat for several; default: Table III")
-    options = parser.parse_args(arguments)
     print(
         f"{'system':22} {'seed':>4} {'equation':12} {'kept':>6} {'truth':>9} {'floor':>9} {'ratio':>7} {'worst':>9} "
         f"{'noise':>8} {'range':>6} {'s':>6}"

@@ -12,6 +12,7 @@ constants of all runs, as fitted. Seeds 0 to 9 are for tuning.
 import argparse
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -31,7 +32,7 @@ from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.service.jobs.defaults import resolve
-from benchmarks.harness.command_line import seeds
+from benchmarks.harness.command_line import option, program, seeds
 from benchmarks.harness.service import searching
 
 Rates = Callable[[float, Sequence[float], float], Sequence[float]]
@@ -183,29 +184,9 @@ def measure(solve: Solve, law: Law, noise: float, seed: int) -> Outcome:
     config = JobConfig(seed=seed, data=DataConfig(group="run"))
     result = solve(f"{law.name} {noise:g} {seed}", table(law, noise, seed), config)
     outcome = judged(law, noise, result)
-    texts = "; ".join(f"{each['lhs']} = {each['expression']}" for each in result["equations"])
+    texts = "; ".join(f"{equation['lhs']} = {equation['expression']}" for equation in result["equations"])
     note(f"{law.name}, noise {noise:g}, seed {seed}: {outcome} {texts}")
     return outcome
-
-
-def main() -> int:
-    """Run the benchmark and print its table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
-    parser.add_argument("--seeds", type=seeds, default=seeds("10-19"))
-    parser.add_argument("--noise", type=float, nargs="+", default=sorted(TOLERANCES))
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--laws", type=int, default=len(LAWS), help="so many of the laws, the first ones")
-    parser.add_argument(
-        "--without-search", action="store_true", help="refine in this process, seconds of its processor"
-    )
-    options = parser.parse_args()
-    if options.without_search:
-        lines = rows(refined, options)
-    else:
-        with searching(options.workers) as searches:
-            lines = rows(searches.solve, options)
-    sys.stdout.write("\n".join([f"| {' | '.join(HEADS)} |", "|---" * len(HEADS) + "|", *lines]) + "\n")
-    return 0
 
 
 def rows(solve: Solve, options: argparse.Namespace) -> list[str]:
@@ -224,6 +205,27 @@ def rows(solve: Solve, options: argparse.Namespace) -> list[str]:
             )
             note(lines[-1])
     return lines
+
+
+@program(
+    "benchmarks.known",
+    __doc__,
+    option("--seeds", type=seeds, default=seeds("10-19")),
+    option("--noise", type=float, nargs="+", default=sorted(TOLERANCES)),
+    option("--workers", type=int, default=1),
+    option("--laws", type=int, default=len(LAWS), help="so many of the laws, the first ones"),
+    option("--without-search", action="store_true", help="refine in this process, seconds of its processor"),
+    prog=None,
+)
+def main(options: Namespace) -> int:
+    """Run the benchmark and print its table."""
+    if options.without_search:
+        lines = rows(refined, options)
+    else:
+        with searching(options.workers) as searches:
+            lines = rows(searches.solve, options)
+    sys.stdout.write("\n".join([f"| {' | '.join(HEADS)} |", "|---" * len(HEADS) + "|", *lines]) + "\n")
+    return 0
 
 
 if __name__ == "__main__":

@@ -7,53 +7,54 @@ an equation costs beside states that do not matter to it, ``effort`` how much ea
 ``--dysts DIR`` adds flows of the files that ``python -m benchmarks.dysts make`` has written there, by their names.
 """
 
-import argparse
 import sys
-from collections.abc import Sequence
+from argparse import Namespace
 from pathlib import Path
+from typing import Final
 
-from benchmarks.harness.command_line import seeds, whole
+from benchmarks.harness.command_line import option, program, seeds_of, verb, verbs, whole, workers
 from benchmarks.many import effort, irrelevant, laws
 from benchmarks.many.campaign import run, show
 from benchmarks.many.systems import SYSTEMS
 
+SEARCHED: Final = (
+    option("--systems", nargs="+", default=["yeast"], help=f"of {', '.join(SYSTEMS)}, or of --dysts"),
+    option("--noise", type=float, nargs="+", default=[0.0], help="percent of each state's deviation"),
+    seeds_of("1000-1004", "of data and search (1000-1004)"),
+    option("--runs", type=whole, help="initial conditions, instead of the system's own number"),
+    option("--max-time", type=float, metavar="SECONDS", help="end of a job; default: none"),
+    option("--dysts", type=Path, metavar="DIR", help="files of chaotic flows"),
+)
+LINES: Final = (
+    option("--out", type=Path, metavar="FILE", help="file of JSON lines to write each search to"),
+    option("--resume", type=Path, metavar="FILE", help="such a file, to go on with"),
+)
 
-def main(arguments: Sequence[str] | None = None) -> int:
+
+@program(
+    "benchmarks.many",
+    __doc__,
+    verbs(
+        verb("run", "search and judge", *SEARCHED, workers(), *LINES),
+        verb("laws", "judge the laws by regression alone", *SEARCHED),
+        verb(
+            "irrelevant",
+            "what an equation costs beside states that do not matter to it",
+            option("--others", type=int, nargs="+", default=[0, 4, 10, 20, 40], help="how many (even)"),
+            seeds_of("1000", "of the data (1000)"),
+        ),
+        verb(
+            "effort",
+            "how search effort is spread over equations",
+            seeds_of("1000-1002", "of data and search (1000-1002)"),
+        ),
+        verb("show", "print the table of a file", option("file", type=Path, metavar="FILE")),
+    ),
+)
+def main(options: Namespace) -> None:
     """Do what the options ask for."""
-    options = _parser().parse_args(arguments)
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    if options.verb == "laws":
-        return laws.run(options)
-    if options.verb == "irrelevant":
-        return irrelevant.run(options)
-    if options.verb == "effort":
-        return effort.run(options)
-    return run(options, words) if options.verb == "run" else show(options.file)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.many", description=__doc__.split("\n")[0])
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    running = verbs.add_parser("run", help="search and judge")
-    regressing = verbs.add_parser("laws", help="judge the laws by regression alone")
-    for each in (running, regressing):
-        each.add_argument("--systems", nargs="+", default=["yeast"], help=f"of {', '.join(SYSTEMS)}, or of --dysts")
-        each.add_argument("--noise", type=float, nargs="+", default=[0.0], help="percent of each state's deviation")
-        each.add_argument("--seeds", type=seeds, default=seeds("1000-1004"), help="of data and search (1000-1004)")
-        each.add_argument("--runs", type=whole, help="initial conditions, instead of the system's own number")
-        each.add_argument("--max-time", type=float, metavar="SECONDS", help="end of a job; default: none")
-        each.add_argument("--dysts", type=Path, metavar="DIR", help="files of chaotic flows")
-    running.add_argument("--workers", type=whole, default=2, help="worker processes (%(default)s)")
-    running.add_argument("--out", type=Path, metavar="FILE", help="file of JSON lines to write each search to")
-    running.add_argument("--resume", type=Path, metavar="FILE", help="such a file, to go on with")
-    beside = verbs.add_parser("irrelevant", help="what an equation costs beside states that do not matter to it")
-    beside.add_argument("--others", type=int, nargs="+", default=[0, 4, 10, 20, 40], help="how many (even)")
-    beside.add_argument("--seeds", type=seeds, default=seeds("1000"), help="of the data (1000)")
-    spread = verbs.add_parser("effort", help="how search effort is spread over equations")
-    spread.add_argument("--seeds", type=seeds, default=seeds("1000-1002"), help="of data and search (1000-1002)")
-    showing = verbs.add_parser("show", help="print the table of a file")
-    showing.add_argument("file", type=Path, metavar="FILE")
-    return parser
+    ways = {"run": run, "laws": laws.run, "irrelevant": irrelevant.run, "effort": effort.run, "show": show}
+    ways[options.verb](options)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ The real islands, in the world of the simulation tests, in one process and unref
 after its first epoch, with one and with three workers; and, as it was before, with all equations or none.
 """
 
-import argparse
+from argparse import Namespace
 from unittest.mock import patch
 
 from atoll.config import JobConfig
@@ -12,22 +12,19 @@ from atoll_coordinator.cli.terminal.output import say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.sparse import laws
-from benchmarks.harness.command_line import plain_errors
 from benchmarks.many.campaign import case
 from tests.simulation.harness.simulated_cluster import World
 from tests.simulation.test_real_islands import RealCompute, unrefined
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Namespace) -> None:
     """Print point evaluations of each seed, of all equations and of the one without a law, and digests."""
-    with plain_errors("benchmarks.many"):
-        rows = [row for seed in options.seeds for row in _searched(seed)]
-        say(table(("seed", "rule", "workers", "evaluations", "of h", "epochs", "digest"), rows))
-    return 0
+    rows = [row for seed in options.seeds for row in _searched(seed)]
+    say(table(("seed", "rule", "workers", "evaluations", "of h", "epochs", "digest"), rows))
 
 
 def _searched(seed: int) -> list[tuple[str, ...]]:
-    its = case("uneven", 0.0, seed, argparse.Namespace(runs=None, max_time=None, dysts=None))
+    its = case("uneven", 0.0, seed, Namespace(runs=None, max_time=None, dysts=None))
     preparation = prepare(its.table, its.config)
     settled = laws.settled_variables(preparation, its.config)
     return [_row(seed, "each", workers, preparation, its.config, settled) for workers in (1, 3)] + [
@@ -41,7 +38,7 @@ def _row(
     with patch.object(laws, "settled_variables", lambda *_: settled):
         world = World(workers, seed, compute=RealCompute, prepare=lambda *_: preparation, refiner=unrefined)
         result = world.run(config)
-    points = {each["variable"]: each["point_evaluations"] for each in result["equations"]}
+    points = {equation["variable"]: equation["point_evaluations"] for equation in result["equations"]}
     epochs = [str(each["epoch"]) for each in result["equations"]]
     return (
         str(seed), rule, str(workers), f"{sum(points.values()):.3g}", f"{points['h']:.3g}", " ".join(epochs),

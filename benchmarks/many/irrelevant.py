@@ -4,8 +4,8 @@ Everything in one process: data prepared, variables screened, laws by regression
 of all, begun with constants in place of what a search finds.
 """
 
-import argparse
 import time
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -22,18 +22,15 @@ from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.sparse.laws import find_all_laws
 from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
-from benchmarks.corpus.forms import judge_form
-from benchmarks.harness.command_line import plain_errors
-from benchmarks.kernels.derivatives import table_of
+from benchmarks.harness.systems import table_of
+from benchmarks.judging.fits import judge_form
 from benchmarks.many.systems import System, lorenz96, sampled
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Namespace) -> None:
     """Print for each number of other states and each seed what the equations took, in processor seconds."""
-    with plain_errors("benchmarks.many"):
-        rows = [_measured(count, seed) for count in options.others for seed in options.seeds]
-        say(table(("others", "seed", "right", "laws: s an equation", "refining: s", "s an equation"), rows))
-    return 0
+    rows = [_measured(count, seed) for count in options.others for seed in options.seeds]
+    say(table(("others", "seed", "right", "laws: s an equation", "refining: s", "s an equation"), rows))
 
 
 def beside(count: int) -> System:
@@ -62,7 +59,7 @@ def _measured(count: int, seed: int) -> tuple[str, ...]:
     config = with_screened_variables(preparation, config)
     screening = time.process_time() - begun
     begun, right = time.process_time(), 0
-    sought = replace(dataset, targets=tuple(each for each in dataset.targets if each.variable in core))
+    sought = replace(dataset, targets=tuple(target for target in dataset.targets if target.variable in core))
     for name, laws in find_all_laws(replace(preparation, dataset=sought), config, {}).items():
         text = to_infix(laws[0].program, dataset.names) if laws else None
         right += judge_form(text, system.equations[name], columns, with_extra=False).is_right

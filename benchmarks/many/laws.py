@@ -1,28 +1,24 @@
 """The laws of each state by regression alone: nothing is searched, nothing simulated, one core."""
 
-import argparse
 import time
+from argparse import Namespace
 
 from atoll.expression.text.infix import to_infix
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.sparse.laws import find_all_laws
 from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
-from benchmarks.corpus.forms import judge_form
-from benchmarks.harness.command_line import plain_errors
-from benchmarks.many.campaign import case
+from benchmarks.judging.fits import judge_form
+from benchmarks.many.campaign import case, keys
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Namespace) -> None:
     """Print for each system, noise and seed how many laws have the truth's form, and the processor seconds."""
-    with plain_errors("benchmarks.many"):
-        wanted = [(name, noise, seed) for name in options.systems for noise in options.noise for seed in options.seeds]
-        rows = [_judged(*each, options) for each in wanted]
-        say(table(("system", "noise %", "seed", "right", "cpu s"), rows))
-    return 0
+    rows = [_judged(*key, options) for key in keys(options)]
+    say(table(("system", "noise %", "seed", "right", "cpu s"), rows))
 
 
-def _judged(name: str, noise: float, seed: int, options: argparse.Namespace) -> tuple[str, ...]:
+def _judged(name: str, noise: float, seed: int, options: Namespace) -> tuple[str, ...]:
     its = case(name, noise, seed, options)
     begun = time.process_time()
     preparation = prepare(its.table, its.config)

@@ -1,7 +1,6 @@
 """Single cases beside the seven systems: input that no model fits, long recordings, a measured input, real data."""
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -12,18 +11,18 @@ from scipy.interpolate import CubicSpline
 
 from atoll.config import DataConfig
 from atoll.data.table import Table
-from atoll.errors import AtollError
 from atoll_coordinator.cli.terminal.output import clipped, note, say, shortened, table
 from atoll_coordinator.data.reading.files import read_table
+from benchmarks.harness.campaign import attempt, configured
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.stopwatch import Stopwatch, largest_child_mb
-from benchmarks.harness.systems import Sampled, trajectories, with_noise
+from benchmarks.harness.systems import Sampled, table_of, trajectories, with_noise
+from benchmarks.harness.tables import percent
 from benchmarks.judging.fractions import FloatArray
-from benchmarks.kernels.derivatives import table_of
 from benchmarks.noise.data import Case, Key
 from benchmarks.noise.data import Path as Course
-from benchmarks.noise.search import configured, search
-from benchmarks.noise.tables import miss, percent
+from benchmarks.noise.judging import search
+from benchmarks.noise.tables import miss
 
 Rows = list[dict[str, Any]]
 Section = Callable[[int, float | None, Sequence[int]], Rows]
@@ -65,13 +64,10 @@ def hard(workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
 def _hard_rows(
     searches: Searches, name: str, its: Table, max_time: float | None, seed: int
 ) -> list[tuple[str, str, str, str, str]]:
-    stopwatch, begun = Stopwatch(HARD_LIMIT_S), time.monotonic()
-    try:
-        result = searches.solve(name, its, configured(seed, {}, max_time), stopwatch.watch)
-    except AtollError as error:
-        return [(name, f"{time.monotonic() - begun:.1f}", "refused", str(error), "-")]
-    seconds = f"{time.monotonic() - begun:.1f}"
-    return [(name, seconds, *_verdict(equation)) for equation in result["equations"]]
+    job = attempt(searches, name, its, configured(seed, {}, {"max_time": max_time}), Stopwatch(HARD_LIMIT_S))
+    if job.failure is not None:
+        return [(name, f"{job.seconds:.1f}", "refused", job.failure, "-")]
+    return [(name, f"{job.seconds:.1f}", *_verdict(equation)) for equation in job.result["equations"]]
 
 
 def _verdict(equation: Mapping[str, Any]) -> tuple[str, str, str]:
@@ -155,7 +151,7 @@ def timing(workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
         its = table_of(trajectories("predator_prey", step, seeds[0], 0.05, duration))
         stopwatch = Stopwatch(weighs=True)
         with searching(workers) as searches:
-            result = searches.solve(name, its, configured(seeds[0], {}, max_time), stopwatch.watch)
+            result = searches.solve(name, its, configured(seeds[0], {}, {"max_time": max_time}), stopwatch.watch)
         rows.append((name, str(its.rows), *_times(result, stopwatch), f"{largest_child_mb():.0f}"))
         note(f"{name}: {result['seconds']:.1f} s")
     heads = ("data", "rows", "preparing s", "search s", "refining s", "job s", "all processes MB", "largest so far MB")
@@ -180,11 +176,13 @@ def driven(workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
             for seed in seeds:
                 key = Key("atoll", "plain", "driven pendulum", level, seed)
                 outcome, _ = search(searches, key, driven_case(level, seed), max_time)
-                for its in outcome.equations:
-                    found = ("yes", percent(its.constants_error)) if its.found else ("NO", "-")
-                    r2 = "-" if its.r2 is None else f"{its.r2:.3f}"
-                    text = clipped(shortened(its.expression or "-", 4), 60) if its.found else miss(its)
-                    rows.append((f"{level:g}", str(seed), its.variable, *found, r2, f"{outcome.seconds:.1f}", text))
+                for equation in outcome.equations:
+                    found = ("yes", percent(equation.constants_error)) if equation.found else ("NO", "-")
+                    r2 = "-" if equation.r2 is None else f"{equation.r2:.3f}"
+                    text = clipped(shortened(equation.expression or "-", 4), 60) if equation.found else miss(equation)
+                    rows.append(
+                        (f"{level:g}", str(seed), equation.variable, *found, r2, f"{outcome.seconds:.1f}", text)
+                    )
                 note(f"{key.title}: {outcome.found} of {len(outcome.equations)} in {outcome.seconds:.1f} s")
     return _shown(("noise", "seed", "variable", "found", "constants", "R²", "s", "equation"), rows)
 
@@ -228,7 +226,9 @@ def record(workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
     answers: Rows = []
     with searching(workers) as searches:
         for seed in seeds:
-            result = searches.solve(f"lynx and hare seed {seed}", its, configured(seed, {"time": "year"}, max_time))
+            result = searches.solve(
+                f"lynx and hare seed {seed}", its, configured(seed, {"time": "year"}, {"max_time": max_time})
+            )
             say(f"seed {seed}, {result['seconds']:.1f} s")
             say("\n".join(described(result)))
             answers.append(result)

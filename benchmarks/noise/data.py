@@ -16,9 +16,8 @@ import numpy as np
 from atoll.data.table import Table
 from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
-from benchmarks.harness.systems import RUNS, SYSTEMS, Sampled, System, drawn, solutions, with_noise
+from benchmarks.harness.systems import RUNS, SYSTEMS, Sampled, System, drawn, solutions, table_of, with_noise
 from benchmarks.judging.fractions import FloatArray
-from benchmarks.kernels.derivatives import table_of
 from benchmarks.noise.odd_systems import ODD
 
 STEP: Final = 0.1

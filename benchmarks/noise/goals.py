@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from atoll_coordinator.cli.terminal.output import table
+from benchmarks.harness.tables import Columns, percent
 from benchmarks.noise.judging import Outcome
-from benchmarks.noise.tables import Summary, percent, summarized
+from benchmarks.noise.tables import Summary, summarized
 
 EQUATIONS: Final = 14
 FOUND: Final = {0.0: 14, 0.01: 13, 0.05: 11, 0.1: 10, 0.2: 8}
@@ -68,5 +68,4 @@ def _of_level(its: Summary) -> list[Goal]:
 
 def shown(found: Sequence[Goal]) -> str:
     """Return the goals as a table."""
-    rows = [(each.figure, each.expected, each.measured, "met" if each.is_met else "NOT MET") for each in found]
-    return table(("figure", "expected", "measured", ""), rows)
+    return Columns("figure | expected | measured | ={is_met:met}").table(found)

@@ -5,7 +5,6 @@ their own size; without noise they must be right as well. Bacterial respiration,
 undetermined, is found when its function error on fresh points is small.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -13,9 +12,11 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.errors import UsageError
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
+from benchmarks.harness.campaign import Answer, attempt, configured
+from benchmarks.harness.service import Searches
+from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.judging.coverage import Covered, covered
+from benchmarks.judging.errors import error_on, finite
 from benchmarks.judging.forms import FormVerdict, compare
 from benchmarks.judging.generalisation import foretold, is_foretold
 from benchmarks.judging.verdict import SMALL_ERROR
@@ -89,7 +90,7 @@ class Outcome:
     @property
     def found(self) -> int:
         """Number of equations found."""
-        return sum(each.found for each in self.equations)
+        return sum(equation.found for equation in self.equations)
 
 
 def outcome(key: Key, case: Case, result: Mapping[str, Any], phases: Mapping[str, float]) -> Outcome:
@@ -100,6 +101,16 @@ def outcome(key: Key, case: Case, result: Mapping[str, Any], phases: Mapping[str
     outcomes = tuple(_equation(key, case, name, equations.get(name, {}), r2[name]) for name in case.truths)
     seconds = float(result.get("seconds") or 0.0)
     return Outcome(key, outcomes, seconds, phases, result.get("digest"), result.get("reason"))
+
+
+def search(searches: Searches, key: Key, case: Case, max_time: float | None) -> tuple[Outcome, Answer]:
+    """Search one case and judge it; raises AtollError where the coordinator or a worker has ended."""
+    stopwatch = Stopwatch()
+    config = configured(key.seed, case.data, {"max_time": max_time})
+    job = attempt(searches, key.title, case.table, config, stopwatch)
+    if job.failure is not None:
+        return failed(key, case, job.failure, job.seconds), None
+    return outcome(key, case, job.result, stopwatch.seconds), job.result
 
 
 def failed(key: Key, case: Case, failure: str, seconds: float) -> Outcome:
@@ -120,13 +131,13 @@ def _equation(key: Key, case: Case, name: str, equation: Mapping[str, Any], r2: 
         found=_is_found(key, form),
         in_form=form.exact,
         reason=form.reason,
-        constants_error=_finite(form.constants_error),
+        constants_error=finite(form.constants_error),
         own_error=max(own, default=None),
         function_error=form.function_error,
         path_error=_path_error(case, name, text),
         elsewhere=None if form.exact else _elsewhere(case, name, equation),
         constants=constants,
-        r2=_finite(r2),
+        r2=finite(r2),
         grade=equation.get("verdict"),
         grade_reason=equation.get("reason"),
         contenders=len(candidates) or None,
@@ -147,8 +158,6 @@ def _is_found(key: Key, form: FormVerdict) -> bool:
 
 
 def _form(case: Case, name: str, text: str | None) -> FormVerdict:
-    if text is None:
-        return FormVerdict(False, "no equation was found", None, None)
     slope = case.slope(name)
     deviation = float(np.std(slope[np.isfinite(slope)]))
     try:
@@ -171,13 +180,8 @@ def _path_error(case: Case, name: str, text: str | None) -> float | None:
     if text is None:
         return None
     inputs = [np.array([signal(time) for time in case.fresh.times.tolist()]) for signal in case.fresh.inputs]
-    columns = np.array([*case.fresh.states.T, *inputs])
-    try:
-        with np.errstate(all="ignore"):
-            found, truth = (values_of(from_infix(each, case.names), columns) for each in (text, case.truths[name]))
-            return _finite(float(np.sqrt(np.mean((found - truth) ** 2)) / np.std(truth)))
-    except UsageError:
-        return None
+    columns = dict(zip(case.names, [*case.fresh.states.T, *inputs], strict=True))
+    return error_on(text, case.truths[name], columns)
 
 
 def _elsewhere(case: Case, name: str, equation: Mapping[str, Any]) -> str | None:
@@ -188,7 +192,3 @@ def _elsewhere(case: Case, name: str, equation: Mapping[str, Any]) -> str | None
                 nats = each.get("nats")
                 return place if nats is None else f"{place} ({nats:+.1f} nats)"
     return None
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None

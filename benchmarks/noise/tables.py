@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.cli.terminal.output import clipped, error_text, shortened, table
+from benchmarks.harness.tables import Columns, median, percent
 from benchmarks.noise.judging import BY_FUNCTION, EquationOutcome, Outcome
 
 GRADES: Final = ("exact", "good", "doubtful", "no model", "-")
@@ -57,7 +58,7 @@ class Summary:
 
 def summarized(outcomes: Sequence[Outcome]) -> list[Summary]:
     """Return a summary for each level, manner of sampling and method, by rising level."""
-    kinds = dict.fromkeys((each.key.level, each.key.variant, each.key.method) for each in outcomes)
+    kinds = dict.fromkeys((outcome.key.level, outcome.key.variant, outcome.key.method) for outcome in outcomes)
     return [
         _summary([each for each in outcomes if (each.key.level, each.key.variant, each.key.method) == kind])
         for kind in sorted(kinds, key=lambda kind: kind[0])
@@ -66,7 +67,7 @@ def summarized(outcomes: Sequence[Outcome]) -> list[Summary]:
 
 def _summary(outcomes: Sequence[Outcome]) -> Summary:
     key = outcomes[0].key
-    equations = [(each.key.system, its) for each in outcomes for its in each.equations]
+    equations = [(outcome.key.system, equation) for outcome in outcomes for equation in outcome.equations]
     fair = [its for system, its in equations if its.in_form and system not in BY_FUNCTION]
     constants = [constant for its in fair for constant in its.constants or ()]
     errors = [its.constants_error for its in fair if its.constants_error is not None]
@@ -85,18 +86,18 @@ def _summary(outcomes: Sequence[Outcome]) -> Summary:
         least_found=min(_counts(outcomes, lambda its: its.found)),
         least_foretold=min(_counts(outcomes, lambda its: its.is_foretold)),
         elsewhere=sum(its.elsewhere is not None for _, its in equations),
-        constants_error=_median(errors),
+        constants_error=median(errors),
         constants_error_90=float(np.quantile(errors, 0.9)) if errors else None,
-        own_error=_median([its.own_error for its in fair if its.own_error is not None]),
-        function_error=_median([its.function_error for _, its in equations if its.function_error is not None]),
+        own_error=median([its.own_error for its in fair if its.own_error is not None]),
+        function_error=median([its.function_error for _, its in equations if its.function_error is not None]),
         intervals=len(with_interval),
         covered=sum(constant.is_covered for constant in with_interval),
         without=len(constants) - len(with_interval),
         unmatched=sum(its.constants is None for its in fair),
-        relative_width=_median(widths),
+        relative_width=median(widths),
         seconds=statistics.median(each.seconds for each in outcomes),
         longest_s=max(each.seconds for each in outcomes),
-        refining_s=_median(refining),
+        refining_s=median(refining),
     )
 
 
@@ -107,79 +108,34 @@ def _by_seed(outcomes: Sequence[Outcome], counts: Callable[[EquationOutcome], bo
 
 def _counts(outcomes: Sequence[Outcome], counts: Callable[[EquationOutcome], bool]) -> list[int]:
     """Return for each seed the number of equations that count."""
-    seeds = dict.fromkeys(each.key.seed for each in outcomes)
-    return [sum(counts(its) for each in outcomes if each.key.seed == seed for its in each.equations) for seed in seeds]
+    seeds = dict.fromkeys(outcome.key.seed for outcome in outcomes)
+    return [
+        sum(counts(equation) for each in outcomes if each.key.seed == seed for equation in each.equations)
+        for seed in seeds
+    ]
 
 
-def _median(values: Sequence[float]) -> float | None:
-    return statistics.median(values) if values else None
-
-
-HEADS: Final = (
-    "noise",
-    "sampling",
-    "method",
-    "seeds",
-    "found",
-    "in form",
-    "elsewhere",
-    "foretold",
-    "constants",
-    "90 %",
-    "own",
-    "function",
-    "intervals",
-    "covered",
-    "without",
-    "unmatched",
-    "width",
-    "job s",
-    "longest s",
+LEVELS: Final = Columns(
+    "noise={level:g} | sampling={variant} | method | seeds | found={found:g} of {equations:g} | in form={in_form:g} | "
+    "elsewhere | foretold={foretold:g} | constants={constants_error:percent} | 90 %={constants_error_90:percent} | "
+    "own={own_error:percent} | function={function_error:percent} | intervals | covered={coverage:percent} | without | "
+    "unmatched | width={relative_width:percent} | job s={seconds:.1f} | longest s={longest_s:.1f}"
 )
 
 
 def by_level(summaries: Sequence[Summary]) -> str:
     """Return a table with a row for each summary."""
-    return table(HEADS, [_cells(each) for each in summaries])
-
-
-def _cells(its: Summary) -> tuple[str, ...]:
-    return (
-        f"{its.level:g}",
-        its.variant,
-        its.method,
-        str(its.seeds),
-        f"{its.found:g} of {its.equations:g}",
-        f"{its.in_form:g}",
-        str(its.elsewhere),
-        f"{its.foretold:g}",
-        percent(its.constants_error),
-        percent(its.constants_error_90),
-        percent(its.own_error),
-        percent(its.function_error),
-        str(its.intervals),
-        percent(its.coverage),
-        str(its.without),
-        str(its.unmatched),
-        percent(its.relative_width),
-        f"{its.seconds:.1f}",
-        f"{its.longest_s:.1f}",
-    )
-
-
-def percent(share: float | None) -> str:
-    """Return a share in % with three digits, ``-`` for None."""
-    return "-" if share is None else f"{100.0 * share:.3g} %"
+    return LEVELS.table(summaries)
 
 
 def by_equation(outcomes: Sequence[Outcome]) -> str:
     """Return a table with a row for each equation, and in how many searches it was found at each level."""
-    kinds = dict.fromkeys((each.key.method, each.key.variant) for each in outcomes)
+    kinds = dict.fromkeys((outcome.key.method, outcome.key.variant) for outcome in outcomes)
     levels = sorted({each.key.level for each in outcomes})
     rows = []
     for method, variant in kinds:
         chosen = [each for each in outcomes if (each.key.method, each.key.variant) == (method, variant)]
-        names = dict.fromkeys((each.key.system, its.variable) for each in chosen for its in each.equations)
+        names = dict.fromkeys((each.key.system, equation.variable) for each in chosen for equation in each.equations)
         for system, name in names:
             cells = [_share(chosen, system, name, level) for level in levels]
             rows.append((method, variant, f"{system} {name}", *cells))
@@ -189,22 +145,22 @@ def by_equation(outcomes: Sequence[Outcome]) -> str:
 def _share(outcomes: Sequence[Outcome], system: str, name: str, level: float) -> str:
     its = [
         equation
-        for each in outcomes
-        if (each.key.system, each.key.level) == (system, level)
-        for equation in each.equations
+        for outcome in outcomes
+        if (outcome.key.system, outcome.key.level) == (system, level)
+        for equation in outcome.equations
         if equation.variable == name
     ]
     if not its:
         return "-"
     found, foretold = sum(each.found for each in its), sum(each.is_foretold for each in its)
-    error = _median([each.constants_error for each in its if each.found and each.constants_error is not None])
+    error = median([each.constants_error for each in its if each.found and each.constants_error is not None])
     return f"{found}/{len(its)}, R² {foretold}/{len(its)}, {percent(error)}"
 
 
 def by_grade(outcomes: Sequence[Outcome]) -> str:
     """Return a table that sets the verdicts of the results beside what is true."""
     rows = []
-    equations = [its for each in outcomes for its in each.equations]
+    equations = [equation for outcome in outcomes for equation in outcome.equations]
     for grade in GRADES:
         its = [each for each in equations if (each.grade or "-") == grade]
         if its:
@@ -216,10 +172,10 @@ def by_grade(outcomes: Sequence[Outcome]) -> str:
 def misses(outcomes: Sequence[Outcome]) -> list[str]:
     """Return a sentence for each equation that was not found."""
     return [
-        f"{each.key.method}: {each.key.title} {its.variable}: {miss(its)}"
-        for each in outcomes
-        for its in each.equations
-        if not its.found
+        f"{outcome.key.method}: {outcome.key.title} {equation.variable}: {miss(equation)}"
+        for outcome in outcomes
+        for equation in outcome.equations
+        if not equation.found
     ]
 
 
@@ -235,7 +191,8 @@ def miss(its: EquationOutcome) -> str:
 def line(outcome: Outcome) -> str:
     """Return how one search came out, for following a long run."""
     marks = ", ".join(
-        f"{its.variable} {'found' if its.found else 'MISSED'} R² {_two(its.r2)}" for its in outcome.equations
+        f"{equation.variable} {'found' if equation.found else 'MISSED'} R² {_two(equation.r2)}"
+        for equation in outcome.equations
     )
     phases = " + ".join(f"{name} {seconds:.1f}" for name, seconds in outcome.phases.items())
     return f"{outcome.key.method}: {outcome.key.title}: {marks}; {outcome.seconds:.1f} s ({phases or '-'})"

@@ -6,13 +6,12 @@ most memory that a process ever had is what the system says of it (Linux, ``VmHW
 at its end. Returns 1 when a process had more than 1 GB, else 0.
 """
 
-import argparse
 import os
 import subprocess
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
@@ -20,12 +19,11 @@ import numpy as np
 import polars
 
 from atoll.errors import AtollError, UnreachableError
-from atoll_coordinator.cli.local.workers import worker_command
 from atoll_coordinator.cli.terminal.output import say, table
-from atoll_coordinator.client import Client, connected
-from benchmarks.harness.command_line import plain_errors, whole
+from atoll_coordinator.client import Client
+from benchmarks.harness.command_line import OUT, option, program, whole, workers
 from benchmarks.harness.record import Record, load
-from benchmarks.harness.service import CONNECT_LIMIT_S, Coordinating, coordinating
+from benchmarks.harness.service import COORDINATOR, Machines, running
 
 COLUMNS: Final = 5
 GOAL_BYTES: Final = 10**9
@@ -54,14 +52,15 @@ def peak(pid: int, processes: Path = Path("/proc")) -> int:
     raise AtollError(f"the system does not say how much memory process {pid} had")
 
 
-def submitted(its: Coordinating, file: Path) -> int:
+def submitted(machines: Machines, file: Path) -> int:
     """Submit by the command line, in a process of its own; return the most bytes that it had."""
-    words = ["submit", str(file), "--target", "y", "--id", JOB, "--no-wait", "--connect", its.address]
-    process = subprocess.Popen([sys.executable, "-m", "atoll_coordinator", *words], stdout=its.log, stderr=its.log)
+    words = ["submit", str(file), "--target", "y", "--id", JOB, "--no-wait", "--connect", machines.address]
+    with machines.log("submit").open("w") as log:
+        process = subprocess.Popen([sys.executable, "-m", "atoll_coordinator", *words], stdout=log, stderr=log)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
-        raise AtollError(f"submit ended with {process.returncode}: {(its.folder / 'log').read_text('utf-8')[-300:]}")
+        raise AtollError(f"submit ended with {process.returncode}: {machines.last_words('submit')[-300:]}")
     return usage.ru_maxrss * 1024
 
 
@@ -79,32 +78,32 @@ def wait_for(client: Client, workers: int, states: Sequence[str], limit_s: float
 
 def measured(megabytes: int, workers: int) -> tuple[dict[str, int], float]:
     """Return the most bytes by process, and the seconds from the upload's start until all workers computed."""
-    with ExitStack() as stack:
-        its = stack.enter_context(coordinating())
-        commands = [worker_command(its.address, f"w{index}") for index in range(workers)]
-        processes = [stack.enter_context(its.started(each)) for each in commands]
-        client = stack.enter_context(connected(its.address, CONNECT_LIMIT_S))
+    with running(workers) as (machines, client):
         wait_for(client, workers, ("ready",), READY_LIMIT_S)
-        file = its.folder / "big.csv"
+        file = machines.folder / "big.csv"
         write_data(file, megabytes)
         begun = time.monotonic()
-        most = {"submit": submitted(its, file)}
+        most = {"submit": submitted(machines, file)}
         wait_for(client, workers, ("computing", "waiting"), LOAD_LIMIT_S)
         client.pause(2.0)
         seconds = time.monotonic() - begun - 2.0
-        most["coordinator"] = peak(its.process.pid)
-        most.update({f"worker {index}": peak(each.pid) for index, each in enumerate(processes)})
+        most["coordinator"] = peak(machines.pid(COORDINATOR))
+        most |= {f"worker {index}": peak(machines.pid(name)) for index, name in enumerate(machines.workers)}
         client.cancel(JOB)
     return most, seconds
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.operations.big_data",
+    __doc__,
+    option("--megabytes", type=whole, default=50, help="size of the data set (%(default)s)"),
+    workers(8),
+    OUT,
+)
+def main(options: Namespace) -> int:
     """Measure and print."""
-    options = _parser().parse_args(arguments)
-    with plain_errors("benchmarks.operations.big_data"):
-        most, seconds = measured(options.megabytes, options.workers)
-    words = sys.argv[1:] if arguments is None else arguments
-    Record("big_data", words, options.out).write(most_bytes=most, until_all_compute_s=seconds)
+    most, seconds = measured(options.megabytes, options.workers)
+    Record("big_data", options.words, options.out).write(most_bytes=most, until_all_compute_s=seconds)
     say(table(("process", "most MB in memory"), [(name, f"{size / 1e6:.0f}") for name, size in most.items()]))
     say(
         f"\n{options.megabytes} MB reached {options.workers} workers, which computed, {seconds:.1f} s after submit was "
@@ -112,16 +111,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"load {load():.1f}"
     )
     return 0 if max(most.values()) <= GOAL_BYTES else 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.operations.big_data", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--megabytes", type=whole, default=50, help="size of the data set (%(default)s)")
-    parser.add_argument("--workers", type=whole, default=8, help="worker processes (%(default)s)")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    return parser
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import os
 import re
 import statistics
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,12 +23,12 @@ from typing import Any, Final
 
 from atoll.config import PRESETS, JobConfig
 from atoll.wire.messages.views import JobView
-from atoll_coordinator.cli.terminal.output import note, say, table
-from benchmarks.harness.command_line import plain_errors, seeds, whole
+from atoll_coordinator.cli.terminal.output import note, say
+from benchmarks.harness.command_line import OUT, option, program, seeds, whole
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import TIED_COORDINATOR, Searches, searching
-from benchmarks.harness.systems import SYSTEMS, trajectories
-from benchmarks.kernels.derivatives import table_of
+from benchmarks.harness.systems import SYSTEMS, table_of, trajectories
+from benchmarks.harness.tables import Columns
 
 GOAL: Final = 0.03
 UNMET: Final = 1e-300
@@ -69,7 +70,7 @@ class Spent:
 
     def look(self, view: JobView) -> None:
         """Take in the state of the job; called again and again."""
-        if view.state == "running" and any(its.epoch for its in view.variables):
+        if view.state == "running" and any(variable.epoch for variable in view.variables):
             self.ended = sum(processor_seconds(pid, self.processes) for pid in self.pids)
             self.begun = self.ended if self.begun is None else self.begun
 
@@ -111,7 +112,7 @@ def measured(its: Searches, options: argparse.Namespace, seed: int) -> Pair:
         result = its.solve(f"seed {seed}", sampled, _config(options, seed), spent.look, prefix)
         found[kept] = (result, spent.seconds)
     (one, with_cpu), (other, without_cpu) = found[True], found[False]
-    sizes = committed(its.log.read_text("utf-8") if its.log is not None else "", one["job"])
+    sizes = committed(its.log, one["job"])
     pair = Pair(
         seed,
         with_cpu,
@@ -139,50 +140,33 @@ def _config(options: argparse.Namespace, seed: int) -> JobConfig:
 
 def pairs_table(pairs: Sequence[Pair]) -> str:
     """Return one line for each search."""
-    heads = ("seed", "cpu s with", "without", "cost", "s with", "without", "checkpoints", "KB per island", "digest")
-    rows = [
-        (
-            str(its.seed),
-            f"{its.with_cpu:.2f}",
-            f"{its.without_cpu:.2f}",
-            f"{its.cost:.1%}",
-            f"{its.with_seconds:.2f}",
-            f"{its.without_seconds:.2f}",
-            str(its.checkpoints),
-            f"{its.bytes_per_island / 1e3:.1f}",
-            "same" if its.is_same else "DIFFERS",
-        )
-        for its in pairs
-    ]
-    return table(heads, rows)
+    return Columns(
+        "seed | cpu s with={with_cpu:.2f} | without={without_cpu:.2f} | cost={cost:.1%} | s with={with_seconds:.2f} | "
+        "without={without_seconds:.2f} | checkpoints | KB per island={bytes_per_island:k.1f} | digest={is_same:same}"
+    ).table(pairs)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.operations.checkpoints",
+    __doc__,
+    option("--system", choices=sorted(SYSTEMS), default="predator_prey", help="default: %(default)s"),
+    option("--epochs", type=whole, default=60, help="of every search (default: %(default)s)"),
+    option("--workers", type=whole, default=2, help="of the service (default: %(default)s)"),
+    option("--seeds", type=seeds, default=range(6), help="such as 0-4 (default: 0-5)"),
+    OUT,
+)
+def main(options: Namespace) -> int:
     """Measure and print; return 1 when a digest differs or the cost is above the goal, else 0."""
-    options = _parser().parse_args(arguments)
     pairs: list[Pair] = []
-    words = sys.argv[1:] if arguments is None else arguments
-    with plain_errors("benchmarks.operations.checkpoints"), searching(options.workers, program=PROGRAM) as its:
+    with searching(options.workers, program=PROGRAM) as its:
         for seed in options.seeds:
             pairs.append(measured(its, options, seed))
             figures = [{**asdict(pair), "cost": pair.cost} for pair in pairs]
-            Record("checkpoints", words, options.out).write(pairs=figures)
+            Record("checkpoints", options.words, options.out).write(pairs=figures)
     say(pairs_table(pairs))
     cost = statistics.median(its.cost for its in pairs)
     say(f"\ncost {cost:.1%} in the median, goal at most {GOAL:.0%}; load {load():.1f}")
     return 0 if cost <= GOAL and all(its.is_same for its in pairs) else 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.operations.checkpoints", description=(__doc__ or "").split("\n")[0]
-    )
-    parser.add_argument("--system", choices=sorted(SYSTEMS), default="predator_prey", help="default: %(default)s")
-    parser.add_argument("--epochs", type=whole, default=60, help="of every search (default: %(default)s)")
-    parser.add_argument("--workers", type=whole, default=2, help="of the service (default: %(default)s)")
-    parser.add_argument("--seeds", type=seeds, default=range(6), help="such as 0-4 (default: 0-5)")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    return parser
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import os
 import subprocess
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +22,12 @@ from typing import Final
 
 from atoll.errors import AtollError
 from atoll_coordinator.cli.signals import raising_interrupts
-from atoll_coordinator.cli.terminal.output import note, say, table
-from benchmarks.harness.command_line import plain_errors
+from atoll_coordinator.cli.terminal.output import note, say
+from benchmarks.harness.command_line import OUT, option, program
 from benchmarks.harness.record import load, machine
 from benchmarks.harness.service import searching
 from benchmarks.harness.systems import TABLE_III, trajectories, write_csv
+from benchmarks.harness.tables import Columns
 
 UNREACHABLE: Final = 1e-300
 """A target that is never met, so that all of the search is compared."""
@@ -125,21 +127,6 @@ def compared(system: str, all_ways: Sequence[Way], search: Callable[[Way], dict[
     return outcomes
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Search in all ways, print the table; return 1 when a digest differs, else 0."""
-    options = _parser().parse_args(arguments)
-    outcomes: list[Outcome] = []
-    with plain_errors("benchmarks.operations.digests"), TemporaryDirectory(prefix="atoll-digests-") as name:
-        for system in options.system or ("lotka_volterra",):
-            outcomes += _outcomes(system, options, Path(name))
-    say(_table(outcomes))
-    differing = sum(not outcome.is_same for outcome in outcomes)
-    say(f"\n{differing} of {len(outcomes)} digests differ" if differing else "\nthe same digest in every way")
-    if options.out:
-        _write(options.out, outcomes)
-    return 1 if differing else 0
-
-
 def _outcomes(system: str, options: argparse.Namespace, folder: Path) -> list[Outcome]:
     data = folder / f"{system}.csv"
     write_csv(data, trajectories(system, options.step, options.seed, options.noise))
@@ -151,47 +138,50 @@ def _outcomes(system: str, options: argparse.Namespace, folder: Path) -> list[Ou
     return compared(system, ways(folder / "kernels"), search)
 
 
-def _table(outcomes: Sequence[Outcome]) -> str:
-    rows = [
-        (
-            each.system,
-            each.way.name,
-            str(each.way.islands),
-            each.digest[:16],
-            "same" if each.is_same else "DIFFERS",
-            f"{each.point_evaluations:.4e}",
-            f"{each.seconds:.1f}",
-        )
-        for each in outcomes
-    ]
-    return table(("system", "way", "islands", "digest", "", "evaluations", "s"), rows)
+COLUMNS: Final = Columns(
+    "system | way={way.name} | islands={way.islands} | digest={digest:.16} | ={is_same:same} | "
+    "evaluations={point_evaluations:.4e} | s={seconds:.1f}"
+)
 
 
 def _write(out: Path, outcomes: Sequence[Outcome]) -> None:
     figures = [
         {
-            "system": each.system,
-            "way": each.way.name,
-            "islands": each.way.islands,
-            "digest": each.digest,
-            "same": each.is_same,
+            "system": outcome.system,
+            "way": outcome.way.name,
+            "islands": outcome.way.islands,
+            "digest": outcome.digest,
+            "same": outcome.is_same,
         }
-        for each in outcomes
+        for outcome in outcomes
     ]
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps({"machine": machine(), "load": load(), "ways": figures}, indent=1) + "\n", "utf-8")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.operations.digests", description=__doc__.split("\n")[0])
-    parser.add_argument("--system", choices=TABLE_III, action="append", help="repeat for several (lotka_volterra)")
-    parser.add_argument("--step", type=float, default=0.1, help="sampling step (%(default)s)")
-    parser.add_argument("--noise", type=float, default=0.0, help="share of each state's deviation (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of data and search (%(default)s)")
-    parser.add_argument("--epochs", type=int, default=4, help="length of each search (%(default)s)")
-    parser.add_argument("--target-error", type=float, default=UNREACHABLE, help="where a search ends (never)")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    return parser
+@program(
+    "benchmarks.operations.digests",
+    __doc__,
+    option("--system", choices=TABLE_III, action="append", help="repeat for several (lotka_volterra)"),
+    option("--step", type=float, default=0.1, help="sampling step (%(default)s)"),
+    option("--noise", type=float, default=0.0, help="share of each state's deviation (%(default)s)"),
+    option("--seed", type=int, default=0, help="of data and search (%(default)s)"),
+    option("--epochs", type=int, default=4, help="length of each search (%(default)s)"),
+    option("--target-error", type=float, default=UNREACHABLE, help="where a search ends (never)"),
+    OUT,
+)
+def main(options: Namespace) -> int:
+    """Search in all ways, print the table; return 1 when a digest differs, else 0."""
+    outcomes: list[Outcome] = []
+    with TemporaryDirectory(prefix="atoll-digests-") as name:
+        for system in options.system or ("lotka_volterra",):
+            outcomes += _outcomes(system, options, Path(name))
+    say(COLUMNS.table(outcomes))
+    differing = sum(not outcome.is_same for outcome in outcomes)
+    say(f"\n{differing} of {len(outcomes)} digests differ" if differing else "\nthe same digest in every way")
+    if options.out:
+        _write(options.out, outcomes)
+    return 1 if differing else 0
 
 
 if __name__ == "__main__":

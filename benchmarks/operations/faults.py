@@ -15,7 +15,8 @@ calm one did, else 0.
 import argparse
 import statistics
 import sys
-from collections.abc import Callable, Sequence
+from argparse import Namespace
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -26,11 +27,10 @@ from atoll.errors import AtollError, UnreachableError, UsageError
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.client import Client
-from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.command_line import OUT, option, program, whole
 from benchmarks.harness.record import Record, load
-from benchmarks.harness.systems import TABLE_III, trajectories
-from benchmarks.kernels.derivatives import table_of
-from benchmarks.operations.machines import Machines, can_have_networks, running
+from benchmarks.harness.service import Machines, can_have_networks, running
+from benchmarks.harness.systems import TABLE_III, table_of, trajectories
 from benchmarks.operations.strikes import LASTING_S, Blow, Kind, Standing, Strikes, kinds_of, rows
 
 A = TypeVar("A")
@@ -101,13 +101,13 @@ class Campaign:
         job, began = self._submit(f"calm-{seed}", seed), self.client.now()
         view = self._follow(job)
         result = self.client.result(job)
-        epochs = max(each.epoch for each in view.variables)
+        epochs = max(variable.epoch for variable in view.variables)
         self.calm[seed] = Calm(result["digest"], self.client.now() - began, result["search_seconds"] / epochs)
 
     def _struck(self, seed: int, strikes: int) -> None:
         job, began = self._submit(f"struck-{seed}", seed), self.client.now()
         before, calm = len(self.blows), self.calm[seed]
-        self._await(job, lambda view: any(each.epoch > 0 for each in view.variables))
+        self._await(job, lambda view: any(variable.epoch > 0 for variable in view.variables))
         while len(self.blows) - before < strikes and not self._is_over(job):
             self.client.pause(self.strikes.between(*PAUSE_S))
             self._strike(job, calm, began)
@@ -186,7 +186,7 @@ class Campaign:
         """Print what came of it."""
         say(table(("strike", "number", "median lost s", "worst lost s", "longest s"), rows(self.blows)))
         equal = sum(each.is_equal for each in self.jobs)
-        per_strike = [each.lost_s for each in self.jobs if each.strikes]
+        per_strike = [job.lost_s for job in self.jobs if job.strikes]
         lines = [
             f"{len(self.blows)} strikes on {len(self.jobs)} jobs: {equal} of {len(self.jobs)} with the calm digest"
         ]
@@ -201,29 +201,10 @@ class Campaign:
         say("\n".join(["", *lines]))
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Run from the command line."""
-    arguments = list(sys.argv[1:] if words is None else words)
-    options = _parser().parse_args(arguments)
-    with plain_errors("faults"):
-        kinds = _kinds(options)
-        place = running(options.workers, options.own_router, options.networks, options.keep)
-        with place as (machines, client):
-            strikes = Strikes(options.seed, kinds, machines.workers)
-            campaign = Campaign(machines, client, strikes, _config(options), options.system)
-            try:
-                campaign.run(options.jobs, options.strikes)
-            finally:
-                if campaign.blows:
-                    campaign.show()
-                    Record("faults", arguments, options.out).write(**_figures(campaign))
-    return int(not all(each.is_equal for each in campaign.jobs))
-
-
 def _figures(campaign: Campaign) -> dict[str, object]:
     return {
-        "blows": [asdict(each) for each in campaign.blows],
-        "jobs": [asdict(each) for each in campaign.jobs],
+        "blows": [asdict(blow) for blow in campaign.blows],
+        "jobs": [asdict(job) for job in campaign.jobs],
         "calm": {str(seed): asdict(each) for seed, each in campaign.calm.items()},
     }
 
@@ -231,14 +212,14 @@ def _figures(campaign: Campaign) -> dict[str, object]:
 def _kinds(options: argparse.Namespace) -> tuple[Kind, ...]:
     if options.networks and not can_have_networks():
         raise UsageError("--networks needs Linux, root and iproute2's network namespaces; leave it out")
-    usual = [each for each in LASTING_S if "router" not in each and "cut" not in each]
+    usual = [lasting_ for lasting_ in LASTING_S if "router" not in lasting_ and "cut" not in lasting_]
     usual += ["kill-router", "stop-router"] if options.own_router else []
     usual += ["cut-worker"] if options.networks else []
     try:
         kinds = kinds_of(options.kinds.split(",")) if options.kinds else kinds_of(usual)
     except ValueError as error:
         raise UsageError(f"--kinds: {error}") from error
-    if any("router" in each for each in kinds) and not options.own_router:
+    if any("router" in kind for kind in kinds) and not options.own_router:
         raise UsageError("a router can be struck with --own-router only: else it is the coordinator's")
     if "cut-worker" in kinds and not options.networks:
         raise UsageError("a worker can be cut off with --networks only")
@@ -252,23 +233,37 @@ def _config(options: argparse.Namespace) -> JobConfig:
     return config.model_copy(update={"budget": budget, "evolution": evolution})
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="faults", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--jobs", type=whole, default=4, help="how many (%(default)s)")
-    parser.add_argument("--strikes", type=whole, default=20, help="how many in all (%(default)s)")
-    parser.add_argument("--workers", type=whole, default=2, help="processes (%(default)s)")
-    parser.add_argument("--kinds", metavar="LIST", help=f"of {', '.join(LASTING_S)} (all that can be)")
-    parser.add_argument(
-        "--own-router", action="store_true", help="a router of its own, between coordinator and workers"
-    )
-    parser.add_argument("--networks", action="store_true", help="give each worker a network that can be cut (root)")
-    parser.add_argument("--system", choices=TABLE_III, default="lotka_volterra", help="what is searched (%(default)s)")
-    parser.add_argument("--epochs", type=whole, default=60, help="length of each search (%(default)s)")
-    parser.add_argument("--islands", type=whole, default=4, help="for each equation (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the strikes (%(default)s)")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps the store and the logs")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    return parser
+@program(
+    "faults",
+    __doc__,
+    option("--jobs", type=whole, default=4, help="how many (%(default)s)"),
+    option("--strikes", type=whole, default=20, help="how many in all (%(default)s)"),
+    option("--workers", type=whole, default=2, help="processes (%(default)s)"),
+    option("--kinds", metavar="LIST", help=f"of {', '.join(LASTING_S)} (all that can be)"),
+    option("--own-router", action="store_true", help="a router of its own, between coordinator and workers"),
+    option("--networks", action="store_true", help="give each worker a network that can be cut (root)"),
+    option("--system", choices=TABLE_III, default="lotka_volterra", help="what is searched (%(default)s)"),
+    option("--epochs", type=whole, default=60, help="length of each search (%(default)s)"),
+    option("--islands", type=whole, default=4, help="for each equation (%(default)s)"),
+    option("--seed", type=int, default=0, help="of the strikes (%(default)s)"),
+    option("--keep", type=Path, metavar="DIR", help="folder that keeps the store and the logs"),
+    OUT,
+    prog="faults",
+)
+def main(options: Namespace) -> int:
+    """Run from the command line."""
+    kinds = _kinds(options)
+    place = running(options.workers, options.keep, has_own_router=options.own_router, has_networks=options.networks)
+    with place as (machines, client):
+        strikes = Strikes(options.seed, kinds, machines.workers)
+        campaign = Campaign(machines, client, strikes, _config(options), options.system)
+        try:
+            campaign.run(options.jobs, options.strikes)
+        finally:
+            if campaign.blows:
+                campaign.show()
+                Record("faults", options.words, options.out).write(**_figures(campaign))
+    return int(not all(job.is_equal for job in campaign.jobs))
 
 
 if __name__ == "__main__":

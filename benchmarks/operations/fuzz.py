@@ -14,6 +14,7 @@ import logging
 import resource
 import sys
 import time
+from argparse import Namespace
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -30,6 +31,7 @@ from atoll.wire.messages.clients import Answer, Ask
 from atoll.wire.messages.handshake import Greeting, GreetingAnswer
 from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.messages.workers import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
+from benchmarks.harness.command_line import option, program
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 
@@ -230,7 +232,7 @@ def fuzz_sessions(messages: list[Overheard], number: int, mutator: Mutator, scor
         for beat in range(200):
             world.at(0.7 + 0.01 * beat, _burst(stranger, messages, realm, mutator, score, -(-batch // 200)))
         assert comparable(world.run(CONFIG)) == expected, f"hostile messages changed the result of run {score.worlds}"
-        score.rejects += world.service.rejects.total + sum(each.rejects.total for each in world.workers.values())
+        score.rejects += world.service.rejects.total + sum(worker.rejects.total for worker in world.workers.values())
         score.worlds += 1
         world.close()
 
@@ -294,12 +296,17 @@ def lines(score: Score, seconds: float, before_mb: int) -> Iterator[str]:
     yield f"dropped by services: {score.rejects}; memory {before_mb} MB before, at most {resident_mb()} MB"
 
 
-def main() -> int:
+@program(
+    "benchmarks.operations.fuzz",
+    __doc__,
+    option("--messages", type=int, default=100_000),
+    option("--seed", type=int, default=0),
+    prog=None,
+    description=__doc__,
+    formatter_class=argparse.RawDescriptionHelpFormatter,
+)
+def main(options: Namespace) -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--messages", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
     logging.disable()
     messages, mutator, score = overhear(), Mutator(options.seed), Score()
     before, begin = resident_mb(), time.monotonic()
@@ -312,4 +319,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

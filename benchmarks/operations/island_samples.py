@@ -14,8 +14,7 @@ from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.session.events import Computed
 from atoll_island_worker.session.tasks import Task, TaskKey
-from benchmarks.harness.systems import trajectories
-from benchmarks.kernels.derivatives import table_of
+from benchmarks.harness.systems import table_of, trajectories
 
 SYSTEM: Final = "predator_prey"
 ISLANDS: Final = 8

@@ -5,12 +5,10 @@ jobs as asked for without waiting, and follows them to their ends; then submits 
 Returns 1 when a job does not end well or a digest differs, else 0.
 """
 
-import argparse
 import sys
 import time
-from collections.abc import Sequence
+from argparse import Namespace
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -21,7 +19,7 @@ from atoll.errors import AtollError, UnreachableError
 from atoll.wire.messages.views import FINAL_STATES
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.client import Client, connected
-from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.command_line import OUT, option, program, whole, workers
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import CONNECT_LIMIT_S, Searches, searching
 
@@ -92,33 +90,27 @@ def measured(searches: Searches, jobs: int) -> list[Ended]:
     return found
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.operations.many_jobs",
+    __doc__,
+    option("--jobs", type=whole, default=8, help="how many at once (%(default)s)"),
+    workers(),
+    OUT,
+)
+def main(options: Namespace) -> int:
     """Measure and print."""
-    options = _parser().parse_args(arguments)
     began = time.monotonic()
-    with plain_errors("benchmarks.operations.many_jobs"):
-        with searching(options.workers) as searches:
-            found = measured(searches, options.jobs)
-        if not found:
-            raise AtollError("no job was measured")
-    words = sys.argv[1:] if arguments is None else arguments
-    Record("many_jobs", words, options.out).write(jobs=[asdict(each) for each in found])
+    with searching(options.workers) as searches:
+        found = measured(searches, options.jobs)
+    if not found:
+        raise AtollError("no job was measured")
+    Record("many_jobs", options.words, options.out).write(jobs=[asdict(each) for each in found])
     rows = [(str(e.seed), e.state, f"{e.seconds:.1f}", "same" if e.is_same else "DIFFERS") for e in found]
     say(table(("seed", "state", "ended after s", "digest"), rows))
     good = sum(each.state == "done" and each.is_same for each in found)
     say(f"\n{good} of {len(found)} jobs on {options.workers} workers done with the digest that they have alone; "
         f"{time.monotonic() - began:.0f} s in all, load {load():.1f}")  # fmt: skip
     return 0 if good == len(found) else 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.operations.many_jobs", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--jobs", type=whole, default=8, help="how many at once (%(default)s)")
-    parser.add_argument("--workers", type=whole, default=2, help="worker processes (%(default)s)")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    return parser
 
 
 if __name__ == "__main__":

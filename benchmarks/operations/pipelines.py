@@ -8,7 +8,6 @@ that exists is gone on with. ``--seed 123`` plays one case and shows what it is 
 case broke or was late, else 0.
 """
 
-import argparse
 import json
 import logging
 import os
@@ -16,6 +15,7 @@ import signal
 import sys
 import time
 import traceback
+from argparse import Namespace
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -46,8 +46,8 @@ from atoll_coordinator.service.background.tasks import (
     refine_job,
 )
 from atoll_coordinator.service.jobs.job import Prepared
-from benchmarks.harness.command_line import plain_errors, whole
-from benchmarks.harness.journal import Journal
+from benchmarks.harness.campaign import journal_of
+from benchmarks.harness.command_line import option, program, whole
 from benchmarks.harness.parallel import in_parallel
 
 SECONDS: Final = (0.1, 0.2, 0.2, 0.5, 2.0)
@@ -246,7 +246,7 @@ def played(seed: int) -> tuple[End, str]:
     preparation = prepared.preparation
     result = build_result("drawn", prepared.config, preparation, outcomes, Account("done", 1.0, 1.0), refinement)
     render_text(json.loads(json.dumps(result, allow_nan=False)))
-    broken = [each for each in result["warnings"] if "broke (" in each]
+    broken = [warning for warning in result["warnings"] if "broke (" in warning]
     return ("broke", broken[0]) if broken else ("done", "")
 
 
@@ -277,7 +277,7 @@ def play(seed: int) -> Outcome:
 
 def _where() -> str:
     frames = [each for each in traceback.extract_tb(sys.exc_info()[2]) if "atoll" in each.filename]
-    return " < ".join(f"{Path(each.filename).name}:{each.lineno}" for each in reversed(frames[-6:]))
+    return " < ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in reversed(frames[-6:]))
 
 
 @contextmanager
@@ -322,44 +322,40 @@ def tell(seed: int) -> int:
     return int(outcome.end in ("broke", "late"))
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Play the cases that the file does not have, and sum up."""
-    arguments = sys.argv[1:] if words is None else list(words)
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.operations.pipelines", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--cases", type=whole, default=1000, help="how many (%(default)s)")
-    parser.add_argument("--first", type=int, default=0, help="the first seed (%(default)s)")
-    cores, _ = usable_cores(os.environ)
-    parser.add_argument("--processes", type=whole, default=cores, help="at a time (%(default)s)")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="file of JSON lines, gone on with if it exists")
-    parser.add_argument("--seed", type=int, help="play this one and show it")
-    options = parser.parse_args(arguments)
-    if options.seed is not None:
-        return tell(options.seed)
-    with plain_errors("benchmarks.operations.pipelines"):
-        out = options.out
-        journal = Journal("pipelines", Outcome, out, arguments, resume=out is not None and out.exists())
-        seeds = range(options.first, options.first + options.cases)
-        missing = [seed for seed in seeds if seed not in journal.outcomes]
-        for count, outcome in enumerate(in_parallel(play, missing, options.processes), start=1):
-            journal.add(outcome)
-            if outcome.end in ("broke", "late"):
-                note(f"seed {outcome.seed} {outcome.end}: {outcome.sentence}")
-            if count % 100 == 0:
-                note(f"{count} of {len(missing)}")
-        return _summed([journal.outcomes[seed] for seed in seeds])
-
-
 def _summed(outcomes: Sequence[Outcome]) -> int:
     ends = Counter(each.end for each in outcomes)
-    bad = [each for each in outcomes if each.end in ("broke", "late")]
+    bad = [outcome for outcome in outcomes if outcome.end in ("broke", "late")]
     seconds = sorted(each.processor for each in outcomes)
     say(f"{len(outcomes)} cases: {', '.join(f'{count} {end}' for end, count in sorted(ends.items()))}; "
         f"{seconds[len(seconds) // 2]:.2f} s of processor time in the median, {seconds[-1]:.0f} s at most")  # fmt: skip
     for each in bad:
         say(f"seed {each.seed} {each.end}: {each.sentence}")
     return int(bool(bad))
+
+
+@program(
+    "benchmarks.operations.pipelines",
+    __doc__,
+    option("--cases", type=whole, default=1000, help="how many (%(default)s)"),
+    option("--first", type=int, default=0, help="the first seed (%(default)s)"),
+    option("--processes", type=whole, default=usable_cores(os.environ)[0], help="at a time (%(default)s)"),
+    option("--out", type=Path, metavar="FILE", help="file of JSON lines, gone on with if it exists"),
+    option("--seed", type=int, help="play this one and show it"),
+)
+def main(options: Namespace) -> int:
+    """Play the cases that the file does not have, and sum up."""
+    if options.seed is not None:
+        return tell(options.seed)
+    journal = journal_of("pipelines", Outcome, options)
+    seeds = range(options.first, options.first + options.cases)
+    missing = [seed for seed in seeds if seed not in journal.outcomes]
+    for count, outcome in enumerate(in_parallel(play, missing, options.processes), start=1):
+        journal.add(outcome)
+        if outcome.end in ("broke", "late"):
+            note(f"seed {outcome.seed} {outcome.end}: {outcome.sentence}")
+        if count % 100 == 0:
+            note(f"{count} of {len(missing)}")
+    return _summed([journal.outcomes[seed] for seed in seeds])
 
 
 if __name__ == "__main__":

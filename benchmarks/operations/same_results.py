@@ -27,7 +27,7 @@ from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.cli.terminal.output import note, say
 from benchmarks.harness.command_line import plain_errors, whole
 from benchmarks.harness.journal import Journal, read
-from benchmarks.harness.service import address_in, started
+from benchmarks.harness.service import COORDINATOR, Machines
 from benchmarks.operations.differences import Difference, differences, masked, masked_line, report, without_progress
 from benchmarks.operations.side_by_side import FOLDER, TREE, program_of
 from benchmarks.operations.small_jobs import JOBS, files_of, write_files
@@ -106,15 +106,17 @@ def serving(program: Path) -> Iterator[str]:
 
     A service of its own for each job would spend most of its time on loading kernels.
     """
-    with ExitStack() as stack:
-        folder = Path(stack.enter_context(TemporaryDirectory(prefix="atoll-same-")))
-        log = stack.enter_context((folder / "log").open("w", encoding="utf-8"))
-        options = ("--listen", "tcp/127.0.0.1:0", "--state", str(folder / "state"))
-        coordinator = stack.enter_context(started([str(program), "serve", *options], log))
-        address = address_in(coordinator, folder / "log")
-        worker = [str(program.parent / "island-worker"), "--connect", address, "--processes", "1"]
-        stack.enter_context(started(worker, log))
-        yield address
+    with TemporaryDirectory(prefix="atoll-same-") as folder:
+        machines = Machines(Path(folder), 0)
+        worker = [str(program.parent / "island-worker"), "--connect", machines.address, "--processes", "1"]
+        state = str(Path(folder) / "state")
+        try:
+            machines.start_program(COORDINATOR, [str(program), "serve", "--listen", machines.address, "--state", state])
+            machines.wait_until_it_listens(COORDINATOR)
+            machines.start_program("w0", worker)
+            yield machines.address
+        finally:
+            machines.close()
 
 
 def side_of(program: Path, files: Path) -> Side:

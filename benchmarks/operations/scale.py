@@ -14,8 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -25,10 +24,11 @@ import numpy as np
 from atoll.config import PRESETS, JobConfig
 from atoll.data.table import Table
 from atoll.errors import AtollError, UnreachableError
-from atoll_coordinator.cli.terminal.output import note, say, table
-from atoll_coordinator.client import Client, connected
+from atoll_coordinator.cli.terminal.output import note, say
+from atoll_coordinator.client import Client
 from benchmarks.harness.record import Record, load
-from benchmarks.harness.service import CONNECT_LIMIT_S, Coordinating, coordinating
+from benchmarks.harness.service import COORDINATOR, Machines, running
+from benchmarks.harness.tables import Columns
 from benchmarks.operations.island_samples import Samples, sampled
 
 ISLANDS_EACH: Final = 8
@@ -73,6 +73,11 @@ class Load:
     def microseconds(self) -> float:
         """Processor time of the coordinator for each epoch of an island."""
         return 1e6 * self.cores / (self.epochs * self.islands)
+
+    @property
+    def megabytes(self) -> float:
+        """What workers put on the bus in a second."""
+        return (self.mail_bytes + self.report_bytes) / 1e6
 
 
 def shape(islands: int) -> tuple[int, int]:
@@ -148,28 +153,23 @@ class Hosts:
         return [line for line in lines if first < line["at"] <= last]
 
 
-@contextmanager
-def pretending(its: Coordinating, samples: Path, workers: int, period: float) -> Iterator[Hosts]:
-    """Start processes with so many workers altogether."""
-    with ExitStack() as stack:
-        processes = []
-        for first in range(0, workers, WORKERS_EACH):
-            words = ["--connect", its.address, "--samples", str(samples), "--period", str(period)]
-            words += ["--first", str(first), "--workers", str(min(WORKERS_EACH, workers - first))]
-            command = [sys.executable, "-m", "benchmarks.operations.simulated_islands", *words]
-            processes.append(stack.enter_context(its.started(command)))
-        yield Hosts(processes)
+def pretending(machines: Machines, samples: Path, workers: int, period: float) -> Hosts:
+    """Start processes with so many workers altogether, which end with the others."""
+    processes = []
+    for first in range(0, workers, WORKERS_EACH):
+        words = ["--connect", machines.address, "--samples", str(samples), "--period", str(period)]
+        words += ["--first", str(first), "--workers", str(min(WORKERS_EACH, workers - first))]
+        command = [sys.executable, "-m", "benchmarks.operations.simulated_islands", *words]
+        processes.append(machines.start_program(f"host{first}", command))
+    return Hosts(processes)
 
 
 def measured(islands: int, samples: Samples, period: float, seconds: float) -> Load:
     """Run that many islands for a while, once all are under way, and return what the coordinator took."""
     jobs, variables = shape(islands)
     workers = max(2, islands // ISLANDS_EACH)
-    with (
-        coordinating() as its,
-        pretending(its, samples.save(its.folder), workers, period) as hosts,
-        connected(its.address, CONNECT_LIMIT_S) as client,
-    ):
+    with running(0) as (machines, client):
+        hosts = pretending(machines, samples.save(machines.folder), workers, period)
         _until(client, lambda: len(client.workers()) == workers, f"{workers} workers")
         names = [f"scale-{number}" for number in range(jobs)]
         digest = client.upload(signals(variables).to_bytes())
@@ -177,9 +177,9 @@ def measured(islands: int, samples: Samples, period: float, seconds: float) -> L
             client.submit(name, name, configured(number), digest)
         _until(client, lambda: _is_under_way(client, names), f"all islands of {jobs} jobs in their third epoch")
         note(f"  {islands} islands are under way")
-        before = Account.of(its.process.pid)
+        before = Account.of(machines.pid(COORDINATOR))
         client.pause(seconds)
-        after = Account.of(its.process.pid)
+        after = Account.of(machines.pid(COORDINATOR))
         client.pause(2.0)
         lines = hosts.between(before.at, after.at)
         for name in names:
@@ -219,7 +219,7 @@ _RATES: Final = ("epochs", "reports", "mails", "mail_bytes", "report_bytes")
 
 def _is_under_way(client: Client, names: Sequence[str]) -> bool:
     views = [client.status(name) for name in names]
-    return all(view.variables and all(each.epoch >= 2 for each in view.variables) for view in views)
+    return all(view.variables and all(variable.epoch >= 2 for variable in view.variables) for view in views)
 
 
 def _until(client: Client, condition: Any, what: str) -> None:
@@ -235,20 +235,12 @@ def _until(client: Client, condition: Any, what: str) -> None:
 
 def loads_table(loads: Sequence[Load]) -> str:
     """Return one line for each number of islands."""
-    heads = (
-        "islands", "workers", "archipelagos", "epochs/s", "reports/s", "migrant messages/s", "MB/s", "cores",
-        "of which loop", "us per epoch", "MB in memory", "wait ms median", "99 %", "load",
-    )  # fmt: skip
-    rows = [
-        (
-            str(its.islands), str(its.workers), str(its.archipelagos), f"{its.epochs:.2f}", f"{its.reports:.0f}",
-            f"{its.mails:.0f}", f"{(its.mail_bytes + its.report_bytes) / 1e6:.1f}", f"{its.cores:.3f}",
-            f"{its.loop:.3f}", f"{its.microseconds:.0f}", f"{its.resident / 2**20:.0f}", f"{its.wait_50:.1f}",
-            f"{its.wait_99:.0f}", f"{its.machine_load:.1f}",
-        )
-        for its in loads
-    ]  # fmt: skip
-    return table(heads, rows)
+    return Columns(
+        "islands | workers | archipelagos | epochs/s={epochs:.2f} | reports/s={reports:.0f} | "
+        "migrant messages/s={mails:.0f} | MB/s={megabytes:.1f} | cores={cores:.3f} | of which loop={loop:.3f} | "
+        "us per epoch={microseconds:.0f} | MB in memory={resident:B.0f} | wait ms median={wait_50:.1f} | "
+        "99 %={wait_99:.0f} | load={machine_load:.1f}"
+    ).table(loads)
 
 
 def growth(loads: Sequence[Load]) -> float | None:

@@ -19,6 +19,7 @@ import argparse
 import statistics
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
@@ -30,11 +31,11 @@ from atoll.data.table import Table
 from atoll.errors import AtollError
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.client import connected
-from benchmarks.harness.command_line import plain_errors, positive, seeds, whole
+from benchmarks.harness.command_line import OUT, group, option, positive, program, seeds, seeds_of, whole
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching
-from benchmarks.harness.systems import TABLE_III, trajectories
-from benchmarks.kernels.derivatives import table_of
+from benchmarks.harness.systems import TABLE_III, table_of, trajectories
+from benchmarks.harness.tables import Columns
 from benchmarks.operations.scale import measure_scale
 from benchmarks.operations.watching import Idleness, Load, counting, load_of
 
@@ -148,7 +149,7 @@ class Bench:
 def speed_ups(timings: Sequence[Timing]) -> dict[int, float]:
     """Return, by number of workers, the median over seeds of the time of the fewest over its own."""
     fewest = min(its.workers for its in timings)
-    base = {its.seed: its.seconds for its in timings if its.workers == fewest}
+    base = {timing.seed: timing.seconds for timing in timings if timing.workers == fewest}
     numbers = sorted({its.workers for its in timings})
     return {
         number: statistics.median(base[its.seed] / its.seconds for its in timings if its.workers == number)
@@ -159,43 +160,31 @@ def speed_ups(timings: Sequence[Timing]) -> dict[int, float]:
 def differing(timings: Sequence[Timing]) -> list[int]:
     """Return the seeds whose digest is not the same for every number of workers."""
     digests: dict[int, set[str]] = {}
-    for its in timings:
-        digests.setdefault(its.seed, set()).add(its.digest)
+    for timing in timings:
+        digests.setdefault(timing.seed, set()).add(timing.digest)
     return sorted(seed for seed, different in digests.items() if len(different) > 1)
 
 
 def timings_table(timings: Sequence[Timing], loads: Sequence[Load]) -> str:
     """Return one line for each number of workers: medians over seeds, and what goes over the bus."""
-    heads = (
-        "workers", "s", "speed-up", "waiting", "M evaluations/s", "migrant messages", "KB", "reports", "KB",
-        "heartbeats/s", "KB/s",
-    )  # fmt: skip
-    speed_up = speed_ups(timings)
-    rows = []
+    bus = Columns(
+        "migrant messages={migrant_messages:.1f} | KB={migrant_bytes:k.1f} | reports={report_messages:.1f} | "
+        "KB={report_bytes:k.1f} | heartbeats/s={heartbeats:.1f} | KB/s={heartbeat_bytes:k.1f}"
+    )
+    speed_up, rows = speed_ups(timings), []
     for its in loads:
         mine = [timing for timing in timings if timing.workers == its.workers]
         waits = waiting(mine)
-        rows.append(
-            (
-                str(its.workers),
-                f"{statistics.median(each.seconds for each in mine):.2f}",
-                f"{speed_up[its.workers]:.2f}",
-                "-" if waits is None else f"{waits:.1%}",
-                f"{statistics.median(each.point_evaluations / each.seconds for each in mine) / 1e6:.2f}",
-                f"{its.migrant_messages:.1f}",
-                f"{its.migrant_bytes / 1e3:.1f}",
-                f"{its.report_messages:.1f}",
-                f"{its.report_bytes / 1e3:.1f}",
-                f"{its.heartbeats:.1f}",
-                f"{its.heartbeat_bytes / 1e3:.1f}",
-            )
-        )
-    return table(heads, rows)
+        seconds = statistics.median(each.seconds for each in mine)
+        rate = statistics.median(each.point_evaluations / each.seconds for each in mine) / 1e6
+        times = (f"{seconds:.2f}", f"{speed_up[its.workers]:.2f}", "-" if waits is None else f"{waits:.1%}")
+        rows.append((str(its.workers), *times, f"{rate:.2f}", *bus.row(its)))
+    return table(("workers", "s", "speed-up", "waiting", "M evaluations/s", *bus.heads), rows)
 
 
 def waiting(timings: Sequence[Timing]) -> float | None:
     """Return the median share of waiting, None when it is not known."""
-    known = [its.waiting for its in timings if its.waiting is not None]
+    known = [timing.waiting for timing in timings if timing.waiting is not None]
     return statistics.median(known) if known else None
 
 
@@ -212,7 +201,7 @@ class Findings:
     def write(self) -> None:
         """Write the file anew."""
         figures = {
-            "timings": [asdict(its) for its in self.timings],
+            "timings": [asdict(timing) for timing in self.timings],
             "loads": [asdict(its) for its in self.loads],
             "rounds": [{**asdict(its), "efficiency": its.efficiency} for its in self.rounds],
             "speed_up": speed_ups(self.timings),
@@ -234,19 +223,6 @@ class Findings:
         say(f"{same}; load {load():.1f}")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and print; return 1 when a digest depends on the number of workers, else 0."""
-    options = _parser().parse_args(arguments)
-    if options.simulated_islands:
-        with plain_errors("benchmarks.operations.scaling"):
-            return measure_scale(options.simulated_islands, options, sys.argv[1:] if arguments is None else arguments)
-    findings = Findings(sys.argv[1:] if arguments is None else arguments, options.out)
-    with plain_errors("benchmarks.operations.scaling"):
-        _measure(Bench(options), options, findings)
-    findings.show()
-    return 1 if differing(findings.timings) else 0
-
-
 def _measure(bench: Bench, options: argparse.Namespace, findings: Findings) -> None:
     for workers in options.workers:
         with searching(workers) as searches:
@@ -263,35 +239,44 @@ def _measure(bench: Bench, options: argparse.Namespace, findings: Findings) -> N
             findings.write()
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.operations.scaling", description=__doc__.split("\n")[0])
-    parser.add_argument("--workers", type=_numbers, default=[1, 2], help="numbers of workers, such as 1-4 (1,2)")
-    parser.add_argument("--system", choices=TABLE_III, default="predator_prey", help="what is searched (%(default)s)")
-    parser.add_argument(
-        "--only", metavar="VARIABLE", action="append", help="repeat for several; default: all, as many archipelagos"
-    )
-    parser.add_argument("--step", type=positive, default=0.1, help="sampling step (%(default)s)")
-    parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--epochs", type=whole, default=20, help="length of each search (%(default)s)")
-    parser.add_argument("--seeds", type=seeds, default=seeds("0-4"), help="such as 0-4 (0-4); one round each")
-    parser.add_argument(
-        "--max-time", type=positive, default=600.0, metavar="SECONDS", help="limit of a search (%(default)g)"
-    )
-    parser.add_argument("--no-efficiency", action="store_true", help="leave out the two services side by side")
-    simulated = parser.add_argument_group("what a coordinator takes, with workers whose islands only pretend")
-    simulated.add_argument("--simulated-islands", type=_numbers, metavar="16,64", help="numbers of islands")
-    simulated.add_argument("--period", type=positive, default=1.0, help="seconds of an epoch (%(default)g)")
-    simulated.add_argument("--seconds", type=positive, default=15.0, help="length of a measurement (%(default)g)")
-    simulated.add_argument("--noise", type=float, default=0.0, help="of the data that reports are from (%(default)g)")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    return parser
-
-
 def _numbers(text: str) -> list[int]:
     numbers = sorted(set(seeds(text)))
     if numbers[0] < 1:
         raise argparse.ArgumentTypeError(f"at least 1 worker was expected, but {text!r} was given")
     return numbers
+
+
+@program(
+    "benchmarks.operations.scaling",
+    __doc__,
+    option("--workers", type=_numbers, default=[1, 2], help="numbers of workers, such as 1-4 (1,2)"),
+    option("--system", choices=TABLE_III, default="predator_prey", help="what is searched (%(default)s)"),
+    option(
+        "--only", metavar="VARIABLE", action="append", help="repeat for several; default: all, as many archipelagos"
+    ),
+    option("--step", type=positive, default=0.1, help="sampling step (%(default)s)"),
+    option("--preset", choices=PRESETS, default="default"),
+    option("--epochs", type=whole, default=20, help="length of each search (%(default)s)"),
+    seeds_of("0-4", "such as 0-4 (0-4); one round each"),
+    option("--max-time", type=positive, default=600.0, metavar="SECONDS", help="limit of a search (%(default)g)"),
+    option("--no-efficiency", action="store_true", help="leave out the two services side by side"),
+    group(
+        "what a coordinator takes, with workers whose islands only pretend",
+        option("--simulated-islands", type=_numbers, metavar="16,64", help="numbers of islands"),
+        option("--period", type=positive, default=1.0, help="seconds of an epoch (%(default)g)"),
+        option("--seconds", type=positive, default=15.0, help="length of a measurement (%(default)g)"),
+        option("--noise", type=float, default=0.0, help="of the data that reports are from (%(default)g)"),
+    ),
+    OUT,
+)
+def main(options: Namespace) -> int:
+    """Measure and print; return 1 when a digest depends on the number of workers, else 0."""
+    if options.simulated_islands:
+        return measure_scale(options.simulated_islands, options, options.words)
+    findings = Findings(options.words, options.out)
+    _measure(Bench(options), options, findings)
+    findings.show()
+    return 1 if differing(findings.timings) else 0
 
 
 if __name__ == "__main__":

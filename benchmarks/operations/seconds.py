@@ -6,12 +6,12 @@ should have been compiled before (``make demo``); bytecode is written whatever t
 on what else the machine does; processor seconds hardly.
 """
 
-import argparse
 import json
 import os
 import re
 import subprocess
 import sys
+from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 
 from atoll.errors import AtollError
 from atoll_coordinator.cli.terminal.output import say, table
-from benchmarks.harness.command_line import plain_errors
+from benchmarks.harness.command_line import OUT, option, program
 from benchmarks.harness.record import Record, load
 
 EXAMPLE: Final = Path(__file__).parents[2] / "examples" / "lotka_volterra.csv"
@@ -116,28 +116,28 @@ def run(name: str, case: Case | None, folder: Path) -> dict[str, Any]:
         **{phase: seconds_of(value) for phase, value in _PHASE.findall(told)},
         "wall": after.elapsed - before.elapsed,
         "processor": after.children_user + after.children_system - before.children_user - before.children_system,
-        "equations": [f"{each['expression']} ({each['verdict']})" for each in result["equations"]],
+        "equations": [f"{equation['expression']} ({equation['verdict']})" for equation in result["equations"]],
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.operations.seconds",
+    __doc__,
+    option("cases", nargs="*", default=list(CASES), help=f"of {', '.join(CASES)} (default: all)"),
+    OUT,
+)
+def main(options: Namespace) -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.operations.seconds", description=__doc__.split("\n")[0])
-    parser.add_argument("cases", nargs="*", default=list(CASES), help=f"of {', '.join(CASES)} (default: all)")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    words = sys.argv[1:] if arguments is None else arguments
-    options = parser.parse_args(words)
     rows = []
-    with plain_errors("benchmarks.operations.seconds"):
-        for name in options.cases:
-            if name not in CASES:
-                raise AtollError(f"there is no case {name!r}; choose from {', '.join(CASES)}")
-            with TemporaryDirectory(prefix="atoll-benchmark-") as folder:
-                rows.append(run(name, CASES[name], Path(folder)))
-            say(f"{name}: {'; '.join(rows[-1]['equations'])}")
-    Record("seconds", words, options.out).write(rows=rows)
+    for name in options.cases:
+        if name not in CASES:
+            raise AtollError(f"there is no case {name!r}; choose from {', '.join(CASES)}")
+        with TemporaryDirectory(prefix="atoll-benchmark-") as folder:
+            rows.append(run(name, CASES[name], Path(folder)))
+        say(f"{name}: {'; '.join(rows[-1]['equations'])}")
+    Record("seconds", options.words, options.out).write(rows=rows)
     heads = ("start-up", "search", "refining", "total", "wall", "processor")
-    say(table(("table", *heads), [(each["case"], *(f"{each.get(head, 0.0):.1f}" for head in heads)) for each in rows]))
+    say(table(("table", *heads), [(row["case"], *(f"{row.get(head, 0.0):.1f}" for head in heads)) for row in rows]))
     say(f"\nload {load():.1f}")
     return 0
 

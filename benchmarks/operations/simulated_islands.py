@@ -7,7 +7,6 @@ its archipelago, itself included, the same number of emigrants, and waits for al
 Once a second a line of JSON says what happened in it: see `Counts`.
 """
 
-import argparse
 import hashlib
 import heapq
 import itertools
@@ -16,6 +15,7 @@ import signal
 import sys
 import threading
 import time
+from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
@@ -32,6 +32,7 @@ from atoll_island_worker.compute.compute_thread import WarmedUp
 from atoll_island_worker.session.events import Computed, JobReady, Snapshot
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
 from atoll_island_worker.worker import Worker
+from benchmarks.harness.command_line import option, program
 from benchmarks.operations.island_samples import Samples
 
 CONNECT_LIMIT_S: Final = 30.0
@@ -218,7 +219,8 @@ def pretended(samples: Samples, epoch: int, island: int, name: str) -> IslandRep
 
 def _scaled(additions: Sequence[Addition], factor: float) -> tuple[Addition, ...]:
     return tuple(
-        each.model_copy(update={"error": each.error * factor, "mse": each.mse * factor * factor}) for each in additions
+        addition.model_copy(update={"error": addition.error * factor, "mse": addition.mse * factor * factor})
+        for addition in additions
     )
 
 
@@ -232,9 +234,17 @@ def _fraction(name: str) -> float:
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:4]) / 2.0**32
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.operations.simulated_islands",
+    __doc__,
+    option("--connect", required=True, help="address of the coordinator"),
+    option("--samples", type=Path, required=True, help="file of what real islands sent"),
+    option("--first", type=int, required=True, help="number of the first worker"),
+    option("--workers", type=int, required=True, help="how many"),
+    option("--period", type=float, required=True, help="seconds of an epoch"),
+)
+def main(options: Namespace) -> int:
     """Run the workers until SIGTERM; return 0."""
-    options = _parser().parse_args(arguments)
     samples, books, pacer, stop = Samples.load(options.samples), Books(), Pacer(), threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -255,18 +265,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for thread in threads:
             thread.join()
     return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.operations.simulated_islands", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--connect", required=True, help="address of the coordinator")
-    parser.add_argument("--samples", type=Path, required=True, help="file of what real islands sent")
-    parser.add_argument("--first", type=int, required=True, help="number of the first worker")
-    parser.add_argument("--workers", type=int, required=True, help="how many")
-    parser.add_argument("--period", type=float, required=True, help="seconds of an epoch")
-    return parser
 
 
 if __name__ == "__main__":

@@ -8,11 +8,11 @@ while caches fill, is left out. Returns 1 when a series rises (`benchmarks.opera
 than it must, else 0.
 """
 
-import argparse
 import sys
 import time
+from argparse import Namespace
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final
@@ -23,11 +23,10 @@ from atoll.search.seeding import Stream, stream_key
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.client import Client, connected
-from benchmarks.harness.command_line import plain_errors, positive
+from benchmarks.harness.command_line import OUT, option, positive, program
 from benchmarks.harness.record import Record, load
-from benchmarks.harness.systems import trajectories
-from benchmarks.kernels.derivatives import table_of
-from benchmarks.operations.machines import COORDINATOR, Machines, running
+from benchmarks.harness.service import COORDINATOR, Machines, running
+from benchmarks.harness.systems import table_of, trajectories
 from benchmarks.operations.trend import Trend, trend
 
 SAMPLE_S: Final = 5.0
@@ -149,7 +148,7 @@ class Soak:
         self.samples += [measured(name, self.machines.pid(name), now - self._began) for name in STAYING]
         if now - self._said >= SAY_S:
             self._said = now
-            last = ", ".join(f"{each.name} {each.memory:.0f} MB" for each in self.samples[-len(STAYING) :])
+            last = ", ".join(f"{sample.name} {sample.memory:.0f} MB" for sample in self.samples[-len(STAYING) :])
             note(f"{(now - self._began) / 60.0:.0f} min: {self.jobs.total()} jobs, {last}")
 
     def trends(self) -> dict[tuple[str, str], Trend]:
@@ -157,7 +156,7 @@ class Soak:
         settled_s = SETTLED_SHARE * max((each.at_s for each in self.samples), default=0.0)
         found = {}
         for name in STAYING:
-            series = [each for each in self.samples if each.name == name and each.at_s >= settled_s]
+            series = [sample for sample in self.samples if sample.name == name and sample.at_s >= settled_s]
             if len(series) >= 3:
                 times = [each.at_s for each in series]
                 for what in ("memory", "files", "threads"):
@@ -207,24 +206,30 @@ def _counted(counts: Counter[str]) -> str:
     return ", ".join(f"{count} {what}" for what, count in sorted(counts.items())) or "nothing"
 
 
-def main(words: Sequence[str] | None = None) -> int:
+@program(
+    "soak",
+    __doc__,
+    option("--minutes", type=positive, default=60.0, help="how long (%(default)g)"),
+    option("--every", type=positive, default=8.0, metavar="SECONDS", help="between jobs (%(default)g)"),
+    option("--seed", type=int, default=0, help="of what happens (%(default)s)"),
+    option("--keep", type=Path, metavar="DIR", help="folder that keeps the store and the logs"),
+    OUT,
+    prog="soak",
+)
+def main(options: Namespace) -> int:
     """Run from the command line."""
-    arguments = list(sys.argv[1:] if words is None else words)
-    parser = argparse.ArgumentParser(prog="soak", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--minutes", type=positive, default=60.0, help="how long (%(default)g)")
-    parser.add_argument("--every", type=positive, default=8.0, metavar="SECONDS", help="between jobs (%(default)g)")
-    parser.add_argument("--seed", type=int, default=0, help="of what happens (%(default)s)")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps the store and the logs")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    options = parser.parse_args(arguments)
-    with plain_errors("soak"), running(2, keep=options.keep, guests=(GUEST,)) as (machines, _):
+    with running(2, keep=options.keep, guests=(GUEST,)) as (machines, _):
         soak = Soak(machines, options.every, options.seed)
         try:
             soak.run(60.0 * options.minutes)
         finally:
             is_well = soak.show()
-            figures = {"samples": [asdict(each) for each in soak.samples], "jobs": dict(soak.jobs), "wrong": soak.wrong}
-            Record("soak", arguments, options.out).write(**figures)
+            figures = {
+                "samples": [asdict(sample) for sample in soak.samples],
+                "jobs": dict(soak.jobs),
+                "wrong": soak.wrong,
+            }
+            Record("soak", options.words, options.out).write(**figures)
     return int(not is_well)
 
 

@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 from atoll.search.seeding import Stream, stream_key
 from atoll.wire.messages.views import JobView
-from benchmarks.operations.machines import COORDINATOR, ROUTER, Machines
+from benchmarks.harness.service import COORDINATOR, ROUTER, Machines
 
 Kind = Literal[
     "kill-worker", "stop-worker", "kill-coordinator", "stop-coordinator", "kill-router", "stop-router", "cut-worker"
@@ -98,7 +98,7 @@ class Standing:
     def of(cls, view: JobView) -> "Standing":
         """Return that of a job's view."""
         return cls(
-            {each.variable: each.epoch for each in view.variables},
+            {variable.variable: variable.epoch for variable in view.variables},
             {each.variable for each in view.variables if each.finished or view.state not in ("running", "preparing")},
         )
 
@@ -111,7 +111,7 @@ class Standing:
 
 def kinds_of(names: Iterable[str]) -> tuple[Kind, ...]:
     """Return the kinds of these names; raises ValueError for one that there is not."""
-    chosen = tuple(each for each in LASTING_S if each in set(names))
+    chosen = tuple(lasting_ for lasting_ in LASTING_S if lasting_ in set(names))
     unknown = sorted(set(names) - set(chosen))
     if unknown:
         raise ValueError(f"{', '.join(LASTING_S)} were expected, but {unknown[0]!r} was given")
@@ -120,7 +120,7 @@ def kinds_of(names: Iterable[str]) -> tuple[Kind, ...]:
 
 def rows(blows: Sequence[Blow]) -> list[tuple[str, ...]]:
     """Return for each kind, and for all, how many there were and the median and worst time lost."""
-    kinds = [each for each in LASTING_S if any(blow.kind == each for blow in blows)]
+    kinds = [lasting_ for lasting_ in LASTING_S if any(blow.kind == lasting_ for blow in blows)]
     groups = [(str(kind), [blow for blow in blows if blow.kind == kind]) for kind in kinds]
     return [_row(name, group) for name, group in [*groups, ("all", list(blows))] if group]
 

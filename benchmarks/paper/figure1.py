@@ -16,6 +16,7 @@ Rows are drawn uniformly from [0, 10] (left) and [-3, 3] (right), anew for each 
 
 import argparse
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -24,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from atoll_coordinator.cli.terminal.output import note, say, table
-from benchmarks.harness.command_line import add_run_options, plain_errors, whole
+from benchmarks.harness.command_line import option, program, run_options, whole
 from benchmarks.harness.parallel import canvas, in_parallel, save
 from benchmarks.harness.record import Record
 from benchmarks.paper.archipelago import SAMPLE
@@ -58,7 +59,7 @@ def draw(path: Path, functions: Sequence[Run], both: Sequence[tuple[Run, Run]]) 
         sizes = by_size(both)
         for number, arm in enumerate(ARMS):
             means = [pair[number] for pair in sizes.values()]
-            errors = [each.error or 0.0 for each in means]
+            errors = [mean.error or 0.0 for mean in means]
             right.errorbar(
                 list(sizes), [each.mean for each in means], errors, marker="o", capsize=3, color=f"C{number}", label=arm
             )
@@ -70,7 +71,7 @@ def draw(path: Path, functions: Sequence[Run], both: Sequence[tuple[Run, Run]]) 
 
 
 def _band(panel: Any, looks: list[int], means: Sequence[Mean], label: str) -> None:
-    middle, errors = np.array([each.mean for each in means]), np.array([each.error or 0.0 for each in means])
+    middle, errors = np.array([mean.mean for mean in means]), np.array([each.error or 0.0 for each in means])
     panel.plot(looks, middle, label=label)
     panel.fill_between(looks, middle - errors, middle + errors, alpha=0.3)
 
@@ -88,7 +89,7 @@ def figures_of(functions: Sequence[Run], on_targets: Sequence[Run]) -> dict[str,
     both = pairs(on_targets)
     return {
         "looks": list(functions[0].looks) if functions else [],
-        "sizes": {arm: [asdict(each) for each in means] for arm, means in curves(functions).items()},
+        "sizes": {arm: [asdict(mean) for mean in means] for arm, means in curves(functions).items()},
         "targets": len(on_targets) // len(ARMS),
         "converged_in_both": len(both),
         "bloat": [asdict(each) for each in bloats(both)] if both else [],
@@ -138,42 +139,38 @@ def _shown(its: Mean) -> str:
     return f"{its.mean:.2f}" if its.error is None else f"{its.mean:.2f} ± {its.error:.2f}"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.paper.figure1",
+    __doc__,
+    option("--runs", type=whole, default=100, help="runs of each arm on the function (%(default)s)"),
+    option("--targets", type=whole, default=500, help="random targets (%(default)s)"),
+    option("--generations", type=whole, default=6000, help="of a run, at most (%(default)s)"),
+    option("--rows", type=whole, default=200, help="points of a target (%(default)s)"),
+    option("--reading", default=CHOSEN, help="of the paper, see benchmarks.paper.readings (%(default)s)"),
+    *run_options(),
+)
+def main(options: Namespace) -> int:
     """Run both arms, print the numbers, draw the panels; return 0."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
     if options.rows <= 2 * SAMPLE:
-        parser.error(f"--rows {options.rows} is too few for predictors of {SAMPLE}: give more than {2 * SAMPLE}")
-    figures = Record("figure1", sys.argv[1:] if arguments is None else arguments, options.out)
+        main.parser.error(f"--rows {options.rows} is too few for predictors of {SAMPLE}: give more than {2 * SAMPLE}")
+    figures = Record("figure1", options.words, options.out)
     asked = tasks(options)
     runs: list[Run] = []
-    with plain_errors("benchmarks.paper.figure1"):
-        if options.picture:
-            canvas(1.0, 1.0)
-        for each in in_parallel(run, asked, options.workers):
-            runs.append(each)
-            if len(runs) % max(1, len(asked) // 20) == 0:
-                note(f"{len(runs)} of {len(asked)} runs in {figures.seconds():.0f} s")
-        runs.sort(key=lambda one: asked.index(one.task))
-        functions = [each for each in runs if each.task.target is None]
-        on_targets = [each for each in runs if each.task.target is not None]
-        figures.write(**figures_of(functions, on_targets))
-        if options.picture:
-            draw(options.picture, functions, pairs(on_targets))
+    if options.picture:
+        canvas(1.0, 1.0)
+    for each in in_parallel(run, asked, options.workers):
+        runs.append(each)
+        if len(runs) % max(1, len(asked) // 20) == 0:
+            note(f"{len(runs)} of {len(asked)} runs in {figures.seconds():.0f} s")
+    runs.sort(key=lambda one: asked.index(one.task))
+    functions = [each for each in runs if each.task.target is None]
+    on_targets = [each for each in runs if each.task.target is not None]
+    figures.write(**figures_of(functions, on_targets))
+    if options.picture:
+        draw(options.picture, functions, pairs(on_targets))
     show(functions, on_targets)
     say(f"{len(asked)} runs in {figures.seconds():.0f} s on {options.workers} processes")
     return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.figure1", description=__doc__.split("\n")[0])
-    parser.add_argument("--runs", type=whole, default=100, help="runs of each arm on the function (%(default)s)")
-    parser.add_argument("--targets", type=whole, default=500, help="random targets (%(default)s)")
-    parser.add_argument("--generations", type=whole, default=6000, help="of a run, at most (%(default)s)")
-    parser.add_argument("--rows", type=whole, default=200, help="points of a target (%(default)s)")
-    parser.add_argument("--reading", default=CHOSEN, help="of the paper, see benchmarks.paper.readings (%(default)s)")
-    add_run_options(parser)
-    return parser
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@ exact, and prints the median number of point evaluations until an equation is fo
 needs more than ``--limit`` of them counts as that many.
 """
 
-import argparse
 import sys
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import geometric_mean, median
@@ -16,7 +16,7 @@ from atoll.config import PRESETS, JobConfig, PriorConfig
 from atoll.data.dataset import Dataset, Problem
 from atoll_coordinator.cli.terminal.output import count, note, say, table
 from atoll_coordinator.service.jobs.defaults import resolve
-from benchmarks.harness.command_line import add_run_options, plain_errors, positive, seeds
+from benchmarks.harness.command_line import option, positive, program, run_options
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record
 from benchmarks.paper.archipelago import Archipelago
@@ -94,39 +94,38 @@ def rows(results: Sequence[Found]) -> Iterator[tuple[str, ...]]:
     for index, guessed in enumerate(EQUATIONS):
         cells = [f"{guessed.system} {guessed.variable}"]
         for kind in KINDS:
-            its = [each for each in results if (each.task.equation, each.task.kind) == (index, kind)]
+            its = [result for result in results if (result.task.equation, result.task.kind) == (index, kind)]
             medians[kind].append(median(each.evaluations for each in its))
             cells.append(f"{count(medians[kind][-1])} ({sum(each.has_hit for each in its)} of {len(its)})")
         yield tuple(cells)
     yield ("geometric mean", *(count(geometric_mean(medians[kind])) for kind in KINDS))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+@program(
+    "benchmarks.paper.guesses",
+    __doc__,
+    *run_options("0-4"),
+    option("--limit", type=positive, default=3e8, help="point evaluations of one search (%(default)g)"),
+)
+def main(options: Namespace) -> None:
     """Run the benchmark and print its table."""
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.guesses", description=__doc__.split("\n")[0])
-    add_run_options(parser)
-    parser.add_argument("--limit", type=positive, default=3e8, help="point evaluations of one search (%(default)g)")
-    parser.set_defaults(seeds=seeds("0-4"))
-    options = parser.parse_args(words)
-    with plain_errors("benchmarks.paper.guesses"):
-        figures = Record("guesses", words, options.out)
-        tasks = [
-            Task(index, kind, seed, options.limit)
-            for index in range(len(EQUATIONS))
-            for kind in KINDS
-            for seed in options.seeds
-        ]
-        results = []
-        for found in in_parallel(search, tasks, options.workers):
-            results.append(found)
-            its = found.task
-            note(f"{EQUATIONS[its.equation].system} {its.kind} seed {its.seed}: {count(found.evaluations)}")
-        say(table(("equation", *KINDS), list(rows(results))))
-        figures.write(
-            results=[vars(each.task) | {"evaluations": each.evaluations, "found": each.has_hit} for each in results]
-        )
+    figures = Record("guesses", options.words, options.out)
+    tasks = [
+        Task(index, kind, seed, options.limit)
+        for index in range(len(EQUATIONS))
+        for kind in KINDS
+        for seed in options.seeds
+    ]
+    results = []
+    for found in in_parallel(search, tasks, options.workers):
+        results.append(found)
+        its = found.task
+        note(f"{EQUATIONS[its.equation].system} {its.kind} seed {its.seed}: {count(found.evaluations)}")
+    say(table(("equation", *KINDS), list(rows(results))))
+    figures.write(
+        results=[vars(result.task) | {"evaluations": result.evaluations, "found": result.has_hit} for result in results]
+    )
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

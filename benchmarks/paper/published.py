@@ -104,6 +104,14 @@ def _grammar(degree: int, paper: float, gggp: float, tag3p: float) -> Row:
 
 _COSTS: Final = {"coevolved tractable": 3.384e7, "distinction": 5.070e7, "random sampling": 6.006e8}
 
+
+def _gaussian(name: str, truth: str, width: float) -> Row:
+    return Row(
+        name, truth, (-width, width), 500, (*ARITHMETIC, "exp"), 100, 2.107e7, _COSTS, budget=33_840_000,
+        marked=21_070_000, is_cost=True, islands=8, interval=10,
+    )  # fmt: skip
+
+
 _ROWS: Final = (
     _weighted("quintic", "x**5 - 2*x**3 + x", 93.9, 85.9),
     _weighted("sextic", "x**6 - 2*x**4 + x**2", 86.9, 81.8),
@@ -114,48 +122,12 @@ _ROWS: Final = (
     _grammar(4, 62.0, 48.0, 96.0),
     _grammar(5, 52.0, 28.0, 84.0),
     Row(
-        "cos2x",
-        "cos(2*x)",
-        (0.0, 2.0 * np.pi),
-        20,
-        (*ARITHMETIC, "sin"),
-        50,
-        76.0,
-        {"GGGP": 20.0, "TAG3P": 36.0},
-        marked=GENETIC_BUDGET,
-        counts_hits=True,
+        "cos2x", "cos(2*x)", (0.0, 2.0 * np.pi), 20, (*ARITHMETIC, "sin"), 50, 76.0, {"GGGP": 20.0, "TAG3P": 36.0},
+        marked=GENETIC_BUDGET, counts_hits=True,
     ),
-    Row(
-        "gaussian",
-        "exp(-x**2)",
-        (-30.0, 30.0),
-        500,
-        (*ARITHMETIC, "exp"),
-        100,
-        2.107e7,
-        _COSTS,
-        budget=33_840_000,
-        marked=21_070_000,
-        is_cost=True,
-        islands=8,
-        interval=10,
-    ),
-    Row(
-        "density",
-        "0.3989422804014327*exp(-x**2/2)",
-        (-40.0, 40.0),
-        500,
-        (*ARITHMETIC, "exp"),
-        100,
-        2.107e7,
-        _COSTS,
-        budget=33_840_000,
-        marked=21_070_000,
-        is_cost=True,
-        islands=8,
-        interval=10,
-    ),
-)
+    _gaussian("gaussian", "exp(-x**2)", 30.0),
+    _gaussian("density", "0.3989422804014327*exp(-x**2/2)", 40.0),
+)  # fmt: skip
 
 ROWS: Final = {row.name: row for row in _ROWS}
 """By name. No polynomial has exp. The Gaussian has it: without, only chains of some twenty squarings come as near, such

@@ -13,22 +13,20 @@ error, and the budget at which most of them do.
 
 import argparse
 import itertools
-import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from atoll.errors import DataError, UsageError
 from atoll_coordinator.cli.terminal.output import clipped, count, note, say, table
-from benchmarks.harness.command_line import add_run_options, plain_errors, positive, seeds
+from benchmarks.harness.command_line import option, positive, program, run_options, seeds
+from benchmarks.harness.journal import Journal
 from benchmarks.harness.parallel import in_parallel
-from benchmarks.harness.record import head
 from benchmarks.paper.published import ROWS
 from benchmarks.paper.readings_runs import TABLE_III, Run, Task, run
 from benchmarks.paper.table1 import difference
@@ -45,46 +43,10 @@ SIGNIFICANT: Final = 1.96
 PAPER_COSTS: Final = {f"{system} {variable}": PAPER[system, variable][1] for system, variable in EQUATIONS}
 
 
-class Journal:
-    """The runs that have ended, by task, in a file of JSON lines."""
-
-    def __init__(self, path: Path | None, arguments: Sequence[str]) -> None:
-        """Read `path` if it exists, and go on with it; raises DataError when it is something else."""
-        self.runs: dict[Task, Run] = {}
-        self._path = path
-        if path is not None and path.exists():
-            self._read(path)
-        self._write({"head": head("readings", arguments)})
-
-    def add(self, its: Run) -> None:
-        """Take in a run that has ended."""
-        self.runs[its.task] = its
-        self._write({"run": asdict(its)})
-
-    def known(self, task: Task) -> Run | None:
-        """Return what came of a task, known also from the same run with a larger budget, or None."""
-        same = (each for each in self.runs.values() if _same(each.task, task))
-        return next((each for each in same if each.task.budget >= task.budget or each.cost is not None), None)
-
-    def _write(self, value: Mapping[str, object]) -> None:
-        if self._path is None:
-            return
-        try:
-            with self._path.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(value, ensure_ascii=False) + "\n")
-        except OSError as error:
-            raise UsageError(f"{self._path} cannot be written ({error.strerror}); name another file") from error
-
-    def _read(self, path: Path) -> None:
-        try:
-            whole, _, _ = path.read_text("utf-8").rpartition("\n")
-            for line in whole.splitlines():
-                value = json.loads(line)
-                if "run" in value:
-                    its = Run(**{**value["run"], "task": Task(**value["run"]["task"])})
-                    self.runs[its.task] = its
-        except (OSError, ValueError, TypeError, KeyError) as error:
-            raise DataError(f"{path} is no journal of this benchmark; name one that --resume has written") from error
+def known(journal: Journal[Run], task: Task) -> Run | None:
+    """Return what came of a task, known also from the same run with a larger budget, or None."""
+    same = (run for run in journal.outcomes.values() if _same(run.task, task))
+    return next((run for run in same if run.task.budget >= task.budget or run.cost is not None), None)
 
 
 def _same(one: Task, other: Task) -> bool:
@@ -110,23 +72,6 @@ def budget_of(problem: str, options: argparse.Namespace) -> int:
     if problem in ROWS:
         return int(options.row_budget)
     return int(min(options.share * PAPER_COSTS[problem], options.most))
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run what the journal does not hold, print the tables; return 0."""
-    options = _parser().parse_args(arguments)
-    with plain_errors("benchmarks.paper.readings"):
-        journal = Journal(options.resume, sys.argv[1:] if arguments is None else arguments)
-        asked = tasks(options)
-        missing = [task for task in asked if journal.known(task) is None]
-        for number, each in enumerate(
-            in_parallel(_running(options.resume), missing, options.workers) if missing else (), start=1
-        ):
-            journal.add(each)
-            note(f"{number} of {len(missing)}: {_told(each)}")
-        runs = [its for its in map(journal.known, asked) if its is not None]
-        _show(runs)
-    return 0
 
 
 def _running(journal: Path | None) -> Callable[[Task], Run]:
@@ -229,20 +174,34 @@ def best_budget(runs: Sequence[Run]) -> tuple[float, int]:
     return -least, most
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.readings", description=__doc__.split("\n")[0])
-    parser.add_argument("--reading", action="append", required=True, help="names joined by +; repeat for several")
-    parser.add_argument(
+@program(
+    "benchmarks.paper.readings",
+    __doc__,
+    option("--reading", action="append", required=True, help="names joined by +; repeat for several"),
+    option(
         "--problem", action="append", choices=(*TABLE_III, *ROWS), help="repeat for several; default: all but densities"
-    )
-    parser.add_argument("--share", type=positive, default=2.0, help="budget, in the paper's evaluations (%(default)g)")
-    parser.add_argument("--most", type=positive, default=1e12, help="point evaluations of a run at most (%(default)g)")
-    parser.add_argument("--row-budget", type=positive, default=3e6, help="the same for rows of Table I (%(default)g)")
-    parser.add_argument("--row-seeds", type=seeds, default=seeds("0-29"), help="of rows of Table I (0-29)")
-    parser.add_argument("--resume", type=Path, metavar="FILE", help="journal of JSON lines, gone on with if it exists")
-    add_run_options(parser)
-    parser.set_defaults(seeds=[0, 1])
-    return parser
+    ),
+    option("--share", type=positive, default=2.0, help="budget, in the paper's evaluations (%(default)g)"),
+    option("--most", type=positive, default=1e12, help="point evaluations of a run at most (%(default)g)"),
+    option("--row-budget", type=positive, default=3e6, help="the same for rows of Table I (%(default)g)"),
+    option("--row-seeds", type=seeds, default=seeds("0-29"), help="of rows of Table I (0-29)"),
+    option("--resume", type=Path, metavar="FILE", help="journal of JSON lines, gone on with if it exists"),
+    *run_options("0-1"),
+)
+def main(options: Namespace) -> int:
+    """Run what the journal does not hold, print the tables; return 0."""
+    resume = options.resume is not None and options.resume.exists()
+    journal = Journal("readings", Run, options.resume, options.words, resume=resume)
+    asked = tasks(options)
+    missing = [task for task in asked if known(journal, task) is None]
+    for number, each in enumerate(
+        in_parallel(_running(options.resume), missing, options.workers) if missing else (), start=1
+    ):
+        journal.add(each)
+        note(f"{number} of {len(missing)}: {_told(each)}")
+    runs = [its for task in asked if (its := known(journal, task)) is not None]
+    _show(runs)
+    return 0
 
 
 if __name__ == "__main__":

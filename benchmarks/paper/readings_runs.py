@@ -139,6 +139,11 @@ class Run:
     error: float
     expression: str | None
 
+    @property
+    def key(self) -> Task:
+        """What was run."""
+        return self.task
+
 
 @dataclass(frozen=True)
 class Saved:

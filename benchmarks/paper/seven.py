@@ -8,10 +8,10 @@ A run in which a trajectory passes a singularity is flagged and judged by its fu
 an interpolating quintic spline is then off by more than `SINGULAR` of the true derivative's deviation, on average.
 """
 
-import argparse
 import dataclasses
 import sys
-from collections.abc import Callable, Sequence
+from argparse import Namespace
+from collections.abc import Callable
 from functools import partial
 from typing import Final
 
@@ -20,12 +20,11 @@ from scipy.interpolate import make_interp_spline
 
 from atoll.config import PRESETS, JobConfig
 from atoll_coordinator.data.prepare import prepare
-from benchmarks.harness.command_line import add_search_options, plain_errors
+from benchmarks.harness.command_line import option, program, search_options
 from benchmarks.harness.report import Report
 from benchmarks.harness.service import Searches, searching
-from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, FloatArray, Sampled, trajectories
+from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, FloatArray, Sampled, table_of, trajectories
 from benchmarks.judging.verdict import Question, judged
-from benchmarks.kernels.derivatives import table_of
 
 SINGULAR: Final = 1e-3
 SCALES: Final = (1e-6, 1e6)
@@ -64,7 +63,7 @@ def scaled(step: float, seed: int) -> Case:
     """Return Lotka-Volterra with x in units of 1e6, y in units of 1e-6 and times that begin at 1900."""
     plain = trajectories("lotka_volterra", step, seed)
     times = tuple(each + OFFSET for each in plain.times)
-    values = tuple(each * np.array(SCALES) for each in plain.values)
+    values = tuple(value * np.array(SCALES) for value in plain.values)
     return Case("lotka_volterra scaled", seed, Sampled(plain.names, times, values), SCALED_TRUTH, frozenset())
 
 
@@ -100,28 +99,26 @@ def search(searches: Searches, case: Case, max_time: float, report: Report) -> N
     report.add(judged(question, result))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.paper.seven",
+    __doc__,
+    option("--step", type=float, default=0.02, help="sampling step (%(default)s; the paper's is 0.1)"),
+    option("--system", choices=TABLE_III, action="append", help="repeat for several; default: all seven"),
+    option("--extras", action="store_true", help="the pendulum and the scaled system instead"),
+    *search_options("0-4", 120.0),
+)
+def main(options: Namespace) -> int:
     """Search all cases, print the table; return 0 when every equation was found, else 1."""
-    options = _parser().parse_args(arguments)
-    report = Report("seven", sys.argv[1:] if arguments is None else arguments, options.out)
+    report = Report("seven", options.words, options.out)
     makers: list[Callable[[float, int], Case]] = [partial(case, name) for name in options.system or TABLE_III]
     if options.extras:
         makers = [pendulum, scaled]
-    with plain_errors("benchmarks.paper.seven"), searching(options.workers) as searches:
+    with searching(options.workers) as searches:
         for make in makers:
             for seed in options.seeds:
                 search(searches, make(options.step, seed), options.max_time, report)
     report.show()
     return 0 if all(verdict.found for verdict in report.verdicts) else 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.seven", description=__doc__.split("\n")[0])
-    parser.add_argument("--step", type=float, default=0.02, help="sampling step (%(default)s; the paper's is 0.1)")
-    parser.add_argument("--system", choices=TABLE_III, action="append", help="repeat for several; default: all seven")
-    parser.add_argument("--extras", action="store_true", help="the pendulum and the scaled system instead")
-    add_search_options(parser, "0-4", 120.0)
-    return parser
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import argparse
 import itertools
 import math
 import sys
+from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -30,7 +31,7 @@ from atoll.expression.program import Program
 from atoll.expression.text.infix import to_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.cli.terminal.output import count, note, say, table
-from benchmarks.harness.command_line import add_run_options, plain_errors, whole
+from benchmarks.harness.command_line import option, program, run_options, whole
 from benchmarks.harness.parallel import canvas, in_parallel, save
 from benchmarks.harness.record import Record
 from benchmarks.paper.archipelago import Archipelago, configured, problem_of
@@ -235,36 +236,6 @@ def tasks(options: argparse.Namespace) -> list[Task]:
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run all rows and print the table; return 0 when preset ``default`` reached every published figure, else 1."""
-    options = _parser().parse_args(arguments)
-    figures = Record("table1", sys.argv[1:] if arguments is None else arguments, options.out)
-    asked = tasks(options)
-    sizes = {key: len(list(group)) for key, group in itertools.groupby(asked, _group)}
-    groups: dict[tuple[str, Preset], list[Run]] = {key: [] for key in sizes}
-    with plain_errors("benchmarks.paper.table1"):
-        if options.picture:
-            canvas(1.0, 1.0)
-        for each in in_parallel(run, asked, options.workers):
-            group = groups[_group(each.task)]
-            group.append(each)
-            if len(group) == sizes[_group(each.task)]:
-                group.sort(key=lambda one: one.task.seed)
-                _say_end(group)
-                figures.write(runs=[asdict(one) for done in groups.values() for one in done])
-        summaries = [summary(ROWS[name], preset, group) for (name, preset), group in groups.items()]
-        figures.write(
-            summaries=[asdict(each) for each in summaries],
-            rows=[asdict(ROWS[name]) for name in dict.fromkeys(name for name, _ in groups)],
-            runs=[asdict(one) for group in groups.values() for one in group],
-        )
-        if options.picture:
-            draw(options.picture, groups)
-    say(table(HEADS, [cells(each) for each in summaries]))
-    say(f"\n{len(asked)} runs in {figures.seconds():.0f} s on {options.workers} processes")
-    return 0 if all(each.is_met for each in summaries if each.preset == "default") else 1
-
-
 def _group(task: Task) -> tuple[str, Preset]:
     return task.row, task.preset
 
@@ -274,13 +245,40 @@ def _say_end(group: Sequence[Run]) -> None:
     note(f"{task.row}, preset {task.preset}: {sum(each.converged for each in group)} of {len(group)} runs converged")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.table1", description=__doc__.split("\n")[0])
-    parser.add_argument("--row", choices=ROWS, action="append", help="repeat for several; default: all but density")
-    parser.add_argument("--preset", choices=PRESETS, action="append", help="default: both")
-    parser.add_argument("--evaluations", type=whole, help="point evaluations of a run, instead of the row's")
-    add_run_options(parser)
-    return parser
+@program(
+    "benchmarks.paper.table1",
+    __doc__,
+    option("--row", choices=ROWS, action="append", help="repeat for several; default: all but density"),
+    option("--preset", choices=PRESETS, action="append", help="default: both"),
+    option("--evaluations", type=whole, help="point evaluations of a run, instead of the row's"),
+    *run_options(),
+)
+def main(options: Namespace) -> int:
+    """Run all rows and print the table; return 0 when preset ``default`` reached every published figure, else 1."""
+    figures = Record("table1", options.words, options.out)
+    asked = tasks(options)
+    sizes = {key: len(list(group)) for key, group in itertools.groupby(asked, _group)}
+    groups: dict[tuple[str, Preset], list[Run]] = {key: [] for key in sizes}
+    if options.picture:
+        canvas(1.0, 1.0)
+    for each in in_parallel(run, asked, options.workers):
+        group = groups[_group(each.task)]
+        group.append(each)
+        if len(group) == sizes[_group(each.task)]:
+            group.sort(key=lambda one: one.task.seed)
+            _say_end(group)
+            figures.write(runs=[asdict(one) for done in groups.values() for one in done])
+    summaries = [summary(ROWS[name], preset, group) for (name, preset), group in groups.items()]
+    figures.write(
+        summaries=[asdict(each) for each in summaries],
+        rows=[asdict(ROWS[name]) for name in dict.fromkeys(name for name, _ in groups)],
+        runs=[asdict(one) for group in groups.values() for one in group],
+    )
+    if options.picture:
+        draw(options.picture, groups)
+    say(table(HEADS, [cells(each) for each in summaries]))
+    say(f"\n{len(asked)} runs in {figures.seconds():.0f} s on {options.workers} processes")
+    return 0 if all(each.is_met for each in summaries if each.preset == "default") else 1
 
 
 if __name__ == "__main__":

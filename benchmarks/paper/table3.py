@@ -15,6 +15,7 @@ import itertools
 import math
 import statistics
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Final, Literal
@@ -24,14 +25,14 @@ import numpy as np
 from atoll.config import PRESETS, JobConfig
 from atoll.data.table import Table
 from atoll.errors import UsageError
-from atoll_coordinator.cli.terminal.output import clipped, note, say, shortened, table
+from atoll_coordinator.cli.terminal.output import clipped, note, say, shortened
 from atoll_coordinator.data.prepare import prepare
-from benchmarks.harness.command_line import add_search_options, plain_errors, positive
+from benchmarks.harness.command_line import option, positive, program, search_options
 from benchmarks.harness.report import Report
 from benchmarks.harness.service import Searches, searching
-from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, Sampled, trajectories
+from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, Sampled, table_of, trajectories
+from benchmarks.harness.tables import Columns
 from benchmarks.judging.verdict import Question, Verdict, judged, miss
-from benchmarks.kernels.derivatives import table_of
 from benchmarks.peers.strogatz import PUBLISHED
 
 STEP: Final = 0.1
@@ -81,6 +82,21 @@ class Row:
         if self.job_seconds is None or self.point_evaluations is None:
             return False
         return self.job_seconds < self.paper_seconds and self.point_evaluations < self.paper_evaluations
+
+    @property
+    def seconds_ratio(self) -> float | None:
+        """How many times the paper's seconds are ours."""
+        return self.paper_seconds / self.job_seconds if self.job_seconds else None
+
+    @property
+    def evaluations_ratio(self) -> float | None:
+        """How many times the paper's point evaluations are ours."""
+        return self.paper_evaluations / self.point_evaluations if self.point_evaluations else None
+
+    @property
+    def shown(self) -> str:
+        """The equation as a table has it."""
+        return clipped(shortened(self.expression or "-", 4), 70)
 
 
 def with_slopes(system: str, sampled: Sampled) -> Table:
@@ -147,35 +163,12 @@ def _median(values: Sequence[float]) -> float | None:
     return value if math.isfinite(value) else None
 
 
-HEADS: Final = ("system", "lhs", "derivatives", "found", "search s", "job s", "evaluations")
-PAPER_HEADS: Final = ("paper s", "paper evaluations", "s ratio", "evaluations ratio", "equation")
-
-
-def cells(row: Row) -> tuple[str, ...]:
-    """Return the row of a table under `HEADS` and `PAPER_HEADS`."""
-    return (
-        row.system,
-        f"d{row.variable}/dt",
-        row.derivatives,
-        f"{row.found} of {row.searches}",
-        _text(row.seconds, "{:.2f}"),
-        _text(row.job_seconds, "{:.2f}"),
-        _text(row.point_evaluations, "{:.2e}"),
-        f"{row.paper_seconds:.1f}",
-        f"{row.paper_evaluations:.2e}",
-        _text(_ratio(row.paper_seconds, row.job_seconds), "{:.1f}"),
-        _text(_ratio(row.paper_evaluations, row.point_evaluations), "{:.0f}"),
-        clipped(shortened(row.expression or "-", 4), 70),
-    )
-
-
-def _ratio(paper: float, ours: float | None) -> float | None:
-    """Return how many times the paper's figure is ours."""
-    return None if not ours else paper / ours
-
-
-def _text(value: float | None, form: str) -> str:
-    return "-" if value is None else form.format(value)
+SHOWN: Final = Columns(
+    "system | lhs=d{variable}/dt | derivatives | found={found} of {searches} | search s={seconds:.2f} | "
+    "job s={job_seconds:.2f} | evaluations={point_evaluations:.2e} | paper s={paper_seconds:.1f} | "
+    "paper evaluations={paper_evaluations:.2e} | s ratio={seconds_ratio:.1f} | "
+    "evaluations ratio={evaluations_ratio:.0f} | equation={shown}"
+)
 
 
 def balance(rows: Sequence[Row]) -> str:
@@ -205,22 +198,6 @@ def chosen(options: argparse.Namespace) -> list[tuple[str, str]]:
     return equations
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Search everything, print the table; return 0 when the median search found every equation, else 1."""
-    options = _parser().parse_args(arguments)
-    report = Report("table3", sys.argv[1:] if arguments is None else arguments, options.out)
-    columns = options.derivatives or COLUMNS
-    rows: list[Row] = []
-    with plain_errors("benchmarks.paper.table3"):
-        wanted = list(itertools.product(columns, chosen(options)))
-        with searching(options.workers) as searches:
-            for number, (derivatives, equation) in enumerate(wanted, start=1):
-                note(f"{number} of {len(wanted)}: {' '.join(equation)}, derivatives {derivatives}")
-                rows.append(_searched(searches, options, equation, derivatives, report))
-    _show(rows, report)
-    return 0 if all(row.is_found for row in rows) else 1
-
-
 def _searched(
     searches: Searches, options: argparse.Namespace, equation: tuple[str, str], derivatives: Derivatives, report: Report
 ) -> Row:
@@ -234,7 +211,7 @@ def _searched(
 
 
 def _show(rows: Sequence[Row], report: Report) -> None:
-    say(table((*HEADS, *PAPER_HEADS), [cells(row) for row in rows]))
+    say(SHOWN.table(rows))
     missed = [verdict for verdict in report.verdicts if not verdict.found]
     if missed:
         say("\nmissed:\n" + "\n".join(miss(verdict) for verdict in missed))
@@ -245,18 +222,31 @@ def _show(rows: Sequence[Row], report: Report) -> None:
     say(f"\n{report.summary()}")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.table3", description=__doc__.split("\n")[0])
-    parser.add_argument("--system", choices=TABLE_III, action="append", help="repeat for several; default: all seven")
-    parser.add_argument("--only", metavar="VARIABLE", action="append", help="repeat for several; default: both")
-    parser.add_argument(
+@program(
+    "benchmarks.paper.table3",
+    __doc__,
+    option("--system", choices=TABLE_III, action="append", help="repeat for several; default: all seven"),
+    option("--only", metavar="VARIABLE", action="append", help="repeat for several; default: both"),
+    option(
         "--derivatives", choices=COLUMNS, action="append", help="given exactly, or estimated; default: both, in turn"
-    )
-    parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--target-error", type=positive, help="normalized error at which a search ends")
-    parser.add_argument("--to-the-end", action="store_true", help="use all of --max-time, also without progress")
-    add_search_options(parser, "0-4", 120.0)
-    return parser
+    ),
+    option("--preset", choices=PRESETS, default="default"),
+    option("--target-error", type=positive, help="normalized error at which a search ends"),
+    option("--to-the-end", action="store_true", help="use all of --max-time, also without progress"),
+    *search_options("0-4", 120.0),
+)
+def main(options: Namespace) -> int:
+    """Search everything, print the table; return 0 when the median search found every equation, else 1."""
+    report = Report("table3", options.words, options.out)
+    columns = options.derivatives or COLUMNS
+    rows: list[Row] = []
+    wanted = list(itertools.product(columns, chosen(options)))
+    with searching(options.workers) as searches:
+        for number, (derivatives, equation) in enumerate(wanted, start=1):
+            note(f"{number} of {len(wanted)}: {' '.join(equation)}, derivatives {derivatives}")
+            rows.append(_searched(searches, options, equation, derivatives, report))
+    _show(rows, report)
+    return 0 if all(row.is_found for row in rows) else 1
 
 
 if __name__ == "__main__":

@@ -11,13 +11,12 @@ double precision. The time goes from the first object to that moment; loading th
 generation beforehand, which starts its threads, are not counted.
 """
 
-import argparse
 import importlib.util
 import json
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from argparse import Namespace
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +24,7 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.errors import AtollError, UsageError
+from benchmarks.harness.command_line import option, program
 from benchmarks.judging.fractions import FloatArray
 
 THREADS: Final = 2
@@ -106,7 +106,7 @@ class _Parts:
         self.dataset = op.Dataset(np.asfortranarray(np.column_stack((inputs, label))))
         self.rows = op.Range(0, self.dataset.Rows)
         *variables, target = sorted(self.dataset.Variables, key=lambda each: each.Index)
-        self.hashes = [each.Hash for each in variables]
+        self.hashes = [variable.Hash for variable in variables]
         self.problem = op.Problem(self.dataset)
         self.problem.TrainingRange = self.rows
         self.problem.TestRange = op.Range(self.dataset.Rows - 1, self.dataset.Rows)
@@ -136,8 +136,8 @@ class _Parts:
         initializer.MinDepth, initializer.MaxDepth = 1, 1000
         comparison = op.SingleObjectiveComparison(0)
         selectors = [op.TournamentSelector(comparison) for _ in range(2)]
-        for each in selectors:
-            each.TournamentSize = TOURNAMENT
+        for selector in selectors:
+            selector.TournamentSize = TOURNAMENT
         reinserter = op.KeepBestReinserter(comparison)
         crossover = op.SubtreeCrossover(INTERNAL_CROSSOVER, MAX_DEPTH, MAX_LENGTH)
         mutation, mutations = op.MultiMutation(), self._mutations(creator, coefficients)
@@ -245,14 +245,16 @@ def search_apart(file: Path, seed: int, target_error: float, limit: float) -> Ru
     return Run(**json.loads(ended.stdout))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.peers.operon",
+    __doc__,
+    option("file", type=Path, help="CSV with a header, the label in the first column"),
+    option("--seed", type=int, default=0),
+    option("--target-error", type=float, default=1e-4, help="mean absolute error over deviation (1e-4)"),
+    option("--max-time", type=float, default=60.0, metavar="SECONDS", help="end of the search (60)"),
+)
+def main(options: Namespace) -> int:
     """Search the label of one file and print how it came out; return 0."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.peers.operon", description=__doc__.split("\n")[0])
-    parser.add_argument("file", type=Path, help="CSV with a header, the label in the first column")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--target-error", type=float, default=1e-4, help="mean absolute error over deviation (1e-4)")
-    parser.add_argument("--max-time", type=float, default=60.0, metavar="SECONDS", help="end of the search (60)")
-    options = parser.parse_args(arguments)
     label, *inputs = np.loadtxt(options.file, delimiter=",", skiprows=1, unpack=True)
     run = search(np.column_stack(inputs), label, options.seed, options.target_error, options.max_time)
     sys.stdout.write(json.dumps(asdict(run)) + "\n")

@@ -11,12 +11,12 @@ be added to a model) and harsh where a float survives that sympy will not cancel
 every constant within `STRICT` of the truth's.
 """
 
-import argparse
 import atexit
 import json
 import os
 import subprocess
 import sys
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -24,10 +24,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.cli.terminal.output import note, say, table
+from benchmarks.harness.command_line import option, program
 from benchmarks.judging.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UNCREDITED, rows_of
+from benchmarks.judging.errors import values_on
 from benchmarks.judging.forms import compare
 from benchmarks.judging.fractions import FloatArray
 
@@ -102,11 +102,7 @@ def comparer() -> Comparer:
 
 
 def assess(
-    expression: str,
-    truth: str,
-    columns: Mapping[str, FloatArray],
-    labels: FloatArray,
-    by: Comparer | None = None,
+    expression: str, truth: str, columns: Mapping[str, FloatArray], labels: FloatArray, by: Comparer | None = None
 ) -> Assessment:
     """Judge `expression` by SRBench's rule.
 
@@ -143,30 +139,32 @@ def strict_solved(expression: str, truth: str, columns: Mapping[str, FloatArray]
 
 def coefficient_of_determination(expression: str, columns: Mapping[str, FloatArray], labels: FloatArray) -> float:
     """Return 1 - sum (label - value)² / sum (label - mean label)²; -inf when a value is not finite."""
+    values = values_on(expression, columns)
     with np.errstate(all="ignore"):
-        values = values_of(from_infix(expression, tuple(columns)), np.array([*columns.values()]))
         share = float(np.sum((labels - values) ** 2) / np.sum((labels - np.mean(labels)) ** 2))
     return 1.0 - share if np.isfinite(share) else -np.inf
 
 
 def expectations(name: str) -> list[tuple[str, bool, bool]]:
     """Return forms for the truth of file `name`, and whether SRBench's and the strict rule are to credit them."""
-    truth, forms = EQUIVALENTS[name]
+    truth, *forms = EQUIVALENTS[name]
     rules = [*((form, True, True) for form in (truth, *forms)), *((form, False, False) for form in OTHERS[name])]
     rules += [(form, False, True) for form in (UNCREDITED.get(name),) if form]
     return rules + [(form, True, False) for form in (OVERCREDITED.get(name),) if form]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.peers.srbench",
+    __doc__,
+    option("--file", choices=EQUIVALENTS, action="append", help="repeat for several; default: all 14"),
+)
+def main(options: Namespace) -> int:
     """Print how both rules judge equivalent forms and others; return 0 when each does what is known of it."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.peers.srbench", description=__doc__.split("\n")[0])
-    parser.add_argument("--file", choices=EQUIVALENTS, action="append", help="repeat for several; default: all 14")
-    options = parser.parse_args(arguments)
     rows: list[tuple[str, ...]] = []
     credited, surprises = 0, 0
     names = options.file or list(EQUIVALENTS)
     for name in names:
-        truth, _ = EQUIVALENTS[name]
+        truth = EQUIVALENTS[name][0]
         note(f"{name}: {truth}")
         columns, labels = rows_of(name)
         for form, *expected in expectations(name):

@@ -16,6 +16,7 @@ import argparse
 import itertools
 import math
 import sys
+from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +26,7 @@ from atoll.config import PRESETS, JobConfig
 from atoll.wire.messages.views import JobView
 from atoll_coordinator.cli.terminal.output import error_text, say, table
 from atoll_coordinator.data.prepare import prepare
-from benchmarks.harness.command_line import add_search_options, plain_errors
+from benchmarks.harness.command_line import one_of, option, program, search_options
 from benchmarks.harness.record import Record
 from benchmarks.harness.report import Report
 from benchmarks.harness.service import Searches, searching
@@ -82,10 +83,10 @@ class Passings:
 
     def look(self, view: JobView) -> None:
         """Take in the state of the job."""
-        for its in view.variables:
+        for variable in view.variables:
             for level in LEVELS:
-                if its.normalized_error is not None and its.normalized_error <= level:
-                    self.passed.setdefault(level, (view.elapsed, its.point_evaluations))
+                if variable.normalized_error is not None and variable.normalized_error <= level:
+                    self.passed.setdefault(level, (view.elapsed, variable.point_evaluations))
 
 
 def search(searches: Searches, name: str, truth: str, config: JobConfig, folder: Path) -> tuple[Verdict, Passings]:
@@ -129,20 +130,6 @@ def _row(verdict: Verdict, passings: Passings) -> tuple[str, ...]:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Search all files, print the tables; return 0 when all came out as the mode of the benchmark would have it."""
-    options = _parser().parse_args(arguments)
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    with plain_errors("benchmarks.peers.strogatz"):
-        known = truths(options.data)
-        if options.versus:
-            require()
-            return _compared(strogatz_versus.run, options, known, words)
-        if options.noise:
-            return _compared(strogatz_noise.run, options, known, words)
-        return _solved(options, known, words)
-
-
 def _compared(run: Callable[..., int], options: argparse.Namespace, known: Mapping[str, str], words: list[str]) -> int:
     """Let `run` search with the configuration of each seed."""
     if options.versus and options.target_error is None:
@@ -162,7 +149,9 @@ def _solved(options: argparse.Namespace, known: Mapping[str, str], words: list[s
             report.add([searched[-1][0]], passings={f"{name} seed {seed}": searched[-1][1].passed})
     report.show()
     say("\n" + beside_the_paper(searched))
-    good = sum((is_solved(each) if options.target_error is None else each.converged) for each in report.verdicts)
+    good = sum(
+        (is_solved(verdict) if options.target_error is None else verdict.converged) for verdict in report.verdicts
+    )
     limit = f"error below {SOLVED:g}" if options.target_error is None else f"error at most {options.target_error:g}"
     say(f"\n{limit}: {good} of {len(report.verdicts)}")
     return 0 if good == len(report.verdicts) else 1
@@ -179,23 +168,34 @@ def levels(text: str) -> list[float]:
     return list(dict.fromkeys(numbers))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.peers.strogatz", description=__doc__.split("\n")[0])
-    parser.add_argument("--data", type=Path, required=True, help="folder with the files and truth.json")
-    parser.add_argument("--file", choices=PUBLISHED, action="append", help="repeat for several; default: all 14")
-    parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--target-error", type=float, help="normalized error at which a search ends")
-    parser.add_argument("--to-the-end", action="store_true", help="use all of --max-time, also without progress")
-    modes = parser.add_mutually_exclusive_group()
-    modes.add_argument(
-        "--noise",
-        type=levels,
-        metavar="LEVEL[,LEVEL...]",
-        help="learn from 300 rows whose labels have Gaussian noise of LEVEL times their root mean square",
-    )
-    modes.add_argument("--versus", choices=["operon"], help="race to a normalized error of 1e-4")
-    add_search_options(parser, "0-2", 60.0)
-    return parser
+@program(
+    "benchmarks.peers.strogatz",
+    __doc__,
+    option("--data", type=Path, required=True, help="folder with the files and truth.json"),
+    option("--file", choices=PUBLISHED, action="append", help="repeat for several; default: all 14"),
+    option("--preset", choices=PRESETS, default="default"),
+    option("--target-error", type=float, help="normalized error at which a search ends"),
+    option("--to-the-end", action="store_true", help="use all of --max-time, also without progress"),
+    one_of(
+        option(
+            "--noise",
+            type=levels,
+            metavar="LEVEL[,LEVEL...]",
+            help="learn from 300 rows whose labels have Gaussian noise of LEVEL times their root mean square",
+        ),
+        option("--versus", choices=["operon"], help="race to a normalized error of 1e-4"),
+    ),
+    *search_options("0-2", 60.0),
+)
+def main(options: Namespace) -> int:
+    """Search all files, print the tables; return 0 when all came out as the mode of the benchmark would have it."""
+    known = truths(options.data)
+    if options.versus:
+        require()
+        return _compared(strogatz_versus.run, options, known, options.words)
+    if options.noise:
+        return _compared(strogatz_noise.run, options, known, options.words)
+    return _solved(options, known, options.words)
 
 
 if __name__ == "__main__":

@@ -1,21 +1,17 @@
 """Time to solution of the 14 Strogatz equations, ours and Operon's, in turn on the same machine."""
 
-import math
 import statistics
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from atoll.config import JobConfig
 from atoll.data.table import Table
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.cli.terminal.output import error_text, note, say, table
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches
+from benchmarks.judging.errors import finite, values_on
 from benchmarks.judging.fractions import FloatArray
 from benchmarks.peers import operon
 from benchmarks.peers.operon import search_apart
@@ -90,11 +86,9 @@ def race(key: tuple[str, int], result: Mapping[str, Any], rows: Table, peer: ope
 
 def measured_error(expression: str, rows: Table) -> float | None:
     """Return the mean of |value - label| over label's deviation on all rows; None when it is not finite."""
-    names = tuple(name for name in rows.names if name != LABEL)
-    values = values_of(from_infix(expression, names), np.array([rows.column(name) for name in names]))
+    values = values_on(expression, {name: rows.column(name) for name in rows.names if name != LABEL})
     label: FloatArray = rows.column(LABEL)
-    error = float(abs(values - label).mean() / label.std())
-    return error if math.isfinite(error) else None
+    return finite(float(abs(values - label).mean() / label.std()))
 
 
 def by_file(races: Sequence[Race], limit: float) -> str:
@@ -161,7 +155,7 @@ def _medians(races: Sequence[Race], limit: float) -> tuple[float, float]:
 
 
 def _cells(seconds: Sequence[float | None], limit: float) -> tuple[str, str, str]:
-    values = [counted(each, limit) for each in seconds]
+    values = [counted(second, limit) for second in seconds]
     met = sum(each is not None for each in seconds)
     return f"{statistics.median(values):.2f}", f"{max(values):.2f}", f"{met} of {len(seconds)}"
 

@@ -8,9 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import PRESETS, JobConfig
+from atoll.config import JobConfig
 from atoll.data.table import Table
 from atoll_coordinator.data.reading.files import read_table
+from benchmarks.harness.campaign import configured
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,7 @@ class Case:
 
     def config(self, seed: int, max_time: float | None) -> JobConfig:
         """Return the configuration of the job."""
-        config = PRESETS["default"]
-        budget = config.budget.model_copy(update={"max_time": max_time})
-        data = config.data.model_copy(update=dict(self.options))
-        space = config.space.model_copy(update={"operators": self.operators or config.space.operators})
-        return config.model_copy(update={"seed": seed, "data": data, "space": space, "budget": budget})
+        return configured(seed, self.options, {"max_time": max_time}, self.operators or None)
 
     def table(self, folder: Path) -> Table:
         """Return the rows of the job; raises DataError where the file cannot be read."""

@@ -4,12 +4,11 @@
 same paths are then treated as well.
 """
 
-import argparse
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
-from benchmarks.harness.command_line import plain_errors, seeds
+from benchmarks.harness.command_line import OUT, option, program, seeds_of
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching
 from benchmarks.stochastic.judging import Judged, judge
@@ -29,48 +28,6 @@ from benchmarks.stochastic.processes import PROCESSES, SUBSTEPS, simulate
 from benchmarks.stochastic.processes import table as table_of
 
 HEADS = ("process", "equation", "seeds", "right", "said good", "good but wrong", "covered", "of", "error")
-
-
-def main(arguments: Sequence[str]) -> None:
-    """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.stochastic", description=__doc__)
-    parser.add_argument("--seeds", type=seeds, default=seeds("1000-1009"), help="such as 0-4 (1000-1009)")
-    parser.add_argument("--processes", nargs="*", choices=[*PROCESSES], default=[*PROCESSES], metavar="NAME")
-    parser.add_argument("--workers", type=int, default=2, help="worker processes (%(default)s); 0: peers alone")
-    parser.add_argument(
-        "--without-search", action="store_true", help="candidates of regression alone, in this process; no workers"
-    )
-    parser.add_argument(
-        "--substeps",
-        type=int,
-        default=SUBSTEPS,
-        help="of each step; 1: Euler and Maruyama's tables (%(default)s)",
-    )
-    parser.add_argument("--peer", metavar="PYTHON", help="interpreter with kramersmoyal")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    options = parser.parse_args(arguments)
-    record = Record("stochastic", arguments, options.out)
-    judged: list[Judged] = []
-    estimates: list[Estimate] = []
-    if options.without_search:
-        for seed in options.seeds:
-            for case in options.processes:
-                judged += _chosen(case, seed, options.substeps)
-                record.write(judged=[asdict(each) for each in judged])
-    elif options.workers:
-        with searching(options.workers) as searches:
-            for seed in options.seeds:
-                for case in options.processes:
-                    judged += _searched(searches, case, seed, options.substeps)
-                    record.write(judged=[asdict(each) for each in judged])
-    for case in options.processes if options.peer else ():
-        for seed in options.seeds:
-            estimates += estimate(options.peer, case, seed)
-            record.write(judged=[asdict(each) for each in judged], peers=[asdict(each) for each in estimates])
-    say(table(HEADS, _rows(judged)) if judged else "")
-    if estimates:
-        say(table(("process", "equation", "method", "seeds", "right", "error"), _peer_rows(estimates)))
-    say(f"load {load():.1f}")
 
 
 def _searched(searches: Searches, case: str, seed: int, substeps: int) -> list[Judged]:
@@ -134,6 +91,43 @@ def _peer_rows(estimates: Sequence[Estimate]) -> list[tuple[str, ...]]:
     return rows
 
 
+@program(
+    "benchmarks.stochastic",
+    __doc__,
+    seeds_of("1000-1009", "such as 0-4 (1000-1009)"),
+    option("--processes", nargs="*", choices=[*PROCESSES], default=[*PROCESSES], metavar="NAME"),
+    option("--workers", type=int, default=2, help="worker processes (%(default)s); 0: peers alone"),
+    option("--without-search", action="store_true", help="candidates of regression alone, in this process; no workers"),
+    option("--substeps", type=int, default=SUBSTEPS, help="of each step; 1: Euler and Maruyama's tables (%(default)s)"),
+    option("--peer", metavar="PYTHON", help="interpreter with kramersmoyal"),
+    OUT,
+    description=__doc__,
+)
+def main(options: Namespace) -> None:
+    """Run what the command line asks for."""
+    record = Record("stochastic", options.words, options.out)
+    judged: list[Judged] = []
+    estimates: list[Estimate] = []
+    if options.without_search:
+        for seed in options.seeds:
+            for case in options.processes:
+                judged += _chosen(case, seed, options.substeps)
+                record.write(judged=[asdict(each) for each in judged])
+    elif options.workers:
+        with searching(options.workers) as searches:
+            for seed in options.seeds:
+                for case in options.processes:
+                    judged += _searched(searches, case, seed, options.substeps)
+                    record.write(judged=[asdict(each) for each in judged])
+    for case in options.processes if options.peer else ():
+        for seed in options.seeds:
+            estimates += estimate(options.peer, case, seed)
+            record.write(judged=[asdict(each) for each in judged], peers=[asdict(each) for each in estimates])
+    say(table(HEADS, _rows(judged)) if judged else "")
+    if estimates:
+        say(table(("process", "equation", "method", "seeds", "right", "error"), _peer_rows(estimates)))
+    say(f"load {load():.1f}")
+
+
 if __name__ == "__main__":
-    with plain_errors("benchmarks.stochastic"):
-        main(sys.argv[1:])
+    sys.exit(main())

@@ -4,9 +4,8 @@ Paths of 10,000 steps, in small steps of Euler and Maruyama, all of a case at on
 of the first two states, which are the last to have none in the cases that begin the table.
 """
 
-import argparse
 import sys
-from collections.abc import Sequence
+from argparse import Namespace
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,7 +17,7 @@ from atoll_coordinator.data.increments.bins import split_into_bins
 from atoll_coordinator.data.increments.correlations import correlated_pairs
 from atoll_coordinator.data.increments.moments import bin_count
 from atoll_coordinator.data.increments.steps import Steps
-from benchmarks.harness.command_line import plain_errors
+from benchmarks.harness.command_line import option, program
 from benchmarks.stochastic.processes import PROCESSES, SETTLING, STEPS, Process
 
 SMALL: Final = 10
@@ -50,21 +49,6 @@ CASES: Final = {
     **{f"van der Pol, correlation {its}": Case(_TURNING, its) for its in (0.05, 0.1, 0.2)},
     **{f"Lorenz, correlation {its}": Case(PROCESSES["Lorenz"], its) for its in (0.05, 0.1, 0.2)},
 }
-
-
-def main(arguments: Sequence[str]) -> None:
-    """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.stochastic.covariance", description=__doc__)
-    parser.add_argument("--paths", type=int, default=100, help="of each case (%(default)s)")
-    parser.add_argument("--steps", type=int, default=STEPS, help="of each path (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of all paths (%(default)s)")
-    options = parser.parse_args(arguments)
-    rows = []
-    for name, case in CASES.items():
-        found = [_pairs(steps) for steps in simulate(case, options.paths, options.steps, options.seed)]
-        first, others = sum((0, 1) in its for its in found), sum(bool({*its} - {(0, 1)}) for its in found)
-        rows.append((name, str(options.paths), f"{100.0 * first / options.paths:.0f} %", f"{others}"))
-    say(table(("process", "paths", "first pair sought", "others"), rows))
 
 
 def _pairs(steps: Steps) -> list[tuple[int, int]]:
@@ -100,6 +84,23 @@ def _steps(path: FloatArray, lengths: FloatArray) -> Steps:
     return Steps(np.ascontiguousarray(path[:, :-1]), lengths, moved, np.arange(len(lengths)) > 0)
 
 
+@program(
+    "benchmarks.stochastic.covariance",
+    __doc__,
+    option("--paths", type=int, default=100, help="of each case (%(default)s)"),
+    option("--steps", type=int, default=STEPS, help="of each path (%(default)s)"),
+    option("--seed", type=int, default=0, help="of all paths (%(default)s)"),
+    description=__doc__,
+)
+def main(options: Namespace) -> None:
+    """Run what the command line asks for."""
+    rows = []
+    for name, case in CASES.items():
+        found = [_pairs(steps) for steps in simulate(case, options.paths, options.steps, options.seed)]
+        first, others = sum((0, 1) in its for its in found), sum(bool({*its} - {(0, 1)}) for its in found)
+        rows.append((name, str(options.paths), f"{100.0 * first / options.paths:.0f} %", f"{others}"))
+    say(table(("process", "paths", "first pair sought", "others"), rows))
+
+
 if __name__ == "__main__":
-    with plain_errors("benchmarks.stochastic.covariance"):
-        main(sys.argv[1:])
+    sys.exit(main())

@@ -4,9 +4,8 @@ The factors of each equation are fitted to paths of 10,000 steps, all of a proce
 are tables of Euler and Maruyama's method, and fitted as such.
 """
 
-import argparse
 import sys
-from collections.abc import Sequence
+from argparse import Namespace
 from typing import Final
 
 import numpy as np
@@ -18,7 +17,7 @@ from atoll_coordinator.cli.terminal.output import say, table
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.stochastic.conclusion import joint_objections
 from atoll_coordinator.model.stochastic.likelihood import ProcessLikelihood, ProcessModel
-from benchmarks.harness.command_line import plain_errors
+from benchmarks.harness.command_line import option, program
 from benchmarks.stochastic.processes import PROCESSES, SETTLING, STEPS, SUBSTEPS, Process
 
 HEADS: Final = ("process", "paths", "intervals hold", "of", "away", "spread", "drifts doubted", "of")
@@ -28,28 +27,6 @@ FAR: Final = {
     )
 }
 """A state that follows noise over two equations."""
-
-
-def main(arguments: Sequence[str]) -> None:
-    """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.stochastic.intervals", description=__doc__)
-    cases = {name: its for name, its in {**PROCESSES, **FAR}.items() if not its.noise}
-    parser.add_argument("--processes", nargs="*", choices=[*cases], default=[*cases], metavar="NAME")
-    parser.add_argument("--paths", type=int, default=100, help="of each process (%(default)s)")
-    parser.add_argument("--substeps", type=int, default=SUBSTEPS, help="of each step (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of all paths (%(default)s)")
-    options = parser.parse_args(arguments)
-    rows = []
-    for name in options.processes:
-        found = [_fitted(cases[name], each, options.substeps == 1)
-                 for each in simulate(cases[name], options.paths, options.seed, options.substeps)]  # fmt: skip
-        away = np.concatenate([its for its, _ in found])
-        doubts = [doubt for _, its in found for doubt in its]
-        holds = np.abs(away) < 1.96
-        numbers = (len(found), holds.sum(), len(away), f"{away.mean():.2f}", f"{np.sqrt(np.mean(away**2)):.2f}")
-        rows.append((name, *map(str, numbers), str(sum(doubts)), str(len(doubts))))
-        say(table(HEADS, rows[-1:]))
-    say(table(HEADS, rows))
 
 
 def _fitted(process: Process, steps: Steps, is_stepped: bool) -> tuple[FloatArray, list[bool]]:
@@ -98,6 +75,32 @@ def _steps(paths: FloatArray, step: float) -> Steps:
     return Steps(points, np.full(moved.shape[1], step), np.ascontiguousarray(moved), follows)
 
 
+CASES: Final = {name: process for name, process in {**PROCESSES, **FAR}.items() if not process.noise}
+
+
+@program(
+    "benchmarks.stochastic.intervals",
+    __doc__,
+    option("--processes", nargs="*", choices=[*CASES], default=[*CASES], metavar="NAME"),
+    option("--paths", type=int, default=100, help="of each process (%(default)s)"),
+    option("--substeps", type=int, default=SUBSTEPS, help="of each step (%(default)s)"),
+    option("--seed", type=int, default=0, help="of all paths (%(default)s)"),
+    description=__doc__,
+)
+def main(options: Namespace) -> None:
+    """Run what the command line asks for."""
+    rows = []
+    for name in options.processes:
+        found = [_fitted(CASES[name], each, options.substeps == 1)
+                 for each in simulate(CASES[name], options.paths, options.seed, options.substeps)]  # fmt: skip
+        away = np.concatenate([its for its, _ in found])
+        doubts = [doubt for _, its in found for doubt in its]
+        holds = np.abs(away) < 1.96
+        numbers = (len(found), holds.sum(), len(away), f"{away.mean():.2f}", f"{np.sqrt(np.mean(away**2)):.2f}")
+        rows.append((name, *map(str, numbers), str(sum(doubts)), str(len(doubts))))
+        say(table(HEADS, rows[-1:]))
+    say(table(HEADS, rows))
+
+
 if __name__ == "__main__":
-    with plain_errors("benchmarks.stochastic.intervals"):
-        main(sys.argv[1:])
+    sys.exit(main())

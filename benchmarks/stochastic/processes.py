@@ -12,8 +12,7 @@ from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
 from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
-from benchmarks.harness.systems import Sampled
-from benchmarks.kernels.derivatives import table_of
+from benchmarks.harness.systems import Sampled, table_of
 
 SUBSTEPS: Final = 50
 STEPS: Final = 10_000

@@ -5,8 +5,8 @@ Tables of processes and of deterministic systems with errors of measurement are 
 model. Instead of a search, models are the true drift (a process), or the true equations, and the same 5 % too slow.
 """
 
-import argparse
 import sys
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -19,9 +19,8 @@ from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.refinement import Simulated, Simulation
-from benchmarks.harness.command_line import plain_errors, seeds
-from benchmarks.harness.systems import TABLE_III, Sampled, trajectories
-from benchmarks.kernels.derivatives import table_of
+from benchmarks.harness.command_line import program, seeds_of
+from benchmarks.harness.systems import TABLE_III, Sampled, table_of, trajectories
 from benchmarks.stochastic.processes import PROCESSES, Process, simulate
 from benchmarks.stochastic.processes import table as table_of_paths
 
@@ -31,24 +30,6 @@ SMALL: Final = 10
 ROWS: Final = 2_400
 """Steps of a process in all."""
 SLOWER: Final = 0.95
-
-
-def main(arguments: Sequence[str]) -> None:
-    """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.stochastic.proposals", description=__doc__)
-    parser.add_argument("--seeds", type=seeds, default=seeds("0-9"), help="such as 0-4 (0-9)")
-    options = parser.parse_args(arguments)
-    rows = []
-    for name, process in PROCESSES.items():
-        found = [[*_of_process(process, seed)] for seed in options.seeds]
-        rows.append((name, "0" if not process.noise else str(process.noise), *_counts(found), ""))
-        note("  ".join(rows[-1]))
-    for system in TABLE_III:
-        for level in LEVELS:
-            found = [[*_of_system(system, level, seed)] for seed in options.seeds]
-            rows.append((system, f"{100.0 * level:.0f} %", *_counts(found)))
-            note("  ".join(rows[-1]))
-    say(table(("table", "errors", "tables", "no model", "true model", "model 5 % too slow"), rows))
 
 
 def _counts(found: Sequence[Sequence[bool]]) -> tuple[str, ...]:
@@ -69,7 +50,7 @@ def _of_system(system: str, level: float, seed: int) -> Iterator[bool]:
     noisy = trajectories(system, step, seed, level, duration)
     clean = trajectories(system, step, seed, 0.0, duration)
     yield _is_proposed(table_of(noisy), None)
-    yield _is_proposed(table_of(noisy), [each.T for each in clean.values])
+    yield _is_proposed(table_of(noisy), [value.T for value in clean.values])
     yield _is_proposed(table_of(noisy), _slowed(clean))
 
 
@@ -105,6 +86,21 @@ def _is_proposed(given: Table, model: Sequence[FloatArray] | None) -> bool:
     return bool(stochastic_remarks(recording, Simulation(recording.states, simulated, 1.96)))
 
 
+@program("benchmarks.stochastic.proposals", __doc__, seeds_of("0-9", "such as 0-4 (0-9)"), description=__doc__)
+def main(options: Namespace) -> None:
+    """Run what the command line asks for."""
+    rows = []
+    for name, process in PROCESSES.items():
+        found = [[*_of_process(process, seed)] for seed in options.seeds]
+        rows.append((name, "0" if not process.noise else str(process.noise), *_counts(found), ""))
+        note("  ".join(rows[-1]))
+    for system in TABLE_III:
+        for level in LEVELS:
+            found = [[*_of_system(system, level, seed)] for seed in options.seeds]
+            rows.append((system, f"{100.0 * level:.0f} %", *_counts(found)))
+            note("  ".join(rows[-1]))
+    say(table(("table", "errors", "tables", "no model", "true model", "model 5 % too slow"), rows))
+
+
 if __name__ == "__main__":
-    with plain_errors("benchmarks.stochastic.proposals"):
-        main(sys.argv[1:])
+    sys.exit(main())

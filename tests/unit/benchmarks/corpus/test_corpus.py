@@ -187,7 +187,7 @@ def test_outcomes_survive_the_journal(tmp_path, judged, lotka):
 def test_a_campaign_does_only_what_is_missing(monkeypatch, judged):
     journal = kept(None)
     journal.add(judged, None)
-    monkeypatch.setattr(campaign, "searching", lambda workers: pytest.fail("nothing is missing"))
+    monkeypatch.setattr("benchmarks.harness.campaign.searching", lambda workers: pytest.fail("nothing is missing"))
     assert campaign.run_jobs([KEY], journal, 1, None, {}) == [judged]
 
 
@@ -207,7 +207,7 @@ def test_pysindy_is_given_the_same_table(monkeypatch, lotka):
         return result("1.1*x - 0.4*x*y", "0.1*x*y - 0.4*y")
 
     monkeypatch.setattr(campaign.pysindy_models, "solve", solve)
-    monkeypatch.setattr(campaign, "searching", lambda workers: pytest.fail("nothing is searched"))
+    monkeypatch.setattr("benchmarks.harness.campaign.searching", lambda workers: pytest.fail("nothing is searched"))
     key = dataclasses.replace(KEY, method="pysindy weak")
     (outcome,) = campaign.run_jobs([key], kept(None), 1, None, {})
     assert [its.is_right for its in outcome.equations] == [True, True]
@@ -248,7 +248,7 @@ def test_tables_count_what_they_say(judged):
 
 
 def test_keys_of_the_command_line():
-    parse = corpus._parser().parse_args
+    parse = corpus.main.parser.parse_args
     named = corpus.keys(parse(["--named"]))
     assert len(named) == 30
     assert {key.trajectories for key in named} == {1}

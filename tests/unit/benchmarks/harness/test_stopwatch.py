@@ -7,10 +7,10 @@ import pytest
 
 from atoll.errors import AtollError
 from atoll.wire.messages.views import JobView
-from benchmarks.harness.service import Searches
+from benchmarks.harness.service import Machines, Searches
 from benchmarks.harness.stopwatch import Stopwatch, largest_child_mb, resident_mb
 from benchmarks.noise.data import Key, case
-from benchmarks.noise.search import search
+from benchmarks.noise.judging import search
 
 KEY = Key("atoll", "plain", "glider", 0.05, 100)
 
@@ -59,21 +59,22 @@ def test_time_is_kept_by_state():
 def test_a_job_that_takes_too_long_is_cancelled():
     client = Client("refining")
     with pytest.raises(AtollError, match=r"was cancelled: it was still refining after 0 s"):
-        Searches(client, "address", []).solve("n", case(KEY).table, None, Stopwatch(limit_s=0.0).watch)
+        Searches(client).solve("n", case(KEY).table, None, Stopwatch(limit_s=0.0).watch)
     assert client.cancelled == [client.job]
 
 
 def test_a_failed_job_is_an_outcome_without_equations():
-    outcome, result = search(Searches(Client("failed", "no rows"), "address", []), KEY, case(KEY), None)
+    outcome, result = search(Searches(Client("failed", "no rows")), KEY, case(KEY), None)
     assert (outcome.found, result) == (0, None)
     assert "no rows" in outcome.failure
 
 
-def test_without_a_coordinator_the_benchmark_ends_instead_of_counting_misses():
-    with subprocess.Popen([sys.executable, "-c", "pass"]) as ended:
-        ended.wait(20)
+def test_without_a_coordinator_the_benchmark_ends_instead_of_counting_misses(tmp_path):
+    machines = Machines(tmp_path, 0)
+    machines.start_program("coordinator", [sys.executable, "-c", "pass"]).wait(20)
     with pytest.raises(AtollError, match="ended with code 0"):
-        search(Searches(Client("failed"), "address", [ended]), KEY, case(KEY), None)
+        search(Searches(Client("failed"), machines), KEY, case(KEY), None)
+    machines.close()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")

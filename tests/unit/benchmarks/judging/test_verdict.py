@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll.data.dataset import Dataset, Target
-from benchmarks.judging.verdict import HEADS, MORE_HEADS, Question, cells, judged, miss
+from benchmarks.judging.verdict import COLUMNS, Question, judged, miss
 
 TRUTH = "3*x - x*y"
 
@@ -60,4 +60,4 @@ def test_beside_a_singularity_the_function_error_decides(expression, found):
 
 
 def test_a_row_has_a_cell_for_each_head():
-    assert len(cells(verdict("x"))) == len(HEADS) + len(MORE_HEADS)
+    assert len(COLUMNS.row(verdict("x"))) == len(COLUMNS.heads)

@@ -7,9 +7,8 @@ import pytest
 
 from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
-from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, trajectories
+from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, table_of, trajectories
 from benchmarks.judging.forms import compare
-from benchmarks.kernels.derivatives import table_of
 from benchmarks.noise.data import LENGTHS, VARIANTS, Key, case, fresh
 from benchmarks.noise.odd_systems import ODD
 

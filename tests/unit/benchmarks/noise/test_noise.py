@@ -221,7 +221,7 @@ class Told:
 
 def test_a_campaign_does_what_is_missing_and_can_be_judged_again(tmp_path, monkeypatch, capsys):
     told, path = Told(), tmp_path / "lines.jsonl"
-    monkeypatch.setattr(noise, "searching", lambda workers: _Given(told))
+    monkeypatch.setattr("benchmarks.harness.campaign.searching", lambda workers: _Given(told))
     words = ["--systems", "lotka_volterra", "--levels", "0.05", "--variants", "plain", "missing"]
     assert noise.main([*words, "--seeds", "100", "--out", str(path)]) == 0
     assert [(seed, missing) for _, seed, missing in told.titles] == [(100, "refuse"), (100, "drop")]

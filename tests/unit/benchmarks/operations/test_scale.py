@@ -173,5 +173,5 @@ def test_many_jobs_have_a_table_that_can_be_searched() -> None:
 def test_figures_can_be_written_as_json() -> None:
     assert json.dumps({"microseconds": LOAD.microseconds})
     assert math.isfinite(LOAD.microseconds)
-    options = scaling._parser().parse_args(["--simulated-islands", "16,64"])
+    options = scaling.main.parser.parse_args(["--simulated-islands", "16,64"])
     assert options.simulated_islands == [16, 64]

@@ -12,7 +12,6 @@ from benchmarks.operations.scaling import (
     Findings,
     Round,
     Timing,
-    _parser,
     differing,
     main,
     speed_ups,
@@ -159,7 +158,7 @@ def test_what_is_put_on_the_bus_is_counted():
 
 @pytest.mark.parametrize(("text", "numbers"), [("2", [2]), ("4,1-2", [1, 2, 4])])
 def test_numbers_of_workers(text, numbers):
-    assert _parser().parse_args(["--workers", text]).workers == numbers
+    assert main.parser.parse_args(["--workers", text]).workers == numbers
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,6 @@ def test_a_journal_is_gone_on_with(tmp_path, monkeypatch, capsys):
     assert main([*arguments, "--most", "2000"]) == 0
     assert [(task.seed, task.budget) for task in asked] == [(0, 1000), (1, 1000), (0, 2000)]
     assert "1 of 2" in capsys.readouterr().out
-    path.write_text('{"run": 3}\n')
+    path.write_text('{"outcome": 3}\n')
     with pytest.raises(DataError):
-        Journal(path, [])
+        Journal("readings", Run, path, [], resume=True)

@@ -11,10 +11,9 @@ from benchmarks.harness.systems import TRUTH, trajectories
 from benchmarks.paper.table3 import (
     EQUATIONS,
     PAPER,
+    SHOWN,
     SLOPE,
-    _parser,
     balance,
-    cells,
     chosen,
     configured,
     main,
@@ -27,7 +26,7 @@ GLIDER_V = ("glider", "v")
 
 
 def options(*words):
-    return _parser().parse_args(words)
+    return main.parser.parse_args(words)
 
 
 def verdicts(*seconds, found=True):
@@ -80,7 +79,7 @@ def test_the_median_counts_a_miss_as_infinitely_long():
 def test_more_misses_than_not_have_no_median():
     row = summed_up(GLIDER_V, "given", [*verdicts(1.0), *verdicts(0.1, 0.2, found=False)])
     assert (row.seconds, row.point_evaluations, row.is_found, row.is_ahead) == (None, None, False, False)
-    assert cells(row)[3:7] == ("1 of 3", "-", "-", "-")
+    assert SHOWN.row(row)[3:7] == ("1 of 3", "-", "-", "-")
 
 
 @pytest.mark.parametrize(("seconds", "evaluations"), [(11.0, 1000), (1.0, 2_000_000_000)])
@@ -91,7 +90,7 @@ def test_who_is_slower_or_evaluates_more_is_not_ahead(seconds, evaluations):
 
 def test_ratios_stand_in_the_table():
     row = summed_up(GLIDER_V, "given", verdicts(1.0))
-    assert cells(row)[7:11] == ("10.2", "1.03e+09", "5.1", "1030")
+    assert SHOWN.row(row)[7:11] == ("10.2", "1.03e+09", "5.1", "1030")
 
 
 def test_the_balance_compares_only_what_was_found():

@@ -9,7 +9,6 @@ from atoll.wire.messages.views import JobView, VariableView
 from benchmarks.peers.strogatz import (
     PUBLISHED,
     Passings,
-    _parser,
     beside_the_paper,
     configured,
     is_solved,
@@ -34,7 +33,7 @@ def test_the_published_sums_are_those_of_the_paper():
 
 @pytest.mark.parametrize("words", [[], ["--to-the-end"]])
 def test_a_search_may_go_on_without_progress(words):
-    options = _parser().parse_args(["--data", "d", "--max-time", "300", "--target-error", "1e-3", *words])
+    options = main.parser.parse_args(["--data", "d", "--max-time", "300", "--target-error", "1e-3", *words])
     budget = configured(options, 3).budget
     assert (budget.max_time, budget.target_error) == (300.0, 1e-3)
     assert ((budget.stagnation or 0) > 10**6) is bool(words)
@@ -80,5 +79,5 @@ def test_other_levels_are_refused(text):
 
 def test_noise_and_a_race_exclude_each_other(capsys):
     with pytest.raises(SystemExit):
-        _parser().parse_args(["--data", "d", "--noise", "0.1", "--versus", "operon"])
+        main.parser.parse_args(["--data", "d", "--noise", "0.1", "--versus", "operon"])
     assert "not allowed with" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from atoll.config import Angle, DataConfig, JobConfig
 from atoll.errors import DataError
 from atoll_coordinator.data.prepare import prepare
 from benchmarks.harness.systems import SYSTEMS, TRUTH, trajectories
-from benchmarks.kernels.derivatives import table_of as table_of_samples
+from benchmarks.harness.systems import table_of as table_of_samples
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.corpus.forms import Form, judge_form
+from benchmarks.judging.fits import Form, judge_form
 
 RNG = np.random.default_rng(5)
 COLUMNS = {"x": RNG.uniform(0.3, 6.0, 200), "y": RNG.uniform(0.4, 3.0, 200)}

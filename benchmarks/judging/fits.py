@@ -224,7 +224,7 @@ def _with_factors_inside(node: ast.expr, names: list[str]) -> ast.expr:
                 _with_factors(left, names, is_summand=False), operator, _with_factors(right, names, is_summand=False)
             )
         case ast.Call(function, arguments):
-            return ast.Call(function, [_with_factors(each, names) for each in arguments], [])
+            return ast.Call(function, [_with_factors(argument, names) for argument in arguments], [])
     return node
 
 
