@@ -362,7 +362,8 @@ def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
     lowest = course.argmin(axis=0)
     later = np.array([course[row:, place].max() for place, row in enumerate(lowest.tolist())])
     lows = course.min(axis=0)
-    return (lows < _COARSE * course[0]) & (lows < _COARSE * later) & (later > math.sqrt(_DEEPEST) * course[0])
+    is_deep = lows < _COARSE * np.minimum(course[0], later)
+    return np.asarray(is_deep & (later > math.sqrt(_DEEPEST) * course[0]))
 
 
 def _positive(sizes: FloatArray) -> FloatArray:
