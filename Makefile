@@ -49,7 +49,7 @@ demo: $(STAMP)
 
 # Many tests wait for processes, so there are two at a time for each core; the tests of one file run one after the other.
 # Files begin in their order, integration first: those few long tests would otherwise be what is left at the end.
-AT_A_TIME = $(shell $(BIN)/python -c 'import os; from atoll.machine.cores import usable_cores as cores; \
+AT_A_TIME = $(shell $(BIN)/python -c 'import os; from atoll_core.machine.cores import usable_cores as cores; \
   print(2 * cores(os.environ)[0])')
 PYTEST = $(BIN)/pytest -n $(AT_A_TIME) --dist loadfile --no-loadscope-reorder
 

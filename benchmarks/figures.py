@@ -26,9 +26,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from atoll import ENGINE_REVISION
-from atoll.errors import DataError
-from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll.cli.terminal.output import note, say, table
+from atoll_core import ENGINE_REVISION
+from atoll_core.errors import DataError
 from benchmarks.corpus.cases import LEAST_T
 from benchmarks.harness.command_line import option, positive, program, seeds, verb, verbs
 from benchmarks.harness.record import head

@@ -56,7 +56,7 @@ def _check_version() -> str:
     """Return what is said of the version; raises FailedError unless package and changelog have it."""
     version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
     said = re.search(
-        r'^VERSION.* = "(.+)"$', (ROOT / "common" / "atoll" / "__init__.py").read_text("utf-8"), re.MULTILINE
+        r'^VERSION.* = "(.+)"$', (ROOT / "common" / "atoll_core" / "__init__.py").read_text("utf-8"), re.MULTILINE
     )
     if said is None or said[1] != version:
         raise FailedError(f"pyproject.toml has version {version}, which atoll.VERSION is not")
@@ -98,7 +98,8 @@ def install_wheel(work: Path, wheel: Path) -> Path:
     run(programs / "pip", "install", "--quiet", foreign, wheel)
     run(programs / "pip", "check")
     script = (
-        "import common, atoll, atoll_coordinator, atoll_island_worker; assert common.MINE == 1; print(atoll.__file__)"
+        "import common, atoll, atoll_coordinator, atoll_core, atoll_island_worker; "
+        "assert common.MINE == 1; print(atoll.__file__)"
     )
     place = run(programs / "python", "-c", script, cwd=work).strip()
     if not place.startswith(str(work)):

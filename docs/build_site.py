@@ -67,10 +67,10 @@ CONTENTS: Final = {
 """Pages by part of the table of contents."""
 
 _API: Final = (
-    ("function", "atoll_coordinator.api.discover.discover"),
-    ("function", "atoll_coordinator.api.discover.submit"),
-    ("class", "atoll_coordinator.api.discoverer.Discoverer"),
-    ("class", "atoll_coordinator.api.regressor.Regressor"),
+    ("function", "atoll.api.discover.discover"),
+    ("function", "atoll.api.discover.submit"),
+    ("class", "atoll.api.discoverer.Discoverer"),
+    ("class", "atoll.api.regressor.Regressor"),
     ("class", "atoll.model.model.Model"),
     ("class", "atoll.model.export.methods.Exports"),
     ("class", "atoll.model.model.Equation"),
@@ -187,7 +187,7 @@ def place(path: str) -> str | None:
 
 def command_line() -> str:
     """Return the help of both programs and of every command."""
-    from atoll_coordinator.cli.options.parser import build_parser
+    from atoll.cli.options.parser import build_parser
 
     os.environ["COLUMNS"] = "100"
     parser = build_parser()
@@ -202,7 +202,7 @@ def command_line() -> str:
 
 def configuration() -> str:
     """Return every key of a job file with its type, its default and its meaning."""
-    from atoll.config import JobConfig
+    from atoll_core.config import JobConfig
 
     head = (
         "# Configuration\n\nA job file, `--config job.toml`, has these keys; most have an option of the command line, "

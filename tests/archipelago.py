@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset, Problem
-from atoll.search.pareto import FrontEntry, merge
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, Problem
+from atoll_core.search.pareto import FrontEntry, merge
 from atoll_island_worker.evolution.island import EpochOutcome, Island, senders
 
 

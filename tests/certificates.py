@@ -5,7 +5,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from atoll.wire.security.credentials import Credentials
+from atoll_core.wire.security.credentials import Credentials
 
 SCRIPT = Path(__file__).resolve().parents[1] / "deploy" / "tls" / "make-authority"
 HAS_OPENSSL = shutil.which("openssl") is not None and shutil.which("bash") is not None

@@ -11,9 +11,9 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
-from atoll.compilation.cache import cache_directory
-from atoll.compilation.progress import WarmUpDisplay
-from atoll.machine.cores import usable_cores
+from atoll_core.compilation.cache import cache_directory
+from atoll_core.compilation.progress import WarmUpDisplay
+from atoll_core.machine.cores import usable_cores
 
 _WORKER: Final = "from atoll_island_worker.compute.warmup import warm_up"
 _COORDINATOR: Final = "from atoll_coordinator.warmup import warm_up"
@@ -23,7 +23,7 @@ _RUN: Final = "warm_up(lambda sentence: print(sentence, flush=True))"
 
 def environment() -> dict[str, str]:
     """Return the variables under which a process uses the kernels for any processor."""
-    return {"NUMBA_CPU_NAME": "generic", "ATOLL_KERNEL_CACHE": str(cache_directory("atoll").parent / "generic")}
+    return {"NUMBA_CPU_NAME": "generic", "ATOLL_KERNEL_CACHE": str(cache_directory("atoll_core").parent / "generic")}
 
 
 def compile_all(with_generic: bool) -> int:

@@ -1,6 +1,6 @@
 """Views of jobs as a coordinator gives them, for tests that change what matters to them."""
 
-from atoll.wire.messages.views import JobView, VariableView
+from atoll_core.wire.messages.views import JobView, VariableView
 
 VARIABLE = VariableView(variable="x", lhs="dx/dt", epoch=0)
 

@@ -74,7 +74,7 @@ class _Times:
 def checks(calls: int, repeats: int) -> Iterator[Check]:
     """Yield the times of so many `repeats`, and what so many `calls` in one interpreter leave behind."""
     yield from _times([sys.executable, "-c", "import atoll"], repeats).checks("import atoll", 0.3)
-    help_words = [sys.executable, "-m", "atoll_coordinator", "--help"]
+    help_words = [sys.executable, "-m", "atoll", "--help"]
     yield from _times(help_words, repeats).checks("coordinator --help", 0.3)
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
@@ -83,7 +83,7 @@ def checks(calls: int, repeats: int) -> Iterator[Check]:
         yield from _times(script, repeats, place).checks("six lines find Lotka-Volterra, whole interpreter", 5.0)
         found = json.loads(_run([sys.executable, "-c", _CALLS, str(DATA), str(calls)], place))
         yield from _calls(found, calls)
-        run = _digest_of([sys.executable, "-m", "atoll_coordinator", "run", str(DATA), "--out", "run"], place / "run")
+        run = _digest_of([sys.executable, "-m", "atoll", "run", str(DATA), "--out", "run"], place / "run")
         submit = _submitted(place)
         digests = {*found["digests"], run, submit}
         yield same(PART, "digests of the API, of run and of submit", len(digests), 1, "one seed, one answer")
@@ -125,7 +125,7 @@ def _digest_of(words: list[str], folder: Path) -> str:
 
 def _submitted(place: Path) -> str:
     """Return the digest of a job that is submitted to a coordinator with one worker."""
-    serve = [sys.executable, "-m", "atoll_coordinator", "serve", "--listen", "tcp/127.0.0.1:0", "--state", "state"]
+    serve = [sys.executable, "-m", "atoll", "serve", "--listen", "tcp/127.0.0.1:0", "--state", "state"]
     with subprocess.Popen(serve, cwd=place, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
         assert server.stdout is not None
         line = next(line for line in server.stdout if "island-worker --connect" in line)
@@ -133,7 +133,7 @@ def _submitted(place: Path) -> str:
         words = [sys.executable, "-m", "atoll_island_worker", "--connect", address, "--processes", "1"]
         with subprocess.Popen(words, cwd=place, stderr=subprocess.DEVNULL) as worker:
             try:
-                submit = [sys.executable, "-m", "atoll_coordinator", "submit", str(DATA), "--connect", address]
+                submit = [sys.executable, "-m", "atoll", "submit", str(DATA), "--connect", address]
                 return _digest_of([*submit, "--out", "submitted"], place / "submitted")
             finally:
                 worker.kill()

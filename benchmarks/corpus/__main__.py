@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.errors import UsageError
-from atoll_coordinator.cli.terminal.output import say
+from atoll.cli.terminal.output import say
+from atoll_core.errors import UsageError
 from benchmarks.corpus.campaign import judge_again, run_jobs
 from benchmarks.corpus.cases import OURS, SAMPLINGS, Key, make_case
 from benchmarks.corpus.families import NAMED

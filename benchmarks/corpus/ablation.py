@@ -23,10 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.table import Table
-from atoll.errors import UsageError
-from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Pools
@@ -35,6 +32,9 @@ from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.background.tasks import refinement_failed
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import UsageError
 from benchmarks.corpus.campaign import configuration
 from benchmarks.corpus.cases import Case, Key, make_case
 from benchmarks.corpus.outcomes import judge_job

@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import PRESETS, JobConfig
-from atoll.errors import AtollError
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.errors import AtollError
 from benchmarks.corpus.cases import OURS, Case, Key, make_case
 from benchmarks.corpus.outcomes import Outcome, judge_job
 from benchmarks.harness import campaign

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.data.table import Table
+from atoll_core.data.table import Table
 from benchmarks.corpus.qualities import measure, quality
 from benchmarks.corpus.systems import CorpusSystem, DivergedError, draw_system, named_system, solution
 from benchmarks.harness.systems import Sampled, table_of

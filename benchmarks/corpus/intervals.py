@@ -15,19 +15,19 @@ from typing import Final
 
 import numpy as np
 
-from atoll.config import PRESETS
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing.shortest import shortest
-from atoll_coordinator.cli.terminal.output import say
+from atoll.cli.terminal.output import say
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
+from atoll_core.config import PRESETS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing.shortest import shortest
 from benchmarks.corpus.families import NAMED
 from benchmarks.corpus.qualities import measure, quality
 from benchmarks.corpus.systems import CorpusSystem, named_system, solution

@@ -5,15 +5,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.table import Table
-from atoll.errors import AtollError
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.stretches import in_stretches
+from atoll_core.config import JobConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import AtollError
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing.shortest import shortest
 
 
 def excess_of_truth(

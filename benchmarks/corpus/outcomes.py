@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from atoll.config import JobConfig
-from atoll.errors import UsageError
+from atoll_core.config import JobConfig
+from atoll_core.errors import UsageError
 from benchmarks.corpus.cases import LEAST_T, Case, Key
 from benchmarks.corpus.lengths import excess_of_truth
 from benchmarks.harness.stopwatch import Stopwatch

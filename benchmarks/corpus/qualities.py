@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.errors import UsageError
+from atoll_core.errors import UsageError
 from benchmarks.corpus.systems import CorpusSystem, solution
 from benchmarks.judging.fractions import FloatArray
 

@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.program import Program
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.corpus.families import FAMILIES, NAMED, Box, Family
 from benchmarks.corpus.random_equations import random_family
 from benchmarks.judging.fractions import FloatArray

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
-from atoll.errors import DataError
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.errors import DataError
 
 NEVER_POLYNOMIAL: Final = ("+", "-", "*", "/", "sin", "cos", "exp", "abs", "tanh")
 """Operators of flows that are not polynomial: one list for all of them."""

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.errors import UsageError
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
 from benchmarks.dysts.flows import Flow
 from benchmarks.judging.errors import values_on
 

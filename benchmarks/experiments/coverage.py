@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.errors import AtollError
-from atoll_coordinator.experiments.identifiability import identify
+from atoll.experiments.identifiability import identify
+from atoll_core.errors import AtollError
 from benchmarks.experiments.results import Course, FloatArray, result_of
 from benchmarks.harness.command_line import option, program
 

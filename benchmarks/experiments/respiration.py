@@ -18,10 +18,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll_coordinator.experiments.measured import measured_of
-from atoll_coordinator.experiments.space import Request
-from atoll_coordinator.experiments.suggestions import suggest
-from atoll_coordinator.experiments.systems import equations_of, fit_equations
+from atoll.experiments.measured import measured_of
+from atoll.experiments.space import Request
+from atoll.experiments.suggestions import suggest
+from atoll.experiments.systems import equations_of, fit_equations
 from atoll_coordinator.model.criteria import constant_nats_of, system_length
 from benchmarks.experiments.results import Course, FloatArray, result_of
 from benchmarks.harness.command_line import option, program, seeds_of

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.text.parsing import from_infix
 
 FloatArray = npt.NDArray[np.float64]
 Course = tuple[FloatArray, FloatArray]

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from atoll.expression.program import constant_places
-from atoll.expression.text.parsing import from_infix
 from atoll.model.model import Model
+from atoll_core.expression.program import constant_places
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.systems import SYSTEMS, drawn
 
 

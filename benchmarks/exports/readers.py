@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.data.dataset import FloatArray
+from atoll_core.data.dataset import FloatArray
 
 TOLERANCE: Final = 1e-12
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from atoll.errors import AtollError, DataError, UsageError
-from atoll_coordinator.cli.options.parser import parse
-from atoll_coordinator.cli.request import Request, request_of
-from atoll_coordinator.cli.terminal.output import table
+from atoll.cli.options.parser import parse
+from atoll.cli.request import Request, request_of
+from atoll.cli.terminal.output import table
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.errors import AtollError, DataError, UsageError
 from benchmarks.first_hour.cases import CASES, GROUPS, Case
 from benchmarks.first_hour.outcomes import End, EquationOutcome, Outcome, judge
 from benchmarks.first_hour.tables import csv_of

@@ -6,9 +6,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from atoll.errors import UsageError
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
+from atoll_core.errors import UsageError
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.first_hour.cases import Case
 from benchmarks.first_hour.tables import Columns
 from benchmarks.judging.errors import finite, values_on

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeVar
 
-from atoll.config import PRESETS, JobConfig
-from atoll.data.table import Table
-from atoll.errors import AtollError
-from atoll_coordinator.cli.terminal.output import note
+from atoll.cli.terminal.output import note
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import AtollError
 from benchmarks.harness.journal import Ended, Journal
 from benchmarks.harness.record import load
 from benchmarks.harness.service import Searches, searching

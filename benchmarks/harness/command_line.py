@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.errors import AtollError
-from atoll.machine.cores import usable_cores
-from atoll_coordinator.cli.terminal.output import note
+from atoll.cli.terminal.output import note
+from atoll_core.errors import AtollError
+from atoll_core.machine.cores import usable_cores
 
 
 def seeds(text: str) -> list[int]:

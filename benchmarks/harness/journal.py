@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final, Generic, Protocol, TypeVar
 
 from pydantic import TypeAdapter
 
-from atoll.errors import DataError, UsageError
+from atoll_core.errors import DataError, UsageError
 from benchmarks.harness.record import head
 
 KEPT: Final = (

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from atoll.compilation.progress import WarmUpDisplay
-from atoll.errors import AtollError, UsageError
+from atoll_core.compilation.progress import WarmUpDisplay
+from atoll_core.errors import AtollError, UsageError
 from atoll_island_worker.compute.warmup import warm_up
 from atoll_island_worker.processes.signals import end_with_parent
 

@@ -11,8 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from atoll.errors import UsageError
 from atoll_coordinator.model.result.result import versions
+from atoll_core.errors import UsageError
 
 
 class Record:

@@ -21,14 +21,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from atoll.config import PRESETS, JobConfig
-from atoll.data.table import Table
-from atoll.errors import AtollError, UnreachableError, UsageError
-from atoll.wire.messages.views import FINAL_STATES, JobView
-from atoll_coordinator.cli.local.workers import worker_command
-from atoll_coordinator.cli.signals import raising_interrupts
-from atoll_coordinator.cli.terminal.output import count, duration, note
-from atoll_coordinator.client import Client, connected
+from atoll.cli.local.workers import worker_command
+from atoll.cli.signals import raising_interrupts
+from atoll.cli.terminal.output import count, duration, note
+from atoll.client import Client, connected
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import AtollError, UnreachableError, UsageError
+from atoll_core.wire.messages.views import FINAL_STATES, JobView
 from benchmarks.harness.systems import table_of, trajectories
 from benchmarks.harness.tables import Columns
 
@@ -44,7 +44,7 @@ STOP_LIMIT_S: Final = 10.0
 _LOOK_S: Final = 0.1
 TIED_COORDINATOR: Final = """
 import sys
-from atoll_coordinator.cli.main import main
+from atoll.cli.main import main
 from atoll_island_worker.processes.signals import end_with_parent
 end_with_parent(int(sys.argv[1]))
 sys.exit(main(sys.argv[2:]))

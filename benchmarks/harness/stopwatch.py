@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from atoll.wire.messages.views import FINAL_STATES, JobView
+from atoll_core.wire.messages.views import FINAL_STATES, JobView
 
 JOB_LIMIT_S: Final = 1800.0
 """No job of these benchmarks takes longer, whatever it does."""

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from atoll.data.table import Table
+from atoll_core.data.table import Table
 from benchmarks.harness.command_line import option, program
 
 FloatArray = npt.NDArray[np.float64]

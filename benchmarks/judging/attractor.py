@@ -13,13 +13,13 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.cli.terminal.output import say
+from atoll.cli.terminal.output import say
 from atoll_coordinator.model.inference.attractor import along, look_for_chaos
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import System, system_of
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.command_line import option, program, whole
 
 STEP: Final = 0.01

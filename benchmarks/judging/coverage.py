@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.program import Program
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.judging.fractions import FloatArray
 
 EXACT: Final = 1e-8

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.judging.fractions import FloatArray
 
 

@@ -27,9 +27,9 @@ from typing import Final
 
 import numpy as np
 
-from atoll.errors import UsageError
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
+from atoll_core.errors import UsageError
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.command_line import option, program
 from benchmarks.judging.fractions import (
     Atoms,

@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.errors import UsageError
-from atoll.expression.operators import (
+from atoll_core.errors import UsageError
+from atoll_core.expression.operators import (
     ABS,
     ADD,
     CONSTANT,
@@ -27,7 +27,7 @@ from atoll.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.judging.fractions import FloatArray
 from benchmarks.noise.data import Path
 

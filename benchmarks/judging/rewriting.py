@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.expression.evaluation import DEFINITIONS, value_of
-from atoll.expression.operators import (
+from atoll_core.expression.evaluation import DEFINITIONS, value_of
+from atoll_core.expression.operators import (
     ADD,
     CONSTANT,
     COS,
@@ -28,8 +28,8 @@ from atoll.expression.operators import (
     SUBTRACT,
     VARIABLE,
 )
-from atoll.expression.program import Program
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.judging.angles import LARGEST_MULTIPLE, NEGLIGIBLE, Key, SharedAtoms, Side
 from benchmarks.judging.fractions import (
     ONE,

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from atoll.data.dataset import Dataset, FloatArray
-from atoll_coordinator.cli.terminal.output import error_text
+from atoll.cli.terminal.output import error_text
+from atoll_core.data.dataset import Dataset, FloatArray
 from benchmarks.harness.tables import Columns
 from benchmarks.judging.forms import FormVerdict, compare
 

@@ -24,14 +24,25 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import PRESETS
-from atoll.expression.builder import Expression, ProgramBuilder
-from atoll.expression.operators import ADD, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT, VARIABLE
-from atoll.expression.program import Program
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing.shortest import shortest
-from atoll_coordinator.cli.terminal.output import clipped, note, say, table
+from atoll.cli.terminal.output import clipped, note, say, table
+from atoll_core.config import PRESETS
+from atoll_core.expression.builder import Expression, ProgramBuilder
+from atoll_core.expression.operators import (
+    ADD,
+    CONSTANT,
+    COS,
+    DIVIDE,
+    MULTIPLY,
+    NEGATE,
+    SIN,
+    SQUARE,
+    SUBTRACT,
+    VARIABLE,
+)
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing.shortest import shortest
 from benchmarks.harness.command_line import option, program, search_options, whole
 from benchmarks.harness.record import Record
 from benchmarks.harness.service import searching

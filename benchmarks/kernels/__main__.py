@@ -21,10 +21,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-from atoll.errors import UsageError
-from atoll.expression.kernels.tape import LANES
-from atoll.expression.operators import BY_NAME
-from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll.cli.terminal.output import note, say, table
+from atoll_core.errors import UsageError
+from atoll_core.expression.kernels.tape import LANES
+from atoll_core.expression.operators import BY_NAME
 from benchmarks.harness.command_line import OUT, option, program, whole
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.tables import Columns

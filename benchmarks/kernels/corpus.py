@@ -15,15 +15,15 @@ from zipfile import BadZipFile
 import numpy as np
 import numpy.typing as npt
 
-from atoll.config import PRESETS, JobConfig
-from atoll.data.dataset import Problem
-from atoll.errors import DataError, UsageError
-from atoll.expression.kernels.tape import LANES
-from atoll.search.seeding import stream_key
-from atoll.wire.codec import decode_arrays
-from atoll_coordinator.cli.terminal.output import note
+from atoll.cli.terminal.output import note
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.data.dataset import Problem
+from atoll_core.errors import DataError, UsageError
+from atoll_core.expression.kernels.tape import LANES
+from atoll_core.search.seeding import stream_key
+from atoll_core.wire.codec import decode_arrays
 from atoll_island_worker.evolution.island import Island
 from atoll_island_worker.evolution.kernels.random import below
 from atoll_island_worker.evolution.kernels.variation import copy_list, cross, mutate

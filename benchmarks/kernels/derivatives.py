@@ -11,9 +11,9 @@ from argparse import Namespace
 
 import numpy as np
 
-from atoll.config import PRESETS, JobConfig
-from atoll.data.dataset import Dataset
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.data.dataset import Dataset
 from benchmarks.harness.command_line import option, program
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, FloatArray, Sampled, table_of, trajectories
 

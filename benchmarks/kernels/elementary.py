@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from atoll.compilation.jit import inlined, kernel
+from atoll_core.compilation.jit import inlined, kernel
 from tests.oracles.elementary import LOOPS, Floats, bit_patterns, errors_in_ulp, near_quarter_turns
 
 REPETITIONS = 7

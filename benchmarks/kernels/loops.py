@@ -10,11 +10,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from atoll.compilation.jit import inlined, kernel
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.lanes import fill, place
-from atoll.expression.kernels.tape import LANES, forward, reverse_block
-from atoll.expression.operators import ARITY, CONSTANT, VARIABLE, Functions, definitions
+from atoll_core.compilation.jit import inlined, kernel
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.lanes import fill, place
+from atoll_core.expression.kernels.tape import LANES, forward, reverse_block
+from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE, Functions, definitions
 from atoll_island_worker.evolution.kernels.fit import errors, residual_of
 from atoll_island_worker.evolution.kernels.tape import compile_tape
 from atoll_island_worker.evolution.structures import Floats, Lists, Rows, Tape, Work, empty_tape, empty_work

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.operators import BY_NAME
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.operators import BY_NAME
 from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.structures import Lists, Rows
 from benchmarks.kernels.corpus import Corpus

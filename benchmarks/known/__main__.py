@@ -20,18 +20,18 @@ from typing import Any, Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.config import DataConfig, JobConfig
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
-from atoll.search.pareto import FrontEntry
-from atoll_coordinator.cli.terminal.output import note
+from atoll.cli.terminal.output import note
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.service.jobs.defaults import resolve
+from atoll_core.config import DataConfig, JobConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.pareto import FrontEntry
 from benchmarks.harness.command_line import option, program, seeds
 from benchmarks.harness.service import searching
 
@@ -137,9 +137,9 @@ def _refitted(
     expression: str, truth: str, names: Sequence[str], points: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the constants with which an expression comes nearest to the truth, and its values."""
-    from atoll.data.dataset import Problem, Target
-    from atoll.expression.program import constant_places
     from atoll_coordinator.model.regression.fit import LeastSquares
+    from atoll_core.data.dataset import Problem, Target
+    from atoll_core.expression.program import constant_places
 
     right = values_of(from_infix(truth, names), points)
     problem = Problem(tuple(names), np.ascontiguousarray(points), Target("", "", right, 0.0, 1.0))

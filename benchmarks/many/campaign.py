@@ -5,11 +5,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-from atoll.config import JobConfig
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
-from atoll.errors import UsageError
-from atoll_coordinator.cli.terminal.output import say, table
+from atoll.cli.terminal.output import say, table
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.errors import UsageError
 from benchmarks.dysts.flows import NEVER_POLYNOMIAL, load
 from benchmarks.dysts.making import POLYNOMIAL
 from benchmarks.harness.campaign import Service, attempt, configured, journal_of, work_off

@@ -7,11 +7,11 @@ after its first epoch, with one and with three workers; and, as it was before, w
 from argparse import Namespace
 from unittest.mock import patch
 
-from atoll.config import JobConfig
-from atoll_coordinator.cli.terminal.output import say, table
+from atoll.cli.terminal.output import say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.sparse import laws
+from atoll_core.config import JobConfig
 from benchmarks.many.campaign import case
 from tests.simulation.harness.simulated_cluster import World
 from tests.simulation.test_real_islands import RealCompute, unrefined

@@ -10,18 +10,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll.config import PRESETS
-from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
-from atoll.search.pareto import FrontEntry
-from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.sparse.laws import find_all_laws
 from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
+from atoll_core.config import PRESETS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.pareto import FrontEntry
 from benchmarks.harness.systems import table_of
 from benchmarks.judging.fits import judge_form
 from benchmarks.many.systems import System, lorenz96, sampled

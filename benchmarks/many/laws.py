@@ -3,11 +3,11 @@
 import time
 from argparse import Namespace
 
-from atoll.expression.text.infix import to_infix
-from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.sparse.laws import find_all_laws
 from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
+from atoll_core.expression.text.infix import to_infix
 from benchmarks.judging.fits import judge_form
 from benchmarks.many.campaign import case, keys
 

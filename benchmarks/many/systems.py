@@ -13,7 +13,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.data.dataset import FloatArray
+from atoll_core.data.dataset import FloatArray
 from benchmarks.harness.systems import Sampled
 
 Draw = Callable[[np.random.Generator, int], FloatArray]

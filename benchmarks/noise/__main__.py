@@ -19,8 +19,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-from atoll.errors import UsageError
-from atoll_coordinator.cli.terminal.output import say
+from atoll.cli.terminal.output import say
+from atoll_core.errors import UsageError
 from benchmarks.harness.campaign import Answer, Service, journal_of, judge_again, work_off
 from benchmarks.harness.command_line import one_of, option, positive, program, seeds_of, workers
 from benchmarks.harness.journal import Journal

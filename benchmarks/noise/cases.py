@@ -9,10 +9,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from atoll.config import DataConfig
-from atoll.data.table import Table
-from atoll_coordinator.cli.terminal.output import clipped, note, say, shortened, table
+from atoll.cli.terminal.output import clipped, note, say, shortened, table
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig
+from atoll_core.data.table import Table
 from benchmarks.harness.campaign import attempt, configured
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.stopwatch import Stopwatch, largest_child_mb

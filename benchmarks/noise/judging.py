@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.errors import UsageError
+from atoll_core.errors import UsageError
 from benchmarks.harness.campaign import Answer, attempt, configured
 from benchmarks.harness.service import Searches
 from benchmarks.harness.stopwatch import Stopwatch

@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 import polars
 
-from atoll.errors import AtollError, UnreachableError
-from atoll_coordinator.cli.terminal.output import say, table
-from atoll_coordinator.client import Client
+from atoll.cli.terminal.output import say, table
+from atoll.client import Client
+from atoll_core.errors import AtollError, UnreachableError
 from benchmarks.harness.command_line import OUT, option, program, whole, workers
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import COORDINATOR, Machines, running
@@ -56,7 +56,7 @@ def submitted(machines: Machines, file: Path) -> int:
     """Submit by the command line, in a process of its own; return the most bytes that it had."""
     words = ["submit", str(file), "--target", "y", "--id", JOB, "--no-wait", "--connect", machines.address]
     with machines.log("submit").open("w") as log:
-        process = subprocess.Popen([sys.executable, "-m", "atoll_coordinator", *words], stdout=log, stderr=log)
+        process = subprocess.Popen([sys.executable, "-m", "atoll", *words], stdout=log, stderr=log)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:

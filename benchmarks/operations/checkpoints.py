@@ -21,9 +21,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.config import PRESETS, JobConfig
-from atoll.wire.messages.views import JobView
-from atoll_coordinator.cli.terminal.output import note, say
+from atoll.cli.terminal.output import note, say
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.wire.messages.views import JobView
 from benchmarks.harness.command_line import OUT, option, program, seeds, whole
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import TIED_COORDINATOR, Searches, searching

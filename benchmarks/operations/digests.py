@@ -20,9 +20,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from atoll.errors import AtollError
-from atoll_coordinator.cli.signals import raising_interrupts
-from atoll_coordinator.cli.terminal.output import note, say
+from atoll.cli.signals import raising_interrupts
+from atoll.cli.terminal.output import note, say
+from atoll_core.errors import AtollError
 from benchmarks.harness.command_line import OUT, option, program
 from benchmarks.harness.record import load, machine
 from benchmarks.harness.service import searching
@@ -97,7 +97,7 @@ def searched(way: Way, data: Path, options: argparse.Namespace, folder: Path) ->
 
 def _command(words: Sequence[str], environment: dict[str, str]) -> dict[str, object]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "atoll_coordinator", *words],
+        [sys.executable, "-m", "atoll", *words],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True,
     )  # fmt: skip
     try:

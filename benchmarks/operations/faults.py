@@ -22,11 +22,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final, TypeVar
 
-from atoll.config import PRESETS, JobConfig
-from atoll.errors import AtollError, UnreachableError, UsageError
-from atoll.wire.messages.views import FINAL_STATES, JobView
-from atoll_coordinator.cli.terminal.output import note, say, table
-from atoll_coordinator.client import Client
+from atoll.cli.terminal.output import note, say, table
+from atoll.client import Client
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.errors import AtollError, UnreachableError, UsageError
+from atoll_core.wire.messages.views import FINAL_STATES, JobView
 from benchmarks.harness.command_line import OUT, option, program, whole
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Machines, can_have_networks, running

@@ -22,15 +22,15 @@ from typing import Any
 
 import msgpack
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
-from atoll.errors import RemoteProtocolError
-from atoll.search.seeding import Stream, stream_key
-from atoll.wire import topics
-from atoll.wire.codec import decode
-from atoll.wire.messages.clients import Answer, Ask
-from atoll.wire.messages.handshake import Greeting, GreetingAnswer
-from atoll.wire.messages.limits import MAX_MESSAGE
-from atoll.wire.messages.workers import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.search.seeding import Stream, stream_key
+from atoll_core.wire import topics
+from atoll_core.wire.codec import decode
+from atoll_core.wire.messages.clients import Answer, Ask
+from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer
+from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.messages.workers import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
 from benchmarks.harness.command_line import option, program
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from atoll.config import PRESETS
-from atoll.wire.codec import dataset_to_bytes, decode, encode
-from atoll.wire.messages.workers import EpochReport, IslandReport, Reports
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.service.jobs.defaults import resolve
 from atoll_coordinator.service.jobs.job import commit_order_of
+from atoll_core.config import PRESETS
+from atoll_core.wire.codec import dataset_to_bytes, decode, encode
+from atoll_core.wire.messages.workers import EpochReport, IslandReport, Reports
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.session.events import Computed
 from atoll_island_worker.session.tasks import Task, TaskKey

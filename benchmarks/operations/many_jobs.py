@@ -13,12 +13,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import PRESETS, JobConfig
-from atoll.data.table import Table
-from atoll.errors import AtollError, UnreachableError
-from atoll.wire.messages.views import FINAL_STATES
-from atoll_coordinator.cli.terminal.output import note, say, table
-from atoll_coordinator.client import Client, connected
+from atoll.cli.terminal.output import note, say, table
+from atoll.client import Client, connected
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import AtollError, UnreachableError
+from atoll_core.wire.messages.views import FINAL_STATES
 from benchmarks.harness.command_line import OUT, option, program, whole, workers
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import CONNECT_LIMIT_S, Searches, searching

@@ -25,17 +25,11 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from atoll.config import PRESETS, Angle, DataConfig, JobConfig
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
-from atoll.expression.text.parsing import from_infix
-from atoll.machine.cores import usable_cores
-from atoll.search.pareto import FrontEntry
-from atoll_coordinator.cli.terminal.output import note, say
+from atoll.cli.terminal.output import note, say
+from atoll.text.render import render_text
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import LawsByGroup, Pool, Pools, Refinement
-from atoll_coordinator.model.result.render import render_text
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.service.background.tasks import (
     PreparationFailed,
@@ -46,6 +40,12 @@ from atoll_coordinator.service.background.tasks import (
     refine_job,
 )
 from atoll_coordinator.service.jobs.job import Prepared
+from atoll_core.config import PRESETS, Angle, DataConfig, JobConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.machine.cores import usable_cores
+from atoll_core.search.pareto import FrontEntry
 from benchmarks.harness.campaign import journal_of
 from benchmarks.harness.command_line import option, program, whole
 from benchmarks.harness.parallel import in_parallel

@@ -21,11 +21,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import PRESETS, JobConfig
-from atoll.data.table import Table
-from atoll.errors import AtollError, UnreachableError
-from atoll_coordinator.cli.terminal.output import note, say
-from atoll_coordinator.client import Client
+from atoll.cli.terminal.output import note, say
+from atoll.client import Client
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import AtollError, UnreachableError
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import COORDINATOR, Machines, running
 from benchmarks.harness.tables import Columns

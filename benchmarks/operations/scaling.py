@@ -26,11 +26,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.config import PRESETS, JobConfig
-from atoll.data.table import Table
-from atoll.errors import AtollError
-from atoll_coordinator.cli.terminal.output import note, say, table
-from atoll_coordinator.client import connected
+from atoll.cli.terminal.output import note, say, table
+from atoll.client import connected
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import AtollError
 from benchmarks.harness.command_line import OUT, group, option, positive, program, seeds, seeds_of, whole
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching

@@ -22,8 +22,8 @@ import numpy as np
 import polars
 from scipy.integrate import solve_ivp
 
-from atoll.errors import AtollError
-from atoll_coordinator.cli.terminal.output import say, table
+from atoll.cli.terminal.output import say, table
+from atoll_core.errors import AtollError
 from benchmarks.harness.command_line import OUT, option, program
 from benchmarks.harness.record import Record, load
 
@@ -102,7 +102,7 @@ def run(name: str, case: Case | None, folder: Path) -> dict[str, Any]:
     if case is not None:
         data = folder / "data.csv"
         write(case, data)
-    words = [sys.executable, "-m", "atoll_coordinator", "run", str(data), "--out", str(out)]
+    words = [sys.executable, "-m", "atoll", "run", str(data), "--out", str(out)]
     environment = {each: value for each, value in os.environ.items() if each != "PYTHONDONTWRITEBYTECODE"}
     before = os.times()
     done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S, check=False, env=environment)

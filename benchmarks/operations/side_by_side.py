@@ -23,8 +23,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.errors import AtollError, UsageError
-from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll.cli.terminal.output import note, say, table
+from atoll_core.errors import AtollError, UsageError
 from benchmarks.harness.command_line import plain_errors, positive, whole
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, trajectories

@@ -22,12 +22,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.compilation.sources import WORKER, source_digest
-from atoll.config import JobConfig
-from atoll.search.commit_order import CommitOrder, Position
-from atoll.wire.bus.interface import Bus
-from atoll.wire.bus.zenoh_bus import open_client
-from atoll.wire.messages.workers import Addition, IslandReport
+from atoll_core.compilation.sources import WORKER, source_digest
+from atoll_core.config import JobConfig
+from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.wire.bus.interface import Bus
+from atoll_core.wire.bus.zenoh_bus import open_client
+from atoll_core.wire.messages.workers import Addition, IslandReport
 from atoll_island_worker.compute.compute_thread import WarmedUp
 from atoll_island_worker.session.events import Computed, JobReady, Snapshot
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey

@@ -17,12 +17,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final
 
-from atoll.config import PRESETS, JobConfig
-from atoll.errors import AtollError
-from atoll.search.seeding import Stream, stream_key
-from atoll.wire.messages.views import FINAL_STATES, JobView
-from atoll_coordinator.cli.terminal.output import note, say, table
-from atoll_coordinator.client import Client, connected
+from atoll.cli.terminal.output import note, say, table
+from atoll.client import Client, connected
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.errors import AtollError
+from atoll_core.search.seeding import Stream, stream_key
+from atoll_core.wire.messages.views import FINAL_STATES, JobView
 from benchmarks.harness.command_line import OUT, option, positive, program
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import COORDINATOR, Machines, running

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from atoll.search.seeding import Stream, stream_key
-from atoll.wire.messages.views import JobView
+from atoll_core.search.seeding import Stream, stream_key
+from atoll_core.wire.messages.views import JobView
 from benchmarks.harness.service import COORDINATOR, ROUTER, Machines
 
 Kind = Literal[

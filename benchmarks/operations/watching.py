@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from atoll.wire import topics
-from atoll.wire.bus.interface import Bus, Message
-from atoll.wire.bus.zenoh_bus import open_client
-from atoll.wire.messages.views import JobView
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Bus, Message
+from atoll_core.wire.bus.zenoh_bus import open_client
+from atoll_core.wire.messages.views import JobView
 
 PROCESSES: Final = Path("/proc")
 _CONNECT_LIMIT_S: Final = 20.0

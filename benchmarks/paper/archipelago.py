@@ -10,9 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import PRESETS, JobConfig, Preset
-from atoll.data.dataset import FloatArray, Problem, Target
-from atoll.search.pareto import FrontEntry
+from atoll_core.config import PRESETS, JobConfig, Preset
+from atoll_core.data.dataset import FloatArray, Problem, Target
+from atoll_core.search.pareto import FrontEntry
 from atoll_island_worker.evolution.island import Island, reshuffle
 
 TERMINALS: Final = 7

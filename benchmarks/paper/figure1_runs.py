@@ -8,13 +8,13 @@ from typing import Final, Literal
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import FloatArray
-from atoll.expression.evaluation import values_of
-from atoll.expression.program import Program
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
-from atoll.search.seeding import Stream, stream_key
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.seeding import Stream, stream_key
 from atoll_island_worker.evolution.island import Island
 from benchmarks.paper.archipelago import problem_of
 from benchmarks.paper.population import Population, population

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from statistics import geometric_mean, median
 from typing import Final
 
-from atoll.config import PRESETS, JobConfig, PriorConfig
-from atoll.data.dataset import Dataset, Problem
-from atoll_coordinator.cli.terminal.output import count, note, say, table
+from atoll.cli.terminal.output import count, note, say, table
 from atoll_coordinator.service.jobs.defaults import resolve
+from atoll_core.config import PRESETS, JobConfig, PriorConfig
+from atoll_core.data.dataset import Dataset, Problem
 from benchmarks.harness.command_line import option, positive, program, run_options
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record

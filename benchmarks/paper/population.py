@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.evaluation import DEFINITIONS
-from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
-from atoll.expression.program import Program
-from atoll.wire.codec import decode_arrays
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import DEFINITIONS
+from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll_core.expression.program import Program
+from atoll_core.wire.codec import decode_arrays
 from atoll_island_worker.evolution.island import Island
 
 IntArray = npt.NDArray[np.int64]

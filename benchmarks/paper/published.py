@@ -24,10 +24,10 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
-from atoll.search.seeding import Stream, stream_key
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.seeding import Stream, stream_key
 
 BUDGET: Final = 500_000
 """Point evaluations of a run whose published budget is not known."""

@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.evaluation import node_values
-from atoll.expression.operators import BY_NAME, VARIABLE
-from atoll.expression.program import Program
-from atoll.expression.simplification import simplify_program
-from atoll.search.seeding import Stream, stream_key
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import node_values
+from atoll_core.expression.operators import BY_NAME, VARIABLE
+from atoll_core.expression.program import Program
+from atoll_core.expression.simplification import simplify_program
+from atoll_core.search.seeding import Stream, stream_key
 
 MOST_OPERATORS: Final = 10
 """Operators of a target at most, before it is simplified."""

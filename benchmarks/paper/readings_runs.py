@@ -14,13 +14,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll import ENGINE_REVISION
-from atoll.config import JobConfig
-from atoll.data.dataset import Problem, Target
-from atoll.errors import UsageError
-from atoll.expression.program import Program
-from atoll.expression.text.infix import to_infix
-from atoll.search.pareto import FrontEntry
+from atoll_core import ENGINE_REVISION
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.errors import UsageError
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.search.pareto import FrontEntry
 from benchmarks.harness.systems import RUNS, SYSTEMS, TRUTH, Draw, Sampled, drawn, trajectories
 from benchmarks.judging.forms import compare
 from benchmarks.paper.archipelago import Archipelago, configured, problem_of

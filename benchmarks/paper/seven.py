@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from atoll.config import PRESETS, JobConfig
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.config import PRESETS, JobConfig
 from benchmarks.harness.command_line import option, program, search_options
 from benchmarks.harness.report import Report
 from benchmarks.harness.service import Searches, searching

@@ -23,14 +23,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import PRESETS, Preset
-from atoll.data.dataset import FloatArray
-from atoll.expression.evaluation import node_values, values_of
-from atoll.expression.operators import SIN
-from atoll.expression.program import Program
-from atoll.expression.text.infix import to_infix
-from atoll.search.pareto import FrontEntry
-from atoll_coordinator.cli.terminal.output import count, note, say, table
+from atoll.cli.terminal.output import count, note, say, table
+from atoll_core.config import PRESETS, Preset
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import node_values, values_of
+from atoll_core.expression.operators import SIN
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.search.pareto import FrontEntry
 from benchmarks.harness.command_line import option, program, run_options, whole
 from benchmarks.harness.parallel import canvas, in_parallel, save
 from benchmarks.harness.record import Record

@@ -22,11 +22,11 @@ from typing import Final, Literal
 
 import numpy as np
 
-from atoll.config import PRESETS, JobConfig
-from atoll.data.table import Table
-from atoll.errors import UsageError
-from atoll_coordinator.cli.terminal.output import clipped, note, say, shortened
+from atoll.cli.terminal.output import clipped, note, say, shortened
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import UsageError
 from benchmarks.harness.command_line import option, positive, program, search_options
 from benchmarks.harness.report import Report
 from benchmarks.harness.service import Searches, searching

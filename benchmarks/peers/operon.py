@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.errors import AtollError, UsageError
+from atoll_core.errors import AtollError, UsageError
 from benchmarks.harness.command_line import option, program
 from benchmarks.judging.fractions import FloatArray
 

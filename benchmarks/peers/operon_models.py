@@ -17,10 +17,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import PRESETS, JobConfig
-from atoll.data.dataset import Target
-from atoll.data.table import Table
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.data.dataset import Target
+from atoll_core.data.table import Table
 from benchmarks.judging.fractions import FloatArray
 from benchmarks.peers.operon import FIT_STEPS, THREADS
 

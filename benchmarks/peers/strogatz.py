@@ -22,10 +22,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from atoll.config import PRESETS, JobConfig
-from atoll.wire.messages.views import JobView
-from atoll_coordinator.cli.terminal.output import error_text, say, table
+from atoll.cli.terminal.output import error_text, say, table
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.wire.messages.views import JobView
 from benchmarks.harness.command_line import one_of, option, program, search_options
 from benchmarks.harness.record import Record
 from benchmarks.harness.report import Report

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.config import DataConfig
-from atoll.data.table import Table
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import DataError
 from benchmarks.judging.fractions import FloatArray
 
 LABEL: Final = "label"

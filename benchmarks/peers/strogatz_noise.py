@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.errors import AtollError
-from atoll_coordinator.cli.terminal.output import count, note, say, table
+from atoll.cli.terminal.output import count, note, say, table
+from atoll_core.config import JobConfig
+from atoll_core.errors import AtollError
 from benchmarks.harness.record import Record
 from benchmarks.harness.service import Searches
 from benchmarks.judging.forms import compare

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from atoll.config import JobConfig
-from atoll.data.table import Table
-from atoll_coordinator.cli.terminal.output import error_text, note, say, table
+from atoll.cli.terminal.output import error_text, note, say, table
+from atoll_core.config import JobConfig
+from atoll_core.data.table import Table
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches
 from benchmarks.judging.errors import finite, values_on

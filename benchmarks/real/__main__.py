@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.errors import AtollError
-from atoll_coordinator.cli.terminal.output import say
+from atoll.cli.terminal.output import say
+from atoll_core.errors import AtollError
 from benchmarks.harness.campaign import attempt
 from benchmarks.harness.command_line import option, positive, program, workers
 from benchmarks.harness.record import Record

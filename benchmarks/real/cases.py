@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.table import Table
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import JobConfig
+from atoll_core.data.table import Table
 from benchmarks.harness.campaign import configured
 
 

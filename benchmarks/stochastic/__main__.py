@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from atoll.config import DataConfig, JobConfig
-from atoll.data.dataset import FloatArray
-from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_core.config import DataConfig, JobConfig
+from atoll_core.data.dataset import FloatArray
 from benchmarks.harness.command_line import OUT, option, program, seeds_of
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching

@@ -11,12 +11,12 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll_coordinator.cli.terminal.output import say, table
+from atoll.cli.terminal.output import say, table
 from atoll_coordinator.data.increments.bins import split_into_bins
 from atoll_coordinator.data.increments.correlations import correlated_pairs
 from atoll_coordinator.data.increments.moments import bin_count
 from atoll_coordinator.data.increments.steps import Steps
+from atoll_core.data.dataset import FloatArray
 from benchmarks.harness.command_line import option, program
 from benchmarks.stochastic.processes import PROCESSES, SETTLING, STEPS, Process
 

@@ -10,13 +10,13 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.unit_coefficients import make_coefficients_explicit
-from atoll_coordinator.cli.terminal.output import say, table
+from atoll.cli.terminal.output import say, table
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.stochastic.conclusion import joint_objections
 from atoll_coordinator.model.stochastic.likelihood import ProcessLikelihood, ProcessModel
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.unit_coefficients import make_coefficients_explicit
 from benchmarks.harness.command_line import option, program
 from benchmarks.stochastic.processes import PROCESSES, SETTLING, STEPS, SUBSTEPS, Process
 

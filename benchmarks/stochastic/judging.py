@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.program import constant_places, with_constants
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.unit_coefficients import make_coefficients_explicit
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import constant_places, with_constants
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.unit_coefficients import make_coefficients_explicit
 from benchmarks.judging.coverage import covered
 from benchmarks.judging.forms import compare
 from benchmarks.stochastic.processes import Process

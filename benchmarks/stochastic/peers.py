@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.errors import AtollError
+from atoll_core.errors import AtollError
 from benchmarks.judging.forms import compare
 from benchmarks.stochastic.judging import ANY_CONSTANT
 from benchmarks.stochastic.processes import PROCESSES, simulate

@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.systems import Sampled, table_of
 
 SUBSTEPS: Final = 50

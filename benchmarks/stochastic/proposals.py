@@ -12,13 +12,13 @@ from typing import Final
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
-from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.refinement import Simulated, Simulation
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
 from benchmarks.harness.command_line import program, seeds_of
 from benchmarks.harness.systems import TABLE_III, Sampled, table_of, trajectories
 from benchmarks.stochastic.processes import PROCESSES, Process, simulate

@@ -2,10 +2,10 @@
 
 from typing import Final
 
-from atoll.compilation.warmup import Report, compile_or_load
 from atoll_coordinator.data.differentiation.warmup import warm_up as warm_up_data
 from atoll_coordinator.model.shooting.warmup import warm_up as warm_up_trajectories
 from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
+from atoll_core.compilation.warmup import Report, compile_or_load
 
 KERNELS: Final = 19
 """How many kernels are compiled apart."""

@@ -6,7 +6,7 @@ import os
 def main() -> None:
     """Run the program; Ctrl-C ends it without a traceback, as soon as it is here."""
     try:
-        from atoll.program import run_program
+        from atoll_core.program import run_program
 
         run_program("atoll_island_worker.cli")
     except KeyboardInterrupt:

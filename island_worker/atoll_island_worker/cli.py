@@ -12,15 +12,15 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from atoll.command_line import Parser, add_log_options, add_tls_options, duration, seconds
-from atoll.completion import complete
-from atoll.program import exit_code_of, raise_interrupts
+from atoll_core.command_line import Parser, add_log_options, add_tls_options, duration, seconds
+from atoll_core.completion import complete
+from atoll_core.program import exit_code_of, raise_interrupts
 from atoll_island_worker.launch import work, work_together
 from atoll_island_worker.processes.exit_reasons import complain, report_to
 
 if TYPE_CHECKING:
-    from atoll.wire.addresses import Destination
-    from atoll.wire.security.credentials import Credentials
+    from atoll_core.wire.addresses import Destination
+    from atoll_core.wire.security.credentials import Credentials
 
 _WAIT_S: Final = 10.0
 _GRACE_S: Final = 30.0
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    from atoll import VERSION
+    from atoll_core import VERSION
 
     parser = Parser(
         prog="island-worker",
@@ -106,8 +106,8 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _dispatch(options: argparse.Namespace) -> int:
-    from atoll.machine.cores import usable_cores
-    from atoll.wire.security.credentials import credentials_of
+    from atoll_core.machine.cores import usable_cores
+    from atoll_core.wire.security.credentials import credentials_of
 
     credentials = credentials_of(vars(options), os.environ, "connect")
     connect = _destination(options, credentials)
@@ -131,15 +131,15 @@ def _destination(options: argparse.Namespace, credentials: "Credentials | None")
         UsageError: none was given, or two, or it is none.
         UnreachableError: the file did not come in time, or nothing accepts connections at the addresses in it.
     """
-    from atoll.errors import UsageError
-    from atoll.wire.addresses import destination
+    from atoll_core.errors import UsageError
+    from atoll_core.wire.addresses import destination
 
     if options.connect_file:
         if options.connect:
             raise UsageError("both --connect and --connect-file were given; give one of them")
         from pathlib import Path
 
-        from atoll.wire.connect_file import address_in
+        from atoll_core.wire.connect_file import address_in
 
         return destination(address_in(Path(options.connect_file), options.wait), credentials)
     connect = options.connect or os.environ.get("ATOLL_CONNECT")
@@ -154,7 +154,7 @@ def _name_for(bearer: str | None, wanted: str | None) -> str:
     Raises:
         UsageError: the name that is wanted is not.
     """
-    from atoll.errors import UsageError
+    from atoll_core.errors import UsageError
 
     if bearer is None:
         return wanted or _default_name()

@@ -4,10 +4,10 @@ import hashlib
 from collections.abc import Callable
 from typing import Final
 
-from atoll.errors import RemoteProtocolError
-from atoll.wire.codec import decode
-from atoll.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE, chunk_count
-from atoll.wire.messages.workers import Control, JobAnnouncement
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.wire.codec import decode
+from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE, chunk_count
+from atoll_core.wire.messages.workers import Control, JobAnnouncement
 from atoll_island_worker.compute.compute_thread import ComputeThread
 from atoll_island_worker.connection.requests import Requests
 

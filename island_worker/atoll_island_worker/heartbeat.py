@@ -1,10 +1,10 @@
 """The heartbeat of a worker: its state, what it holds and computes, what failed, and its counters."""
 
-from atoll.machine import usage
-from atoll.wire.bus.metered_bus import MeteredBus
-from atoll.wire.messages.views import Counters, WorkerState
-from atoll.wire.messages.workers import Doing, WorkerStatus
-from atoll.wire.rejects import Rejects
+from atoll_core.machine import usage
+from atoll_core.wire.bus.metered_bus import MeteredBus
+from atoll_core.wire.messages.views import Counters, WorkerState
+from atoll_core.wire.messages.workers import Doing, WorkerStatus
+from atoll_core.wire.rejects import Rejects
 from atoll_island_worker.compute.compute_thread import ComputeThread
 from atoll_island_worker.connection.connection import CoordinatorConnection
 from atoll_island_worker.datasets import Datasets

@@ -9,11 +9,11 @@ from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING
 
-from atoll.program import exit_code_of
+from atoll_core.program import exit_code_of
 from atoll_island_worker.processes.exit_reasons import ExitReasons
 
 if TYPE_CHECKING:
-    from atoll.wire.addresses import Destination
+    from atoll_core.wire.addresses import Destination
     from atoll_island_worker.processes.supervisor import Child
 
 
@@ -74,14 +74,14 @@ def _work_as_fork(
 
 def work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:
     """Be one worker until there is nothing more to do; `parent`: the process with which this one ends."""
-    from atoll.logs import configure
+    from atoll_core.logs import configure
     from atoll_island_worker.processes.signals import drain_on_signals, end_with_parent, exit_on_signals
 
     with exit_on_signals():
         if parent is not None:
             end_with_parent(parent)
         configure(options.log_format, options.log_level, worker=name)
-        from atoll.compilation.progress import WarmUpDisplay
+        from atoll_core.compilation.progress import WarmUpDisplay
         from atoll_island_worker.worker import run_worker
 
         on_signal = partial(drain_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()

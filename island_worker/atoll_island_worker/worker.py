@@ -10,17 +10,17 @@ from contextlib import AbstractContextManager
 from functools import singledispatchmethod
 from typing import Final
 
-from atoll.compilation.progress import count_of
-from atoll.errors import AtollError, RemoteProtocolError
-from atoll.logs import fields
-from atoll.wire import topics
-from atoll.wire.addresses import Destination
-from atoll.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
-from atoll.wire.bus.metered_bus import MeteredBus
-from atoll.wire.codec import decode
-from atoll.wire.messages import workers as messages
-from atoll.wire.messages.limits import MAX_MESSAGE
-from atoll.wire.rejects import Rejects
+from atoll_core.compilation.progress import count_of
+from atoll_core.errors import AtollError, RemoteProtocolError
+from atoll_core.logs import fields
+from atoll_core.wire import topics
+from atoll_core.wire.addresses import Destination
+from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from atoll_core.wire.bus.metered_bus import MeteredBus
+from atoll_core.wire.codec import decode
+from atoll_core.wire.messages import workers as messages
+from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.rejects import Rejects
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.connection.connection import GRACE, GRACE_S, GREET, LIFETIME, CoordinatorConnection
 from atoll_island_worker.connection.requests import FETCH, Request, Requests
@@ -317,7 +317,7 @@ def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of th
         RefusedError: It refused this worker, for instance because of its version or its certificate.
         AtollError: The kernels cannot be made ready, or the compute thread failed.
     """
-    from atoll.wire.bus.zenoh_bus import open_client
+    from atoll_core.wire.bus.zenoh_bus import open_client
 
     compute = ComputeThread(show)
     compute.warm_up()

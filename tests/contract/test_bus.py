@@ -1,4 +1,4 @@
-"""The promises of `atoll.wire.bus.interface`, one test each, kept by the zenoh bus and the simulated one alike."""
+"""The promises of `atoll_core.wire.bus.interface`, one test each, kept by the zenoh bus and the simulated one alike."""
 
 import threading
 import time
@@ -8,9 +8,9 @@ from typing import Protocol, TypeVar
 
 import pytest
 
-from atoll.errors import LocalProtocolError
-from atoll.wire.bus.interface import MAX_PAYLOAD, Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
-from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
+from atoll_core.errors import LocalProtocolError
+from atoll_core.wire.bus.interface import MAX_PAYLOAD, Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from tests.simulation.bus.network import SimulatedNetwork
 
 E = TypeVar("E", bound=Event)

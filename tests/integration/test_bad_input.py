@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from atoll_coordinator.cli.local import workers as local
-from atoll_coordinator.cli.main import main
+from atoll.cli.local import workers as local
+from atoll.cli.main import main
 from tests.unit.coordinator.test_bad_input import GOOD, changed
 
 pytestmark = pytest.mark.timeout(200)

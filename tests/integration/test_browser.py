@@ -13,7 +13,7 @@ from typing import Any, cast
 import pytest
 
 from atoll.report.page import as_html
-from tests.unit.common.report import results
+from tests.unit.library.report import results
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; make browser installs it")
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe; make browser installs it")

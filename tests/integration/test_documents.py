@@ -24,13 +24,13 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from atoll.config import DataConfig
-from atoll_coordinator.api import session
-from atoll_coordinator.cli.main import main
-from atoll_coordinator.cli.options.job_config import job_config
-from atoll_coordinator.cli.options.parser import parse
-from atoll_coordinator.cli.terminal.output import REPORT, say, write_report, write_result
+from atoll.api import session
+from atoll.cli.main import main
+from atoll.cli.options.job_config import job_config
+from atoll.cli.options.parser import parse
+from atoll.cli.terminal.output import REPORT, say, write_report, write_result
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig
 from tests.integration.test_processes import started
 from tests.unit import documents
 from tests.unit.documents import ROOT, Block
@@ -50,15 +50,15 @@ NOT_RUN = {
     r"make-authority |cd ": "tests/unit/test_make_authority.py runs it",
     r".* tls/": "needs these certificates: tests/integration/test_security.py and test_python_api.py",
     r"coordinator serve |island-worker": "runs while all pages are followed",
-    r"coordinator router ": "tests/unit/coordinator/cli/verbs/test_router.py runs it",
-    r".* --paths ": "needs the result of a process: tests/unit/coordinator/cli/verbs/test_simulate.py",
-    r".* --group NAME": "needs a result with groups: tests/unit/common/report/test_page.py",
+    r"coordinator router ": "tests/unit/library/cli/verbs/test_router.py runs it",
+    r".* --paths ": "needs the result of a process: tests/unit/library/cli/verbs/test_simulate.py",
+    r".* --group NAME": "needs a result with groups: tests/unit/library/report/test_page.py",
     # outputs
-    r"limit cycles as c3 varies": "minutes of another system: tests/unit/common/analysis/test_cycle_continuation.py",
-    r"identifiability \(95 %": "of data that the page does not have: tests/unit/coordinator/experiments",
-    r"candidates, their constants": "of data that the page does not have: tests/unit/coordinator/experiments",
+    r"limit cycles as c3 varies": "minutes of another system: tests/unit/library/analysis/test_cycle_continuation.py",
+    r"identifiability \(95 %": "of data that the page does not have: tests/unit/library/experiments",
+    r"candidates, their constants": "of data that the page does not have: tests/unit/library/experiments",
     r"dx/dt = 0.534067": "of data that the page does not have: tests/unit/coordinator/model/inference/test_groups.py",
-    r"dx/dt = x\*\(1\.5 - y\)": "of data that the page does not have: tests/unit/common/test_units.py",
+    r"dx/dt = x\*\(1\.5 - y\)": "of data that the page does not have: tests/unit/coordinator/test_units.py",
     r"warning: Trajectories were simulated in pieces": "a search of chaotic data: benchmarks/RESULTS.md",
     r"site A: workers": "a drawing",
 }

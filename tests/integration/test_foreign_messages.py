@@ -5,13 +5,13 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
-from atoll.wire import topics
-from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
-from atoll_coordinator.client import Client
+from atoll.client import Client
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll_core.wire import topics
+from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from atoll_island_worker.worker import Worker
 from benchmarks.operations.fuzz import Mutator, Score, is_understood, key_for, overhear
 from tests.simulation.harness.simulated_cluster import World, comparable, prepare

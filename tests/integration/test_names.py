@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy
 
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 from tests.programs import done
 

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from atoll.config import DataConfig, JobConfig
-from atoll.errors import RefusedError
-from atoll.wire.addresses import bindable, parse_address
-from atoll_coordinator.client import connected
+from atoll.client import connected
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig, JobConfig
+from atoll_core.errors import RefusedError
+from atoll_core.wire.addresses import bindable, parse_address
 from tests.programs import LIMIT_S, ROOT, all_gone, children, done, environment, serving, started, until
 
 SEARCH = ["--derivatives", "dx,dy", "--seed", "3", "--islands", "3", "--target-error", "1e-300", "--max-epochs", "4"]
@@ -237,7 +237,7 @@ def test_a_slurm_job_has_the_digest_and_lets_nobody_else_in(place: Path, digest:
     programs.mkdir()
     ours = {
         name: f'#!/bin/bash\nexec {sys.executable} -m {module} "$@"\n'
-        for name, module in {"coordinator": "atoll_coordinator", "island-worker": "atoll_island_worker"}.items()
+        for name, module in {"coordinator": "atoll", "island-worker": "atoll_island_worker"}.items()
     }
     for name, text in {**ours, "srun": SRUN, "scancel": SCANCEL}.items():
         (programs / name).write_text(text)

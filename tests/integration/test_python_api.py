@@ -19,7 +19,7 @@ SCRIPT = """
 import json, os, signal, sys, threading
 from pathlib import Path
 import atoll
-from atoll_coordinator.api import session
+from atoll.api import session
 
 def workers(host):
     for each in Path("/proc").glob("[0-9]*"):
@@ -75,7 +75,7 @@ def _belongs(process: Path, host: int) -> bool:
 def digest_of_run(tmp_path_factory: pytest.TempPathFactory) -> str:
     """What ``coordinator run`` finds."""
     place = tmp_path_factory.mktemp("run")
-    command = [sys.executable, "-m", "atoll_coordinator", "run", str(DATA), "--workers", "2", "--out", "r"]
+    command = [sys.executable, "-m", "atoll", "run", str(DATA), "--workers", "2", "--out", "r"]
     assert run(command, place).returncode == 0
     return str(json.loads((place / "r" / "result.json").read_text())["digest"])
 
@@ -118,7 +118,7 @@ def test_a_service_with_certificates_gives_the_same_digest_to_python_and_to_subm
 
 @pytest.mark.slow
 def test_the_local_service_ends_without_a_word_when_its_parent_is_another(tmp_path: Path) -> None:
-    command = [sys.executable, "-P", "-m", "atoll_coordinator.api.host", "1", "1"]
+    command = [sys.executable, "-P", "-m", "atoll.api.host", "1", "1"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path) as host:
         assert host.stderr is not None
         assert host.stderr.read() == b""

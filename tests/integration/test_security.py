@@ -9,25 +9,25 @@ from pathlib import Path
 
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
-from atoll.errors import RefusedError, UnreachableError
-from atoll.wire import topics
-from atoll.wire.addresses import Destination, destination
-from atoll.wire.bus import zenoh_bus
-from atoll.wire.bus.interface import Message, Presence, Query, Reply
-from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
-from atoll.wire.codec import encode
-from atoll.wire.messages.clients import Ask, Jobs
-from atoll.wire.messages.handshake import Greeting, Hello
-from atoll.wire.messages.workers import CloseJob, Control, Shutdown
-from atoll.wire.security.access_control import Roster, read_roster
-from atoll.wire.security.credentials import Credentials, load
-from atoll_coordinator.cli.main import main
-from atoll_coordinator.cli.verbs.router import upstream_settings
-from atoll_coordinator.client import Client, connected
+from atoll.cli.main import main
+from atoll.cli.verbs.router import upstream_settings
+from atoll.client import Client, connected
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll_core.errors import RefusedError, UnreachableError
+from atoll_core.wire import topics
+from atoll_core.wire.addresses import Destination, destination
+from atoll_core.wire.bus import zenoh_bus
+from atoll_core.wire.bus.interface import Message, Presence, Query, Reply
+from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.clients import Ask, Jobs
+from atoll_core.wire.messages.handshake import Greeting, Hello
+from atoll_core.wire.messages.workers import CloseJob, Control, Shutdown
+from atoll_core.wire.security.access_control import Roster, read_roster
+from atoll_core.wire.security.credentials import Credentials, load
 from atoll_island_worker.worker import Worker
 from tests.certificates import Lab
 from tests.integration.test_foreign_messages import AtOnce, wait_until
@@ -43,7 +43,7 @@ CONFIG = JobConfig(seed=1, evolution=EvolutionConfig(islands=4), budget=BudgetCo
 def _soon() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(zenoh_bus, "_ATTEMPT_MS", 1_000)
-        patch.setattr("atoll.wire.security.credentials._PROBE_LIMIT_S", 1.0)
+        patch.setattr("atoll_core.wire.security.credentials._PROBE_LIMIT_S", 1.0)
         yield
 
 

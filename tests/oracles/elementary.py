@@ -16,8 +16,8 @@ import mpmath
 import numpy as np
 import numpy.typing as npt
 
-from atoll.compilation.jit import kernel
-from atoll.expression.kernels.elementary import (
+from atoll_core.compilation.jit import kernel
+from atoll_core.expression.kernels.elementary import (
     strict_cos,
     strict_exp,
     strict_log,

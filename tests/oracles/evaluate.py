@@ -8,8 +8,8 @@ sin and cos beyond |x| > 1e5 are NaN. pow(x, y) has a value for x > 0, for x = 0
 import math
 from collections.abc import Callable, Sequence
 
-from atoll.expression.operators import BY_NAME, CONSTANT, TRIGONOMETRIC_LIMIT, VARIABLE
-from atoll.expression.program import Program
+from atoll_core.expression.operators import BY_NAME, CONSTANT, TRIGONOMETRIC_LIMIT, VARIABLE
+from atoll_core.expression.program import Program
 
 NAN = math.nan
 

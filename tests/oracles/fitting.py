@@ -5,9 +5,9 @@ import math
 import numpy as np
 from scipy.optimize import least_squares as minimised
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.operators import CONSTANT
-from atoll.expression.program import Program
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.operators import CONSTANT
+from atoll_core.expression.program import Program
 from tests.oracles.tapes import node_values
 
 UNIT_ROUNDING = 2.3e-16

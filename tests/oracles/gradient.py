@@ -5,7 +5,7 @@ from typing import Any
 
 import mpmath
 
-from atoll.expression.operators import (
+from atoll_core.expression.operators import (
     ABS,
     ADD,
     CONSTANT,
@@ -24,7 +24,7 @@ from atoll.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll.expression.program import Program
+from atoll_core.expression.program import Program
 
 DIGITS = 60
 STEP = mpmath.mpf(10) ** -25

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
-from atoll.expression.program import Program
+from atoll_core.expression.program import Program
 from tests.oracles.evaluate import evaluate
 
 FloatArray = npt.NDArray[np.float64]

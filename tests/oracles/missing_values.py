@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
+from atoll_core.data.dataset import FloatArray
 
 
 def fill(

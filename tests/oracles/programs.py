@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from atoll.expression.operators import CONSTANT
-from atoll.expression.program import Program
+from atoll_core.expression.operators import CONSTANT
+from atoll_core.expression.program import Program
 
 
 def program_of(nodes: Sequence[float | tuple[int, ...]]) -> Program:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from atoll.expression.operators import BY_NAME
+from atoll_core.expression.operators import BY_NAME
 from atoll_island_worker.evolution.kernels.random import Stream
 from atoll_island_worker.evolution.kernels.variation import random_list
 from atoll_island_worker.evolution.structures import Coevolution, Lists, Space, empty_lists

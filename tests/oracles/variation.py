@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from atoll.expression.kernels.tape import LANES
-from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
-from atoll.search.seeding import Stream
+from atoll_core.expression.kernels.tape import LANES
+from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll_core.search.seeding import Stream
 from atoll_island_worker.evolution.structures import Lists, Space
 
 Values = npt.NDArray[np.float64]

@@ -3,8 +3,8 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
-from atoll.expression.program import Program
+from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll_core.expression.program import Program
 
 NAMES = ("x", "y", "θ")
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from atoll.errors import UsageError
-from atoll.expression.operators import (
+from atoll_core.errors import UsageError
+from atoll_core.expression.operators import (
     ADD,
     ARITY,
     CONSTANT,
@@ -26,11 +26,11 @@ from atoll.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll.expression.program import Program
-from atoll.expression.simplification import complexity, simplify_program
-from atoll.expression.text.infix import PRINTABLE_SIZE, to_code, to_infix, tree_size
-from atoll.expression.text.notation import JULIA, MATLAB, MODELICA, PYTHON, XPPAUT, C
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.program import Program
+from atoll_core.expression.simplification import complexity, simplify_program
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_code, to_infix, tree_size
+from atoll_core.expression.text.notation import JULIA, MATLAB, MODELICA, PYTHON, XPPAUT, C
+from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 from tests.property.programs import HOSTILE_NAMES, NAMES, ROWS, programs
 

@@ -13,28 +13,28 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.config import PRESETS, DataConfig, SpaceConfig
-from atoll.data.dataset import Dataset, FloatArray, Problem, Target
-from atoll.data.table import Table
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
+from atoll.experiments.identifiability import identify
+from atoll.experiments.space import Request
+from atoll.experiments.suggestions import suggest
 from atoll.model.model import Model
 from atoll.report.findings import Findings
 from atoll.report.markup import to_text
 from atoll.report.trajectories import trajectories
-from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.experiments.identifiability import identify
-from atoll_coordinator.experiments.space import Request
-from atoll_coordinator.experiments.suggestions import suggest
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.service.background.tasks import JobPrepared, prepare_job, prepare_table, refine, refine_job
+from atoll_core.config import PRESETS, DataConfig, SpaceConfig
+from atoll_core.data.dataset import Dataset, FloatArray, Problem, Target
+from atoll_core.data.table import Table
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.pareto import FrontEntry
 from tests.archipelago import search
-from tests.unit.common.report.results import dynamics
 from tests.unit.coordinator.data.tables import table_of
-from tests.unit.coordinator.experiments.made import measured
 from tests.unit.island_worker.evolution.test_island import config_of
+from tests.unit.library.experiments.made import measured
+from tests.unit.library.report.results import dynamics
 
 
 @dataclass(frozen=True)

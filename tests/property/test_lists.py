@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.operators import BY_NAME, CONSTANT, VARIABLE
-from atoll.search.seeding import Stream
+from atoll_core.expression.operators import BY_NAME, CONSTANT, VARIABLE
+from atoll_core.search.seeding import Stream
 from atoll_island_worker.evolution.formula import from_tape, to_program
 from atoll_island_worker.evolution.kernels.random import below, next_bits, normal, uniform
 from atoll_island_worker.evolution.kernels.tape import compile_tape, sign

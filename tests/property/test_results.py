@@ -8,11 +8,11 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.errors import AtollError
 from atoll.model.model import Model
 from atoll.model.saved import check_result
-from atoll_coordinator.model.result.render import render
-from tests.unit.common.report.results import dynamics, process, regression
+from atoll.text.render import render
+from atoll_core.errors import AtollError
+from tests.unit.library.report.results import dynamics, process, regression
 
 RESULTS = [json.loads(json.dumps(each)) for each in (dynamics(), regression(), process())]
 PLACES = 2

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.unit.common.model.export.exported import run_python
+from tests.unit.common.model.results import result
 
 from atoll.analysis.analysis import analyse
 from atoll.analysis.box import Box
@@ -22,14 +24,12 @@ from atoll.analysis.flow import Flow
 from atoll.analysis.limit_cycles import limit_cycles
 from atoll.analysis.lyapunov import lyapunov_spectrum
 from atoll.analysis.varied import Varied
-from atoll.data.dataset import FloatArray
 from atoll.model.model import Model
 from atoll.model.parameters import JointErrors
 from atoll.model.simulation import simulate
 from atoll.model.vector_field import VectorField
+from atoll_core.data.dataset import FloatArray
 from benchmarks.exports import programs
-from tests.unit.common.model.export.exported import run_python
-from tests.unit.common.model.results import result
 
 FAR = 40
 """2**40 is 1.1e12."""

@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.bounds import EquationBounds, parse_bound
-from atoll.expression.program import Program
-from atoll.expression.simplification import simplify_program
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing import shortest as search
-from atoll.expression.writing.agreement import agree, points_of, shortest_over
-from atoll.expression.writing.opened import factored_forms, open_terms, raised_quotients, terms_of
-from atoll.expression.writing.shortest import collected, shortest
-from atoll.expression.writing.sums import FAILURES, UndefinedError
+from atoll_core.expression.bounds import EquationBounds, parse_bound
+from atoll_core.expression.program import Program
+from atoll_core.expression.simplification import simplify_program
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing import shortest as search
+from atoll_core.expression.writing.agreement import agree, points_of, shortest_over
+from atoll_core.expression.writing.opened import factored_forms, open_terms, raised_quotients, terms_of
+from atoll_core.expression.writing.shortest import collected, shortest
+from atoll_core.expression.writing.sums import FAILURES, UndefinedError
 from tests.property.programs import NAMES, programs
 from tests.property.test_expressions import QUICK
 

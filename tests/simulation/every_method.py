@@ -16,8 +16,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 import atoll_coordinator.service
-from atoll.errors import AtollError
-from atoll_coordinator.cli.terminal.output import say
+from atoll.cli.terminal.output import say
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.requests.router import RequestRouter
@@ -25,6 +24,7 @@ from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.scheduling import Scheduler
+from atoll_core.errors import AtollError
 from tests.simulation.harness import stub_islands
 from tests.simulation.harness.schedule_run import hurried
 from tests.simulation.harness.simulated_cluster import World

@@ -10,12 +10,6 @@ from typing import Any, get_args
 import msgpack
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll.errors import AtollError, RefusedError
-from atoll.wire import topics
-from atoll.wire.bus.interface import Event, Link, Reply
-from atoll.wire.codec import encode
-from atoll.wire.messages.workers import EpochReport, IslandReport, Pull, PullStates
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.counters import CounterRegistry
@@ -34,6 +28,12 @@ from atoll_coordinator.service.workers.controller import WorkerController
 from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.service.workers.scheduling import Assignment, Scheduler
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll_core.errors import AtollError, RefusedError
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Event, Link, Reply
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.workers import EpochReport, IslandReport, Pull, PullStates
 from tests.simulation.harness.schedule_run import hurried
 from tests.simulation.harness.simulated_cluster import World
 

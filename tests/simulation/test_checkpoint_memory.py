@@ -2,8 +2,8 @@
 
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_coordinator.service.search import pull_budget
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.schedule import schedule_of
 from tests.simulation.harness.simulated_cluster import World, comparable

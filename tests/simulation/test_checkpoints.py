@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll.errors import RemoteProtocolError, StoreError
-from atoll.wire import topics
-from atoll.wire.bus.interface import Event, Message, Query
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.workers import Close, Control, Placements, WorkerStatus
 from atoll_coordinator.service.store.store import Store
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll_core.errors import RemoteProtocolError, StoreError
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Event, Message, Query
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.workers import Close, Control, Placements, WorkerStatus
 from tests.simulation.bus.faults import Partition, Plan
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 from tests.simulation.harness.stub_islands import StubIsland
@@ -126,7 +126,7 @@ def test_lost_and_late_answers_with_states_do_not_change_the_answer() -> None:
 
 
 def test_states_that_are_larger_than_a_message_come_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("atoll.wire.state_transfer.split_states.__defaults__", (25,))  # a state has 40 bytes
+    monkeypatch.setattr("atoll_core.wire.state_transfer.split_states.__defaults__", (25,))  # a state has 40 bytes
     world = world_of(workers=3, seed=2)
     world.at(1.6, lambda: world.crash("w1"))
     assert comparable(world.run(config(2))) == undisturbed(2)

@@ -6,14 +6,14 @@ from itertools import count
 
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll.wire import topics
-from atoll.wire.bus.interface import Query
-from atoll.wire.codec import encode
-from atoll.wire.messages.clients import Ask, Submit
-from atoll.wire.security.access_control import Roster
 from atoll_coordinator.service.jobs.job import Job, JobAction
 from atoll_coordinator.service.service import Service
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Query
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.clients import Ask, Submit
+from atoll_core.wire.security.access_control import Roster
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.harness.participants import Cast
 from tests.simulation.harness.schedule import JobPlan

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll.wire import topics
-from atoll.wire.bus.interface import Reply
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.workers import Pull, PullAnswer, PullStates, States
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.crash_loops import FAIL_AFTER
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Reply
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.workers import Pull, PullAnswer, PullStates, States
 from tests.simulation.harness.simulated_cluster import World, bus_of
 
 POISON = ("job", "x", 12)

@@ -4,16 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
-from atoll.errors import DataError, RefusedError
-from atoll.wire import topics
-from atoll.wire.bus.interface import Reply
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.clients import Submit
-from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal
-from atoll.wire.messages.limits import MAX_MESSAGE
-from atoll.wire.messages.workers import (
+from atoll_coordinator.service.store.store import Store
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll_core.errors import DataError, RefusedError
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Reply
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.clients import Submit
+from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal
+from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.messages.workers import (
     Block,
     Control,
     EpochReport,
@@ -26,7 +27,6 @@ from atoll.wire.messages.workers import (
     Shutdown,
     WorkerStatus,
 )
-from atoll_coordinator.service.store.store import Store
 from tests.placements import placements_in
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable

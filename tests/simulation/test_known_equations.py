@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll.config import BudgetConfig, JobConfig, PriorConfig
+from atoll_core.config import BudgetConfig, JobConfig, PriorConfig
 from tests.simulation.harness.simulated_cluster import World
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_coordinator.data.recording import Preparation
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_island_worker.session import session
 from tests.simulation.harness.simulated_cluster import World, prepare
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from atoll.config import BudgetConfig, DataConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll.data.dataset import Dataset, Target
 from atoll_coordinator.data.prepare import prepare as prepare_table
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Refinement
+from atoll_core.config import BudgetConfig, DataConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll_core.data.dataset import Dataset, Target
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import Work
 from atoll_island_worker.session.tasks import ShareKey, Task

@@ -1,10 +1,10 @@
 """Between the last cut and the result: what is made of the fronts, and what happens when that breaks."""
 
-from atoll.config import BudgetConfig, JobConfig
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Constant, Pools, Refined, Refinement
 from atoll_coordinator.service.monitoring.views import ended_view
+from atoll_core.config import BudgetConfig, JobConfig
+from atoll_core.expression.text.parsing import from_infix
 from tests.simulation.harness.simulated_cluster import World
 
 CONFIG = JobConfig(budget=BudgetConfig(max_epochs=2))

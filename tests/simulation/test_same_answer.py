@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_coordinator.model.sparse import laws
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from tests.placements import placements_in
 from tests.simulation.bus.faults import Partition, Plan
 from tests.simulation.harness.simulated_cluster import World, comparable

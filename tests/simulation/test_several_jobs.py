@@ -2,10 +2,10 @@
 
 from functools import cache, partial
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll.wire.messages.views import EventView
-from atoll.wire.messages.workers import Holding, WorkerStatus
 from atoll_coordinator.service.workers.membership import STANDING_S
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll_core.wire.messages.views import EventView
+from atoll_core.wire.messages.workers import Holding, WorkerStatus
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import hits_of
 

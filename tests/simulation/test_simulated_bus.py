@@ -2,8 +2,8 @@
 
 import pytest
 
-from atoll.errors import LocalProtocolError
-from atoll.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from atoll_core.errors import LocalProtocolError
+from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from tests.simulation.bus.faults import Crash, Partition, Plan
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 import yaml
 
-from atoll.compilation.cache import cache_directory
-from atoll.wire.addresses import Address, parse_address
-from atoll_coordinator.cli.options import parser as arguments
+from atoll.cli.options import parser as arguments
+from atoll_core.compilation.cache import cache_directory
+from atoll_core.wire.addresses import Address, parse_address
 from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import PROGRAMS, ROOT
 
@@ -180,7 +180,7 @@ def test_the_image_knows_whether_its_coordinator_can_be_reached(final: list[Inst
 def test_the_kernel_cache_is_where_the_image_says(image: list[Instruction], monkeypatch: pytest.MonkeyPatch) -> None:
     cache = environment(image)["ATOLL_KERNEL_CACHE"]
     monkeypatch.setenv("ATOLL_KERNEL_CACHE", cache)
-    assert cache_directory("atoll").parent == Path(cache)
+    assert cache_directory("atoll_core").parent == Path(cache)
 
 
 def test_python_in_the_image_names_what_exists(image: list[Instruction]) -> None:

@@ -20,9 +20,9 @@ FEEDS_THE_SEARCH = [
     COORDINATOR / "model/cholesky.py",
     *(SPARSE / name for name in ("laws.py", "regression.py", "weak_form.py", "products.py", "kernels")),
     *(SPARSE / "rates" / name for name in ("rows.py", "screening.py")),
-    ROOT / "common/atoll/data",
-    ROOT / "common/atoll/search",
-    ROOT / "common/atoll/expression/kernels",
+    ROOT / "common/atoll_core/data",
+    ROOT / "common/atoll_core/search",
+    ROOT / "common/atoll_core/expression/kernels",
     ROOT / "island_worker/atoll_island_worker",
 ]
 """Among many variables, laws by `rates` and `windows` decide which searches end soon, and are not among these; see
@@ -109,7 +109,8 @@ def test_no_exception_has_become_needless() -> None:
 
 
 @pytest.mark.parametrize(
-    "package", ["common/atoll", "coordinator/atoll_coordinator", "island_worker/atoll_island_worker"]
+    "package",
+    ["common/atoll_core", "coordinator/atoll", "coordinator/atoll_coordinator", "island_worker/atoll_island_worker"],
 )
 def test_every_sort_of_places_is_stable(package: str) -> None:
     found = {

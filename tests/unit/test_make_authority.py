@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from atoll.wire.security.access_control import read_roster
-from atoll.wire.security.credentials import load
+from atoll_core.wire.security.access_control import read_roster
+from atoll_core.wire.security.credentials import load
 from tests.certificates import Lab, make_authority
 
 

@@ -13,16 +13,20 @@ from typing import Any
 import pytest
 
 import atoll
-from atoll.config import PRESETS
-from atoll_coordinator.cli import exit_codes as exits
-from atoll_coordinator.cli.options import parser as arguments
+from atoll.cli import exit_codes as exits
+from atoll.cli.options import parser as arguments
 from atoll_coordinator.service.jobs.defaults import STAGNATION_CLEAN, STAGNATION_GIVEN, STAGNATION_NOISY
+from atoll_core.config import PRESETS
 from atoll_island_worker import cli as worker_cli
 from tests.unit import documents
 from tests.unit.documents import ROOT
 
-PACKAGES = {"common": "atoll", "coordinator": "atoll_coordinator", "island_worker": "atoll_island_worker"}
-"""The source roots, and the package that each holds."""
+PACKAGES = {
+    "common": ["atoll_core"],
+    "coordinator": ["atoll", "atoll_coordinator"],
+    "island_worker": ["atoll_island_worker"],
+}
+"""The source roots, and the packages that each holds."""
 DOCUMENTS = documents.texts()
 COMMANDS = [(name, words) for name, text in DOCUMENTS.items() for words in documents.commands(text)]
 
@@ -50,18 +54,19 @@ def test_both_programs_are_installed_and_can_be_called(project: dict[str, Any]) 
         assert callable(EntryPoint(name, target, "console_scripts").load())
 
 
-def test_every_source_root_holds_its_package_and_nothing_else(project: dict[str, Any]) -> None:
+def test_every_source_root_holds_its_packages_and_nothing_else(project: dict[str, Any]) -> None:
     build = project["tool"]["hatch"]["build"]
     assert build["dev-mode-dirs"] == list(PACKAGES)
-    assert build["targets"]["wheel"]["packages"] == [f"{root}/{package}" for root, package in PACKAGES.items()]
-    for root, package in PACKAGES.items():
-        assert [item.name for item in (ROOT / root).iterdir() if not item.name.startswith(("__pycache__", "."))] == [
-            package
-        ]
+    assert build["targets"]["wheel"]["packages"] == [
+        f"{root}/{package}" for root, packages in PACKAGES.items() for package in packages
+    ]
+    for root, packages in PACKAGES.items():
+        names = {item.name for item in (ROOT / root).iterdir()}
+        assert sorted(name for name in names if not name.startswith(("__pycache__", "."))) == packages
         folders = {file.parent for file in (ROOT / root).rglob("*.py")}
         missing = [folder for folder in folders if not (folder / "__init__.py").exists()]
         assert not missing, "without __init__.py a folder is not shipped as a package"
-        assert (ROOT / root / package / "py.typed").exists()
+        assert all((ROOT / root / package / "py.typed").exists() for package in packages)
 
 
 def test_files_that_the_distribution_names_are_there(project: dict[str, Any]) -> None:
@@ -79,7 +84,7 @@ def test_atoll_is_imported_beside_a_users_own_common_and_coordinator(tmp_path: P
     (tmp_path / "island_worker").mkdir()
     (tmp_path / "island_worker" / "__init__.py").write_text("MINE = 3\n")
     script = (
-        "import atoll, atoll_coordinator.cli.main, atoll_island_worker.cli, common, coordinator, island_worker\n"
+        "import atoll, atoll.cli.main, atoll_island_worker.cli, common, coordinator, island_worker\n"
         "print(common.MINE, coordinator.MINE, island_worker.MINE, atoll.VERSION)"
     )
     done = subprocess.run(
@@ -180,6 +185,6 @@ def all_options() -> set[str]:
 
 
 def errors() -> Iterable[type[Any]]:
-    from atoll.errors import AtollError
+    from atoll_core.errors import AtollError
 
     return [AtollError, *AtollError.__subclasses__()]

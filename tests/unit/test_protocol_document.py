@@ -7,10 +7,10 @@ from typing import get_args
 
 import pytest
 
-from atoll.config import Model
-from atoll.wire.messages import clients as client_messages
-from atoll.wire.messages import handshake as greetings
-from atoll.wire.messages import workers as messages
+from atoll_core.config import Model
+from atoll_core.wire.messages import clients as client_messages
+from atoll_core.wire.messages import handshake as greetings
+from atoll_core.wire.messages import workers as messages
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "protocol.md").read_text("utf-8")

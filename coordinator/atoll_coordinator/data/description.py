@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
 from atoll_coordinator.data.trajectories.measurements import Measurements, take_measurements
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
 
 
 def describe(table: Table, config: JobConfig) -> str:

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from atoll.config import JobConfig
-from atoll.data.table import Table
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
+from atoll_core.config import JobConfig
+from atoll_core.data.table import Table
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,6 @@ trajectories; selection of rows; the `Dataset` of the search and the recording. 
 
 from dataclasses import replace
 
-from atoll.config import DataConfig, JobConfig
-from atoll.data.table import Table
 from atoll_coordinator.data.assembly.datasets import assemble_differentiated, assemble_given
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_states
 from atoll_coordinator.data.increments.targets import assemble_process
@@ -20,6 +18,8 @@ from atoll_coordinator.data.row_selection.thinning import thin_searched_rows
 from atoll_coordinator.data.row_selection.weights import normalize_weights, select_weighty_rows
 from atoll_coordinator.data.trajectories.gaps import split_at_gaps
 from atoll_coordinator.data.trajectories.measurements import take_measurements
+from atoll_core.config import DataConfig, JobConfig
+from atoll_core.data.table import Table
 
 
 def prepare(table: Table, config: JobConfig) -> Preparation:

@@ -7,19 +7,19 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations, combinations_with_replacement
 from typing import Final
 
-from atoll.config import JobConfig, PriorConfig, SpaceConfig
-from atoll.data.dataset import Dataset
-from atoll.errors import UsageError
-from atoll.expression.bounds import ALL_EQUATIONS, Bound, parse_bound
-from atoll.expression.operation_list import placed_text
-from atoll.expression.operators import BY_NAME, VARIABLE
-from atoll.expression.program import Program
-from atoll.expression.simplification import complexity, simplify_program
-from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.recording import component_name
 from atoll_coordinator.data.roles.left_hand_sides import LeftSides
 from atoll_coordinator.data.roles.roles import Roles
+from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
+from atoll_core.data.dataset import Dataset
+from atoll_core.errors import UsageError
+from atoll_core.expression.bounds import ALL_EQUATIONS, Bound, parse_bound
+from atoll_core.expression.operation_list import placed_text
+from atoll_core.expression.operators import BY_NAME, VARIABLE
+from atoll_core.expression.program import Program
+from atoll_core.expression.simplification import complexity, simplify_program
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
+from atoll_core.expression.text.parsing import from_infix
 
 _INDIVIDUALS_PER_GUESS: Final = 4
 """At most one of so many individuals begins as a guess; more are refused."""

@@ -1,7 +1,7 @@
 """The measurements of a job, trajectory by trajectory, and how they were smoothed: what a model is judged by.
 
-The search sees a `atoll.data.dataset.Dataset` of smoothed rows; everything after it goes back to the states as they
-were measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
+The search sees a `atoll_core.data.dataset.Dataset` of smoothed rows; everything after it goes back to the states as
+they were measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,7 +11,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import Dataset, FloatArray
+from atoll_core.data.dataset import Dataset, FloatArray
 
 Method = Literal["interpolation", "loess", "robust loess"]
 Reason = Literal["end", "gap", "jump", "outlier", "missing"]

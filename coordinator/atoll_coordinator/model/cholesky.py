@@ -2,8 +2,8 @@
 
 import math
 
-from atoll.compilation.jit import kernel
-from atoll.data.dataset import FloatArray
+from atoll_core.compilation.jit import kernel
+from atoll_core.data.dataset import FloatArray
 
 SMALLEST = 1e-200
 """Least curvature that counts: below it a direction is flat."""

@@ -22,11 +22,11 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray, Target
-from atoll.expression.operators import ARITY, CONSTANT, DIVIDE, INVERSE, NEGATE, POW, SQUARE
-from atoll.expression.program import Program, structure
-from atoll.search.pareto import FrontEntry
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray, Target
+from atoll_core.expression.operators import ARITY, CONSTANT, DIVIDE, INVERSE, NEGATE, POW, SQUARE
+from atoll_core.expression.program import Program, structure
+from atoll_core.search.pareto import FrontEntry
 
 SMALLEST_UNCERTAINTY: Final = 1e-12
 """Errors below this share of the target's standard deviation are rounding, not merit."""

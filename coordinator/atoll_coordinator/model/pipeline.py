@@ -15,8 +15,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Final
 
-from atoll.config import JobConfig
-from atoll.machine.cores import usable_cores
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import summarize
@@ -30,6 +28,8 @@ from atoll_coordinator.model.selection.piece_lengths import select_model
 from atoll_coordinator.model.stochastic.choice import ProcessChoice
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
 from atoll_coordinator.model.structure.units import equation_units
+from atoll_core.config import JobConfig
+from atoll_core.machine.cores import usable_cores
 
 NOT_SIMULATED: Final = (
     "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."

@@ -8,15 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.dimensions import EquationUnits
-from atoll.expression.program import MAX_NODES, Program
-from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
-from atoll.expression.writing.opened import Shape
-from atoll.search.pareto import FrontEntry
-from atoll.stochastic.densities import StationaryDensity
-from atoll.stochastic.moments import Discretisation
-from atoll.stochastic.paths import Ensemble
+from atoll_coordinator.dimensions import EquationUnits
+from atoll_coordinator.stochastic.densities import StationaryDensity
+from atoll_coordinator.stochastic.moments import Discretisation
+from atoll_coordinator.stochastic.paths import Ensemble
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import MAX_NODES, Program
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
+from atoll_core.expression.writing.opened import Shape
+from atoll_core.search.pareto import FrontEntry
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]

@@ -10,21 +10,6 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from atoll.config import JobConfig
-from atoll.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.clients import Submit
-from atoll.wire.messages.views import FINAL_STATES, JobView
-from atoll.wire.messages.workers import (
-    Close,
-    CloseJob,
-    EpochReport,
-    JobAnnouncement,
-    Placements,
-    PullStates,
-    States,
-    WorkerStatus,
-)
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.jobs import checks
@@ -50,6 +35,21 @@ from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.controller import WorkerController
+from atoll_core.config import JobConfig
+from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.clients import Submit
+from atoll_core.wire.messages.views import FINAL_STATES, JobView
+from atoll_core.wire.messages.workers import (
+    Close,
+    CloseJob,
+    EpochReport,
+    JobAnnouncement,
+    Placements,
+    PullStates,
+    States,
+    WorkerStatus,
+)
 
 
 class Controller:

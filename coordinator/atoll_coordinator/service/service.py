@@ -9,28 +9,6 @@ from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
-from atoll import VERSION
-from atoll.errors import RemoteProtocolError
-from atoll.logs import fields
-from atoll.machine import usage
-from atoll.wire import topics
-from atoll.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
-from atoll.wire.bus.metered_bus import MeteredBus
-from atoll.wire.codec import decode
-from atoll.wire.messages.limits import MAX_MESSAGE
-from atoll.wire.messages.views import CoordinatorView, Counters
-from atoll.wire.messages.workers import (
-    EpochReport,
-    PullAnswer,
-    PullReports,
-    PullStates,
-    Reports,
-    Shutdown,
-    States,
-    WorkerStatus,
-)
-from atoll.wire.rejects import Rejects
-from atoll.wire.security.access_control import Roster
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.runner import CheckpointWritten, TaskRunner
 from atoll_coordinator.service.background.tasks import JobPrepared, JobRefined, PreparationBegun, PreparationFailed
@@ -43,6 +21,28 @@ from atoll_coordinator.service.requests.router import RequestRouter
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S
+from atoll_core import VERSION
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.logs import fields
+from atoll_core.machine import usage
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from atoll_core.wire.bus.metered_bus import MeteredBus
+from atoll_core.wire.codec import decode
+from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.messages.views import CoordinatorView, Counters
+from atoll_core.wire.messages.workers import (
+    EpochReport,
+    PullAnswer,
+    PullReports,
+    PullStates,
+    Reports,
+    Shutdown,
+    States,
+    WorkerStatus,
+)
+from atoll_core.wire.rejects import Rejects
+from atoll_core.wire.security.access_control import Roster
 
 _LOG = logging.getLogger(__name__)
 

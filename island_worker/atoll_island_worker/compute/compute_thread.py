@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from atoll.config import JobConfig
-from atoll.search.commit_order import CommitOrder, Position
+from atoll_core.config import JobConfig
+from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import RunQueue, brief
 from atoll_island_worker.session.events import JobReady, LoadFailed, Outcome, Snapshot
@@ -148,7 +148,7 @@ class ComputeThread:
     def _warm_up(self) -> None:
         began = time.monotonic()
         try:
-            from atoll.compilation.sources import WORKER, source_digest
+            from atoll_core.compilation.sources import WORKER, source_digest
             from atoll_island_worker.compute.warmup import warm_up
 
             warm_up(self._report)

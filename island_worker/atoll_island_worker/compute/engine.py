@@ -2,17 +2,17 @@
 
 from typing import TYPE_CHECKING, Final
 
-from atoll.config import JobConfig
-from atoll.errors import RemoteProtocolError
-from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
+from atoll_core.config import JobConfig
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.session.events import Computed, JobReady, LoadFailed
 from atoll_island_worker.session.tasks import ShareKey, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from atoll.data.dataset import Dataset, Problem
-    from atoll.search.pareto import FrontEntry
+    from atoll_core.data.dataset import Dataset, Problem
+    from atoll_core.search.pareto import FrontEntry
     from atoll_island_worker.evolution.island import EpochOutcome, Island
 
 _MOST: Final = 10
@@ -28,7 +28,7 @@ class Engine:
 
     def load(self, job: str, config: JobConfig, dataset: bytes) -> JobReady | LoadFailed:
         """Take in a job's configuration and encoded dataset."""
-        from atoll.wire.codec import dataset_from_bytes
+        from atoll_core.wire.codec import dataset_from_bytes
 
         try:
             self._jobs[job] = (config, dataset_from_bytes(dataset))

@@ -1,16 +1,16 @@
 """What is under way on a worker, slice by slice: the compute thread's order of work. Pure; time comes from a clock.
 
 Islands take turns of one slice: first the job charged least by its weight, then the slice that counts first
-(`atoll.search.commit_order`). When the target is met, what is no longer needed is given up at once, and what has come
-far enough is reported.
+(`atoll_core.search.commit_order`). When the target is met, what is no longer needed is given up at once, and what has
+come far enough is reported.
 """
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import CommitOrder, Position
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
 

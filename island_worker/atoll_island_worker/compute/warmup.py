@@ -2,10 +2,10 @@
 
 from typing import TYPE_CHECKING, Final
 
-from atoll.compilation.warmup import Report, compile_or_load
+from atoll_core.compilation.warmup import Report, compile_or_load
 
 if TYPE_CHECKING:
-    from atoll.data.dataset import Problem
+    from atoll_core.data.dataset import Problem
 
 _PACKAGE: Final = "atoll_island_worker"
 _ROWS: Final = 40
@@ -27,7 +27,7 @@ def warm_up(report: Report) -> None:
 
 def run_small_epochs() -> None:
     """Run one small epoch of one island for each preset, and what lies between two epochs."""
-    from atoll.config import PRESETS, BudgetConfig, JobConfig, MigrationConfig
+    from atoll_core.config import PRESETS, BudgetConfig, JobConfig, MigrationConfig
     from atoll_island_worker.evolution.island import Island
 
     for preset in PRESETS.values():
@@ -52,7 +52,7 @@ def _small_problem() -> "Problem":
     """Return a problem that no equation solves, over two variables and enough rows for predictors to be used."""
     import numpy as np
 
-    from atoll.data.dataset import Problem, Target
+    from atoll_core.data.dataset import Problem, Target
 
     numbers = np.arange(_ROWS)
     inputs = np.stack([numbers * 37 % 41 / 8.0 + 0.5, numbers * 29 % 43 / 16.0 - 1.0])

@@ -6,15 +6,15 @@ import socket
 from typing import Final
 from uuid import uuid4
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
-from atoll.logs import fields
-from atoll.wire import topics
-from atoll.wire.bus.interface import Bus
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
-from atoll.wire.messages.limits import MAX_MESSAGE
-from atoll.wire.messages.workers import Shutdown
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
+from atoll_core.logs import fields
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Bus
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
+from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.messages.workers import Shutdown
 from atoll_island_worker.connection.requests import Request, Requests
 from atoll_island_worker.session.events import Reset
 

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Final
 
-from atoll.wire import topics
-from atoll.wire.bus.interface import Bus
-from atoll.wire.codec import encode
-from atoll.wire.messages.workers import Mail, Pull, PullAnswer, PullStates, WorkerStatus
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Bus
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.workers import Mail, Pull, PullAnswer, PullStates, WorkerStatus
 from atoll_island_worker.session.actions import (
     AskPeer,
     FetchPlacements,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from atoll.expression.kernels.tape import functions_address
+from atoll_core.expression.kernels.tape import functions_address
 from atoll_island_worker.evolution.kernels.coevolution import most_disputed, train
 from atoll_island_worker.evolution.kernels.generation import REEVALUATION, advance, draw_coevolution, measure_all
 from atoll_island_worker.evolution.kernels.predictors import judge_all

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
-from atoll.expression.program import Program
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
+from atoll_core.expression.program import Program
 from atoll_island_worker.evolution.structures import Book, Tape
 
 

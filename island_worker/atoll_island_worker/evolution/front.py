@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import numpy.typing as npt
 
-from atoll.expression.program import Program
-from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
-from atoll.search.pareto import FrontEntry, merge
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
+from atoll_core.search.pareto import FrontEntry, merge
 from atoll_island_worker.evolution.formula import (
     Formula,
     combine_terms,

@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from atoll.expression.operation_list import PlacedNode, placed_text
-from atoll.expression.operators import ARITY, CONSTANT
-from atoll.search.seeding import Stream, stream_key
+from atoll_core.expression.operation_list import PlacedNode, placed_text
+from atoll_core.expression.operators import ARITY, CONSTANT
+from atoll_core.search.seeding import Stream, stream_key
 from atoll_island_worker.evolution.kernels.generation import OFFSPRING, measure_all
 from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import Ints, Lists, Rows

@@ -12,12 +12,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Problem
-from atoll.errors import LocalProtocolError, RemoteProtocolError
-from atoll.search.pareto import FrontEntry
-from atoll.search.seeding import stream_key
-from atoll.wire.codec import decode_arrays, encode_arrays
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Problem
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.search.pareto import FrontEntry
+from atoll_core.search.seeding import stream_key
+from atoll_core.wire.codec import decode_arrays, encode_arrays
 from atoll_island_worker.evolution import migration
 from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, use_best_predictor
 from atoll_island_worker.evolution.front import Front, FrontUpdater

@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.config import JobConfig
-from atoll.errors import RemoteProtocolError
-from atoll.expression.operators import ARITY, BY_NAME, CONSTANT, VARIABLE
-from atoll.search.seeding import Stream, stream_key
-from atoll.wire.codec import decode_arrays, encode_arrays
+from atoll_core.config import JobConfig
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.expression.operators import ARITY, BY_NAME, CONSTANT, VARIABLE
+from atoll_core.search.seeding import Stream, stream_key
+from atoll_core.wire.codec import decode_arrays, encode_arrays
 from atoll_island_worker.evolution.structures import MOST_TERMS, Lists, Space, empty_lists
 
 Slots = npt.NDArray[np.int64]

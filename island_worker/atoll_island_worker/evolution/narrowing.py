@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll.data.dataset import Problem
-from atoll.expression.operators import VARIABLE
-from atoll.expression.program import Program
-from atoll.search.pareto import FrontEntry
+from atoll_core.data.dataset import Problem
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import Program
+from atoll_core.search.pareto import FrontEntry
 
 
 def narrow(problem: Problem, columns: Sequence[int]) -> Problem:

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from atoll.search.pareto import FrontEntry, runners_up
+from atoll_core.search.pareto import FrontEntry, runners_up
 from atoll_island_worker.evolution.structures import MOST_TERMS
 
 KNOWN = 4096

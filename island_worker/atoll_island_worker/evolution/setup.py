@@ -8,14 +8,14 @@ from typing import Any, get_args
 
 import numpy as np
 
-from atoll.compilation.jit import entry_point
-from atoll.config import Arguments, ConstantSteps, CrowdingDistance, JobConfig, MutationUnit
-from atoll.data.dataset import FloatArray, Problem, Target
-from atoll.errors import LocalProtocolError
-from atoll.expression.kernels.tape import functions_address, padded
-from atoll.expression.operators import COS, SIN
-from atoll.expression.restrictions import restrictions_of
-from atoll.search.pareto import FrontEntry
+from atoll_core.compilation.jit import entry_point
+from atoll_core.config import Arguments, ConstantSteps, CrowdingDistance, JobConfig, MutationUnit
+from atoll_core.data.dataset import FloatArray, Problem, Target
+from atoll_core.errors import LocalProtocolError
+from atoll_core.expression.kernels.tape import functions_address, padded
+from atoll_core.expression.operators import COS, SIN
+from atoll_core.expression.restrictions import restrictions_of
+from atoll_core.search.pareto import FrontEntry
 from atoll_island_worker.evolution.kernels.rows import gather, padded_rows
 from atoll_island_worker.evolution.migration import operator_codes
 from atoll_island_worker.evolution.narrowing import narrow, widen

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from atoll.expression.kernels.tape import LANES, functions_address, padded
+from atoll_core.expression.kernels.tape import LANES, functions_address, padded
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -100,7 +100,7 @@ class Rows(NamedTuple):
 
 
 class Tape(NamedTuple):
-    """Scratch for one program's live nodes, see `atoll.expression.kernels.tape`."""
+    """Scratch for one program's live nodes, see `atoll_core.expression.kernels.tape`."""
 
     code: Ints
     left: Ints
@@ -152,7 +152,7 @@ class Work(NamedTuple):
     settled: Booleans
     """(1,) whether further steps of the last fit would be of no use."""
     functions: int
-    """Address of the compiled functions, see `atoll.expression.kernels.functions`."""
+    """Address of the compiled functions, see `atoll_core.expression.kernels.functions`."""
     held: Booleans
     """(nodes,) constants on the tape that are not fitted."""
 

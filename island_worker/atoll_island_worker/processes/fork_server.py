@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from atoll.errors import AtollError
+from atoll_core.errors import AtollError
 
 Work = Callable[[], int]
 """What a forked worker does; returns its exit code."""
@@ -35,9 +35,9 @@ def load_ahead() -> None:
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else numpy's library starts threads, though we never use it
     with contextlib.suppress(Exception):
-        importlib.import_module("atoll.wire.bus.zenoh_bus")
+        importlib.import_module("atoll_core.wire.bus.zenoh_bus")
         importlib.import_module("atoll_island_worker.worker")
-        from atoll.compilation.cache import is_compiled
+        from atoll_core.compilation.cache import is_compiled
         from atoll_island_worker.compute.warmup import run_small_epochs
 
         if is_compiled("atoll_island_worker"):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final, Literal
 
-from atoll.errors import LocalProtocolError
+from atoll_core.errors import LocalProtocolError
 
 FIRST_PAUSE_S: Final = 1.0
 MOST_PAUSE_S: Final = 30.0

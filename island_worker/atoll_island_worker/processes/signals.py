@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Final
 
-from atoll.wire.addresses import Destination
+from atoll_core.wire.addresses import Destination
 from atoll_island_worker.processes.supervisor import Command, ending_signals, handlers
 
 _STOP_LIMIT_S: Final = 5.0

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any, Final, Protocol
 
-from atoll.errors import AtollError
-from atoll.program import INTERRUPTED
+from atoll_core.errors import AtollError
+from atoll_core.program import INTERRUPTED
 from atoll_island_worker.processes.exit_reasons import ExitReasons, complain
 from atoll_island_worker.processes.restart_policy import RestartPolicy
 

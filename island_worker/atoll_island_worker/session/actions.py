@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from atoll.search.commit_order import CommitOrder, Position
-from atoll.wire.messages.workers import (
+from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.wire.messages.workers import (
     EpochReport,
     Finished,
     Migrants,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from atoll.wire.messages.workers import (
+from atoll_core.wire.messages.workers import (
     Close,
     CloseJob,
     Commit,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from atoll.errors import LocalProtocolError
+from atoll_core.errors import LocalProtocolError
 
 IslandState = Literal["restoring", "ready", "computing", "waiting", "held", "stopped"]
 IslandStep = Literal["restore", "begin", "emigrate", "complete", "end", "reject", "hold"]

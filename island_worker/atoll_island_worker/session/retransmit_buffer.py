@@ -7,7 +7,7 @@ own, is durable at the coordinator.
 from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
-from atoll.wire.messages.workers import (
+from atoll_core.wire.messages.workers import (
     Block,
     EpochReport,
     IslandReport,
@@ -20,7 +20,7 @@ from atoll.wire.messages.workers import (
     Reports,
     States,
 )
-from atoll.wire.state_transfer import State, split_states
+from atoll_core.wire.state_transfer import State, split_states
 
 ADDITIONS_PER_ANSWER: Final = 20_000
 """An answer with reports ends after this many additions to the front; the rest is asked for again."""

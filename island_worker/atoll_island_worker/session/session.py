@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from functools import singledispatchmethod
 from typing import Final, Literal
 
-from atoll.errors import LocalProtocolError, RemoteProtocolError
-from atoll.search.commit_order import Position
-from atoll.wire.messages.views import WorkerState
-from atoll.wire.messages.workers import (
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.search.commit_order import Position
+from atoll_core.wire.messages.views import WorkerState
+from atoll_core.wire.messages.workers import (
     Close,
     CloseJob,
     Commit,

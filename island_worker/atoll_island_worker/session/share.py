@@ -8,9 +8,9 @@ checkpoint begins with the states of its islands, which are pulled from the coor
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from atoll.errors import LocalProtocolError, RemoteProtocolError
-from atoll.search.commit_order import Position
-from atoll.wire.messages.workers import (
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.search.commit_order import Position
+from atoll_core.wire.messages.workers import (
     Block,
     Commit,
     Finished,

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from atoll.wire.messages.workers import Placement, PullStates, States
-from atoll.wire.state_transfer import Assembly
+from atoll_core.wire.messages.workers import Placement, PullStates, States
+from atoll_core.wire.state_transfer import Assembly
 
 
 class StateTransfer:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from atoll.search.commit_order import CommitOrder
+from atoll_core.search.commit_order import CommitOrder
 
 
 class ShareKey(NamedTuple):

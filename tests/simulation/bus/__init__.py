@@ -1,6 +1,6 @@
 """A bus in memory and in virtual time, with faults from a seeded plan; `tests/contract` checks that it is a bus.
 
 - ``network``: the router in the middle, the clock, and the list of what will happen.
-- ``participant``: one participant's bus (`atoll.wire.bus.interface.Bus`), its own time, and what waits for it.
+- ``participant``: one participant's bus (`atoll_core.wire.bus.interface.Bus`), its own time, and what waits for it.
 - ``faults``: the plan of losses, delays, partitions and crashes.
 """

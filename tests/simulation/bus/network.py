@@ -14,9 +14,9 @@ import itertools
 from collections.abc import Callable
 from typing import Final
 
-from atoll.errors import LocalProtocolError
-from atoll.search.seeding import Stream, stream_key
-from atoll.wire.bus.interface import Link, Message, Query
+from atoll_core.errors import LocalProtocolError
+from atoll_core.search.seeding import Stream, stream_key
+from atoll_core.wire.bus.interface import Link, Message, Query
 from tests.simulation.bus.faults import Plan
 from tests.simulation.bus.participant import Question, SimulatedBus
 

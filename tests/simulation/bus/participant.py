@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
-from atoll.errors import LocalProtocolError
-from atoll.wire.bus.interface import Event, Posted, Presence, Query, Reply, Timer
-from atoll.wire.bus.keys import check_expression, check_key, check_payload, matches
+from atoll_core.errors import LocalProtocolError
+from atoll_core.wire.bus.interface import Event, Posted, Presence, Query, Reply, Timer
+from atoll_core.wire.bus.keys import check_expression, check_key, check_payload, matches
 
 if TYPE_CHECKING:
     from tests.simulation.bus.network import SimulatedNetwork
@@ -38,7 +38,7 @@ class Question:
 
 
 class SimulatedBus:
-    """One participant of a simulated network; a `atoll.wire.bus.interface.Bus` in virtual time.
+    """One participant of a simulated network; an `atoll_core.wire.bus.interface.Bus` in virtual time.
 
     Its own time runs ahead of the network's while it is busy (`spend`): what it says then leaves later, and what comes
     waits. While it hangs, everything waits.

@@ -10,15 +10,15 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.wire import topics
-from atoll.wire.bus.interface import Event, Reply, Timer
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages import clients
-from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Welcome
-from atoll.wire.messages.limits import CHUNK_SIZE
-from atoll.wire.messages.views import FINAL_STATES
-from atoll.wire.messages.workers import WorkerStatus
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Event, Reply, Timer
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages import clients
+from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Welcome
+from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.messages.views import FINAL_STATES
+from atoll_core.wire.messages.workers import WorkerStatus
 from tests.simulation.harness.participants import Participants
 from tests.simulation.harness.schedule import GuestKind, GuestPlan
 

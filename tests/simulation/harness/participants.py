@@ -10,14 +10,14 @@ from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Any, Final
 
-from atoll.config import JobConfig
-from atoll.errors import StoreError
-from atoll.wire.bus.interface import Event
-from atoll.wire.messages.workers import EpochReport
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.retention import Retention
+from atoll_core.config import JobConfig
+from atoll_core.errors import StoreError
+from atoll_core.wire.bus.interface import Event
+from atoll_core.wire.messages.workers import EpochReport
 from atoll_island_worker.session.events import Computed
 from atoll_island_worker.worker import Worker
 from tests.simulation.bus.network import SimulatedNetwork

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll.search.seeding import Stream, stream_key
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll_core.search.seeding import Stream, stream_key
 from tests.simulation.bus.faults import Plan
 
 Kind = Literal[

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, Final
 
-from atoll.config import JobConfig
-from atoll.errors import AtollError, RefusedError, UnreachableError
-from atoll.wire.messages.views import FINAL_STATES, JobView
-from atoll_coordinator.client import Client
+from atoll.client import Client
 from atoll_coordinator.service.requests import deletion
 from atoll_coordinator.service.search import archipelago, checkpoint_schedule
+from atoll_core.config import JobConfig
+from atoll_core.errors import AtollError, RefusedError, UnreachableError
+from atoll_core.wire.messages.views import FINAL_STATES, JobView
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.fault_injector import FaultInjector
 from tests.simulation.harness.guests import Guest

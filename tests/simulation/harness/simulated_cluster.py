@@ -11,12 +11,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset, Target
-from atoll.errors import UnreachableError
-from atoll.wire.bus.interface import Event
-from atoll.wire.messages.views import FINAL_STATES, JobView
-from atoll_coordinator.client import Client
+from atoll.client import Client
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
@@ -25,6 +20,11 @@ from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.tasks import Preparer, Refiner
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, Target
+from atoll_core.errors import UnreachableError
+from atoll_core.wire.bus.interface import Event
+from atoll_core.wire.messages.views import FINAL_STATES, JobView
 from atoll_island_worker.worker import Worker
 from tests.simulation.bus.faults import Plan
 from tests.simulation.bus.network import SimulatedNetwork

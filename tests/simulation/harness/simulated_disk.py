@@ -7,11 +7,11 @@ import sqlite3
 from collections.abc import Callable
 from typing import Any, Final
 
-from atoll.config import Model
-from atoll.errors import StoreError
-from atoll.wire.codec import encode
 from atoll_coordinator.service.store.schema import _prepare
 from atoll_coordinator.service.store.store import Room, Store
+from atoll_core.config import Model
+from atoll_core.errors import StoreError
+from atoll_core.wire.codec import encode
 
 READS: Final = frozenset({
     "job", "jobs", "job_page", "count_jobs", "submitter", "is_deleted", "result", "cuts", "checkpoints", "state",

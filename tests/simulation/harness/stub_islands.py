@@ -10,14 +10,14 @@ import struct
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from atoll.compilation.sources import WORKER, source_digest
-from atoll.config import JobConfig
-from atoll.errors import RemoteProtocolError
-from atoll.expression.operators import CONSTANT, COS, SIN, TANH
-from atoll.search.commit_order import CommitOrder, Position
-from atoll.search.seeding import Stream, stream_key
-from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_coordinator.service.jobs.job import commit_order_of
+from atoll_core.compilation.sources import WORKER, source_digest
+from atoll_core.config import JobConfig
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.expression.operators import CONSTANT, COS, SIN, TANH
+from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.search.seeding import Stream, stream_key
+from atoll_core.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.compute.compute_thread import WarmedUp, WarmUpNote
 from atoll_island_worker.compute.run_queue import RunQueue, Work
 from atoll_island_worker.session.events import Computed, JobReady

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.errors import DataError
+from atoll_core.errors import DataError
 from benchmarks import figures
 from benchmarks.figures import (
     MARK,

@@ -6,8 +6,8 @@ import io
 
 import pytest
 
-from atoll.command_line import Parser, duration, seconds, whole_number
-from atoll.errors import AtollError
+from atoll_core.command_line import Parser, duration, seconds, whole_number
+from atoll_core.errors import AtollError
 
 
 @pytest.mark.parametrize(

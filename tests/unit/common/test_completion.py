@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
-from atoll.completion import SHELLS, complete
-from atoll_coordinator.cli.main import main
-from atoll_coordinator.cli.options.parser import build_parser
+from atoll.cli.main import main
+from atoll.cli.options.parser import build_parser
+from atoll_core.completion import SHELLS, complete
 
 
 def completed(program: str, line: str) -> list[str]:
@@ -22,8 +22,8 @@ def completed(program: str, line: str) -> list[str]:
 @pytest.mark.parametrize(
     ("program", "line", "words"),
     [
-        ("atoll_coordinator", "coordinator ru", {"run"}),
-        ("atoll_coordinator", "coordinator run a.csv --preset ", {"default", "paper"}),
+        ("atoll", "coordinator ru", {"run"}),
+        ("atoll", "coordinator run a.csv --preset ", {"default", "paper"}),
         ("atoll_island_worker", "island-worker --proc", {"--processes"}),
     ],
 )

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from atoll.logs import JsonLines, TextLines, configure, fields
+from atoll_core.logs import JsonLines, TextLines, configure, fields
 
 
 def record(message: str = "placed", **values: object) -> logging.LogRecord:

@@ -22,9 +22,7 @@ except KeyboardInterrupt as error:
 """Runs a program from its first module on; what Python does before that cannot be guarded, and is not looked at."""
 
 
-@pytest.mark.parametrize(
-    "words", [["atoll_coordinator", "jobs"], ["atoll_coordinator", "run", "--help"], ["atoll_island_worker", "--help"]]
-)
+@pytest.mark.parametrize("words", [["atoll", "jobs"], ["atoll", "run", "--help"], ["atoll_island_worker", "--help"]])
 def test_an_interrupt_at_any_moment_is_exit_code_130_without_a_traceback(words: list[str]) -> None:
     codes = set()
     for delay_ms in (0, 1, 2, 3, 5, 7, 10, 14, 20, 28, 40, 56, 80, 113, 160):
@@ -47,7 +45,7 @@ def test_how_children_end_is_known_although_a_parent_ignores_it() -> None:
     program = (
         "import signal, subprocess, sys\n"
         "signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n"
-        "code = 'import subprocess, sys; from atoll.program import reap_children; reap_children(); '\n"
+        "code = 'import subprocess, sys; from atoll_core.program import reap_children; reap_children(); '\n"
         'code += \'print(subprocess.run([sys.executable, "-c", "raise SystemExit(7)"]).returncode)\'\n'
         "sys.stdout.write(subprocess.run([sys.executable, '-c', code], stdout=subprocess.PIPE, text=True).stdout)\n"
     )

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from atoll.config import JobConfig
 from atoll_coordinator.service.background.child_main import load_refinement
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.store.store import Store
+from atoll_core.config import JobConfig
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.task_pools import LocalPool
 from tests.unit.documents import ROOT
@@ -47,7 +47,7 @@ def test_every_kernel_is_ready_after_the_warm_up() -> None:
 
 COUNTED = """
 import sys, importlib
-from atoll.compilation.jit import on_ready
+from atoll_core.compilation.jit import on_ready
 ready = []
 on_ready.append(lambda: ready.append(1))
 module = importlib.import_module(sys.argv[1])

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 import yaml
 
-from atoll.wire.addresses import parse_address
-from atoll_coordinator.cli.options import parser as arguments
+from atoll.cli.options import parser as arguments
+from atoll_core.wire.addresses import parse_address
 from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import ROOT
 

@@ -26,7 +26,12 @@ def read(name: str) -> dict[Any, Any]:
 
 def test_a_wheel_installs_no_name_that_does_not_begin_with_atoll() -> None:
     packaged = [file.distribution_path for file in WheelBuilder(str(ROOT)).recurse_included_files()]
-    assert {Path(name).parts[0] for name in packaged} == {"atoll", "atoll_coordinator", "atoll_island_worker"}
+    assert {Path(name).parts[0] for name in packaged} == {
+        "atoll",
+        "atoll_coordinator",
+        "atoll_core",
+        "atoll_island_worker",
+    }
     others = [name for name in packaged if not name.endswith((".py", "py.typed"))]
     assert others == ["atoll/report/page.css", "atoll/report/pictures.css"], "only code and styles are installed"
 

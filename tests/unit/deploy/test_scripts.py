@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll_coordinator.cli.options import parser as arguments
+from atoll.cli.options import parser as arguments
 from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import ROOT
 
@@ -176,7 +176,7 @@ def test_slurm_lets_in_only_who_may_read_the_folder_of_the_job(tmp_path: Path) -
     programs, folder = tmp_path / "bin", tmp_path / "job"
     programs.mkdir()
     code = (
-        "import os; from pathlib import Path; from atoll.wire.security.credentials import credentials_of\n"
+        "import os; from pathlib import Path; from atoll_core.wire.security.credentials import credentials_of\n"
         "sides = [credentials_of({}, os.environ, use) for use in ('serve', 'connect')]\n"
         "Path(os.environ['SAID']).write_text(f'{sides[0].name} {\",\".join(sides[0].hosts)}')\n"
     )

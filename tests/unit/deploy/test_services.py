@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 import yaml
 
-from atoll.wire.addresses import bindable, parse_address
-from atoll.wire.bus.zenoh_bus import open_client
-from atoll_coordinator.cli.options import parser as arguments
+from atoll.cli.options import parser as arguments
+from atoll_core.wire.addresses import bindable, parse_address
+from atoll_core.wire.bus.zenoh_bus import open_client
 from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import ROOT
 
@@ -92,7 +92,7 @@ def test_the_settings_for_zenohd_are_those_of_our_own_router() -> None:
     """They are read by zenoh itself, and a router with them passes messages on."""
     import zenoh
 
-    from atoll.wire.bus import zenoh_bus
+    from atoll_core.wire.bus import zenoh_bus
 
     theirs = zenoh.Config.from_file(str(ROOT / "deploy" / "router" / "zenohd.json5"))
     ours = zenoh_bus._config("router", ["tcp/0.0.0.0:7447"], [], None)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from atoll.errors import RefusedError, UnreachableError
-from atoll.wire.addresses import destination
-from atoll.wire.security.credentials import load
+from atoll_core.errors import RefusedError, UnreachableError
+from atoll_core.wire.addresses import destination
+from atoll_core.wire.security.credentials import load
 from atoll_island_worker import cli
 from atoll_island_worker import worker as worker_module
 from atoll_island_worker.processes import fork_server as forking

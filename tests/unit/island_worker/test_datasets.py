@@ -4,11 +4,11 @@ import hashlib
 
 import pytest
 
-from atoll.config import JobConfig
-from atoll.errors import RemoteProtocolError
-from atoll.wire.codec import encode
-from atoll.wire.messages.limits import CHUNK_SIZE
-from atoll.wire.messages.workers import CloseJob, Control, JobAnnouncement
+from atoll_core.config import JobConfig
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.messages.workers import CloseJob, Control, JobAnnouncement
 from atoll_island_worker.datasets import Datasets, Download
 
 DATA = bytes(2 * CHUNK_SIZE) + b"rest"

@@ -5,15 +5,15 @@ from hashlib import sha256
 
 import pytest
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.config import JobConfig
-from atoll.errors import AtollError
-from atoll.search.commit_order import CommitOrder
-from atoll.wire import topics
-from atoll.wire.bus.interface import Event, Query
-from atoll.wire.codec import encode
-from atoll.wire.messages.handshake import GreetingAnswer, Welcome
-from atoll.wire.messages.workers import CloseJob, Control, JobAnnouncement, Placement, Placements
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.config import JobConfig
+from atoll_core.errors import AtollError
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Event, Query
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.handshake import GreetingAnswer, Welcome
+from atoll_core.wire.messages.workers import CloseJob, Control, JobAnnouncement, Placement, Placements
 from atoll_island_worker.compute.compute_thread import ComputeFailed, WarmedUp
 from atoll_island_worker.session.events import JobReady
 from atoll_island_worker.worker import Worker

@@ -7,8 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, Target
-from atoll.errors import DataError
 from atoll_coordinator.data.assembly.recordings import build_recording
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
@@ -20,6 +18,8 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.row_selection.rows import SelectedRows
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, Target
+from atoll_core.errors import DataError
 
 _MOST_OUTLIERS: Final = 0.1
 """Share of the rows beyond which outliers are said to be hardly errors of measurement."""

@@ -13,8 +13,6 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
-from atoll.errors import DataError
 from atoll_coordinator.data.differentiation.interpolation import (
     estimate_value_noise,
     interpolate_derivative,
@@ -37,6 +35,8 @@ from atoll_coordinator.data.differentiation.standard_deviation import derivative
 from atoll_coordinator.data.recording import STENCIL_ROWS, Quantisation
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import DataError
 
 _PAPER_DEGREES: Final = (2,)
 """The degree of Schmidt & Lipson 2008."""

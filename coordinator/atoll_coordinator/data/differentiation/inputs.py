@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
+from atoll_core.data.dataset import FloatArray
 
 _Slopes = Callable[[FloatArray, FloatArray], FloatArray]
 

@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import (
     HALF_WIDTHS,
     best_stencil_into,
@@ -21,6 +20,7 @@ from atoll_coordinator.data.differentiation.kernels.stencils import (
 from atoll_coordinator.data.differentiation.smoothing import Signal, SmoothedSignal
 from atoll_coordinator.data.differentiation.standard_deviation import NORMAL_DEVIATION
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.interpolation
 END_ROWS = LIMITS.end_rows

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
 from atoll_coordinator.data.differentiation.smoothing import Signal
+from atoll_core.data.dataset import FloatArray
 
 Rows = npt.NDArray[np.intp]
 """Indices of rows."""

@@ -10,11 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.interpolation import predict_left_out
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Quantisation
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 _ROOT_12: Final = math.sqrt(12.0)
 LIMITS = SETTINGS.quantisation

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.differentiation.smoothing import (
     Signal,
@@ -20,6 +19,7 @@ from atoll_coordinator.data.differentiation.smoothing import (
 )
 from atoll_coordinator.data.differentiation.standard_deviation import NORMAL_DEVIATION
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.robustness
 

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.loess import (
     DEGREES,
     loess_into,
@@ -22,6 +21,7 @@ from atoll_coordinator.data.differentiation.kernels.loess import (
     validate_into,
 )
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.smoothing
 _LEAST_BINS: Final = LIMITS.least_bins_in_span // 2

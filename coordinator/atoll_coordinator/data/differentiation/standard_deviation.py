@@ -2,11 +2,11 @@
 
 from typing import Final
 
-from atoll.data.dataset import FloatArray
-from atoll.errors import DataError
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.trajectories.checks import check_size
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import DataError
 
 ROUNDING: Final = 1e-12
 """Guard: a column that varies less than this share of its mean is judged by the mean, for it may well be constant."""

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
+from atoll_core.data.dataset import FloatArray
 
 Rows = npt.NDArray[np.intp]
 

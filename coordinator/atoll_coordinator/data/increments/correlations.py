@@ -15,13 +15,13 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.increments.bins import Rows
 from atoll_coordinator.data.increments.differences import separate_windows
 from atoll_coordinator.data.increments.roughness import is_driven
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.data.increments.sums import total
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 Pair = tuple[int, int]
 _STEPS: Final = 3

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.increments.steps import Steps
+from atoll_core.data.dataset import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.increments.bins import Rows, split_into_bins
 from atoll_coordinator.data.increments.correlations import Pair, correlated_pairs
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.data.increments.sums import total
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 _DEPENDENT = 1e-9
 """Guard: a pivot that is smaller than this share of its diagonal is rounding."""

@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.increments.differences import all_windows
 from atoll_coordinator.data.increments.steps import Steps
+from atoll_core.data.dataset import FloatArray
 
 _STEPS: Final = 7
 """Steps of one difference, which is of the seventh order in the rows at their ends."""

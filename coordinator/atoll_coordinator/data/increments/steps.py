@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

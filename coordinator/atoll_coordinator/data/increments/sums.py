@@ -2,7 +2,7 @@
 
 import math
 
-from atoll.data.dataset import FloatArray
+from atoll_core.data.dataset import FloatArray
 
 
 def total(values: FloatArray) -> float:

@@ -4,8 +4,6 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from atoll.data.dataset import Dataset, FloatArray, Target
-from atoll.errors import DataError
 from atoll_coordinator.data.differentiation.standard_deviation import derivative_standard_deviation
 from atoll_coordinator.data.increments.moments import BinnedMoments, bin_moments
 from atoll_coordinator.data.increments.roughness import is_driven, noise_shares
@@ -13,6 +11,8 @@ from atoll_coordinator.data.increments.steps import take_steps
 from atoll_coordinator.data.recording import Preparation, ProcessRecording, SampledPath
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import Dataset, FloatArray, Target
+from atoll_core.errors import DataError
 
 
 def assemble_process(measurements: Measurements, equations: Collection[str], symbols: Mapping[str, str]) -> Preparation:

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from atoll.config import DataConfig
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.rows import Rows, with_breaks
 from atoll_coordinator.data.roles.roles import TIME_NAMES
+from atoll_core.config import DataConfig
+from atoll_core.errors import DataError
 
 
 def read_npz(path: Path, config: DataConfig) -> Rows:

@@ -7,10 +7,6 @@ from typing import Final, cast
 
 import numpy as np
 
-from atoll.config import DataConfig
-from atoll.data.dataset import FloatArray
-from atoll.data.table import MANY
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line, visible
 from atoll_coordinator.data.reading.instants import Instants, is_instant, split_origin
 from atoll_coordinator.data.reading.numerals import place, read_numbers
@@ -18,6 +14,10 @@ from atoll_coordinator.data.reading.rows import Rows
 from atoll_coordinator.data.reading.times import compact_dates, read_times
 from atoll_coordinator.data.roles.options import find_trajectory_column, named_columns, split_unit, strip_units
 from atoll_coordinator.data.roles.roles import assigned
+from atoll_core.config import DataConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import MANY
+from atoll_core.errors import DataError
 
 TIME: Final = "time"
 

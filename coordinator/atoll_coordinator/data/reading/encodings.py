@@ -3,7 +3,7 @@
 import re
 from typing import Final
 
-from atoll.errors import DataError
+from atoll_core.errors import DataError
 
 _CONTROL: Final = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _UTF_8: Final = re.compile(rb"[\xc2-\xdf][\x80-\xbf]|[\xe0-\xef][\x80-\xbf]{2}|[\xf0-\xf4][\x80-\xbf]{3}")

@@ -12,10 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.config import DataConfig
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Origin, Table
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.arrays import read_npz
 from atoll_coordinator.data.reading.columns import Columns, columns_of
 from atoll_coordinator.data.reading.hdf5 import read_hdf5
@@ -26,6 +22,10 @@ from atoll_coordinator.data.reading.parquet import read_parquet
 from atoll_coordinator.data.reading.records import read_records
 from atoll_coordinator.data.reading.rows import Rows
 from atoll_coordinator.data.reading.workbooks import read_workbook
+from atoll_core.config import DataConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Origin, Table
+from atoll_core.errors import DataError
 
 _REFUSED: Final = {
     ".npy": "a NumPy array without names of columns; save them by name with numpy.savez, or as CSV",

@@ -9,11 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import DataConfig
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.arrays import rows_of_arrays
 from atoll_coordinator.data.reading.rows import Rows
 from atoll_coordinator.data.roles.roles import TIME_NAMES
+from atoll_core.config import DataConfig
+from atoll_core.errors import DataError
 
 MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 _Arrays = tuple[dict[str, Any], dict[str, str]]

@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
-from atoll.data.table import MIDNIGHT, Origin
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.cells import is_missing, on_one_line
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import MIDNIGHT, Origin
+from atoll_core.errors import DataError
 
 NANOSECONDS: Final = {"d": 86_400_000_000_000, "h": 3_600_000_000_000, "min": 60_000_000_000, "s": 1_000_000_000}
 """Units of time that dates are counted in, the longest first."""

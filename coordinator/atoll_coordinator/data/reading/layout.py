@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line
 from atoll_coordinator.data.reading.encodings import decode
 from atoll_coordinator.data.reading.instants import is_instant
 from atoll_coordinator.data.reading.rows import Rows, is_units_row, plain_unit, rows_of_records
+from atoll_core.errors import DataError
 
 SPACES: Final = " "
 """Stands for any white space between cells."""

@@ -12,11 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import DataConfig
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.arrays import rows_of_arrays
 from atoll_coordinator.data.reading.hdf5 import MAGIC, read_arrays
 from atoll_coordinator.data.reading.rows import Rows
+from atoll_core.config import DataConfig
+from atoll_core.errors import DataError
 
 _USERBLOCK: Final = 512
 """Bytes of text with which MATLAB begins an HDF5 file."""

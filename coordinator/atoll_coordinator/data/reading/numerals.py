@@ -11,9 +11,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.cells import SPACES, WITH_COMMA, WITH_POINT, is_missing, number, on_one_line
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import DataError
 
 _THOUSANDS: Final = re.compile(r"\s*[+-]?[1-9]\d{0,2}(?:\.\d{3})+\s*")
 _GROUPS: Final = str.maketrans("", "", SPACES)

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.rows import Rows, with_breaks
+from atoll_core.errors import DataError
 
 
 def read_parquet(path: Path) -> Rows:

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.encodings import decode
 from atoll_coordinator.data.reading.rows import Rows, with_breaks
+from atoll_core.errors import DataError
 
 _EXPECTED = 'a list of records such as [{"t": 0, "x": 1}] is expected'
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line
 from atoll_coordinator.data.roles.units import are_units
+from atoll_core.errors import DataError
 
 _BRACKETS: Final = re.compile(r"^\s*[\[(](.*)[\])]\s*$")
 _NO_UNIT: Final = frozenset({"-", "–", "1"})

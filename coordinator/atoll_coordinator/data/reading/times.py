@@ -5,11 +5,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from atoll.config import DataConfig
 from atoll_coordinator.data.reading.cells import is_missing
 from atoll_coordinator.data.reading.instants import Instants, is_clock, is_instant, read_instants, with_clock
 from atoll_coordinator.data.roles.options import named_columns
 from atoll_coordinator.data.roles.roles import TIME_NAMES
+from atoll_core.config import DataConfig
 
 _NEW_NAMES: Final = ("time", "t")
 _COMPACT: Final = re.compile(r"(1[89]\d\d|2[01]\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")

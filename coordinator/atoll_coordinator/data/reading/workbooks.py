@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.rows import Rows, rows_of_records
+from atoll_core.errors import DataError
 
 _Record = tuple[int, list[str]]
 

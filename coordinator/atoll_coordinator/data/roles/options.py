@@ -4,9 +4,9 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from atoll.config import DataConfig
-from atoll.errors import UsageError
 from atoll_coordinator.data.roles.units import are_units
+from atoll_core.config import DataConfig
+from atoll_core.errors import UsageError
 
 TRAJECTORY_NAME: Final = "trajectory"
 _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)

@@ -6,12 +6,12 @@ from typing import Final, Literal
 
 import numpy as np
 
-from atoll.config import Angle, DataConfig
-from atoll.data.table import Table
-from atoll.errors import DataError, UsageError
-from atoll.suggestions import did_you_mean
-from atoll.units import parse_unit
 from atoll_coordinator.data.roles.options import check_options, find_trajectory_column, named_columns, strip_units
+from atoll_coordinator.units import parse_unit
+from atoll_core.config import Angle, DataConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import DataError, UsageError
+from atoll_core.hints import did_you_mean
 
 TIME_NAMES: Final = ("t", "time", "Time", "TIME")
 """What the time is called unless options name it, in this order."""

@@ -5,10 +5,10 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.interpolation import END_ROWS, mark_ends
 from atoll_coordinator.data.recording import ExcludedRow, Reason
+from atoll_core.data.dataset import FloatArray
 
 _GAP_STEPS: Final = 3.0
 """A step of the times this many times as long as the median one of its trajectory is told as a gap."""

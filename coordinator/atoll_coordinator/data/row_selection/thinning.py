@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.row_selection.rows import SelectedRows
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 
 def thin_searched_rows(

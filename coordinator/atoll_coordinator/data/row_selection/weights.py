@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.differentiation.standard_deviation import ROUNDING
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.rows
 

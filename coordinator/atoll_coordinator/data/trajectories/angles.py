@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.config import Angle
-from atoll.data.dataset import FloatArray
+from atoll_core.config import Angle
+from atoll_core.data.dataset import FloatArray
 
 RADIANS_PER_DEGREE: Final = math.pi / 180.0
 

@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.config import DataConfig
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
-from atoll.errors import DataError
 from atoll_coordinator.data.roles.roles import TIME_NAMES, Roles
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import DataConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.errors import DataError
 
 BoolArray = npt.NDArray[np.bool_]
 MIN_ROWS = SETTINGS.checks.min_rows

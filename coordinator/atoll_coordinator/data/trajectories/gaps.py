@@ -10,11 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.trajectories.checks import MIN_ROWS
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.data.trajectories.trajectories import Range, Trajectories, distinguish
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 MANY: Final = 5
 """So many trajectories are listed in a message."""

@@ -6,8 +6,8 @@ They take no part in any choice, neither of smoothing nor of equations, so that 
 from collections.abc import Sequence
 from typing import Final
 
-from atoll.errors import DataError, UsageError
 from atoll_coordinator.data.trajectories.trajectories import format_number
+from atoll_core.errors import DataError, UsageError
 
 MANY: Final = 10
 """So many values are listed in a message."""

@@ -8,9 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.config import DataConfig
-from atoll.data.dataset import FloatArray, IntArray
-from atoll.data.table import Table
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.trajectories.angles import convert_to_radians, unwrap
 from atoll_coordinator.data.trajectories.checks import check_searched_rows, check_sizes, select_usable_rows
@@ -22,6 +19,9 @@ from atoll_coordinator.data.trajectories.trajectories import (
     name_groups,
     split_trajectories,
 )
+from atoll_core.config import DataConfig
+from atoll_core.data.dataset import FloatArray, IntArray
+from atoll_core.data.table import Table
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,12 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.data.table import Table
-from atoll.errors import DataError
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.trajectories.angles import unwrap
 from atoll_coordinator.data.trajectories.checks import check_no_turns, check_trajectory, check_varies
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.errors import DataError
 
 _TIME_ROUNDING: Final = 4.0
 """Times are even when they are so within this many units in the last place of the largest one, and steps are this many

@@ -6,16 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll.data.dataset import EXACT_ERROR, FloatArray
-from atoll.expression.program import Program, constant_places
-from atoll.expression.text.infix import to_infix
-from atoll.expression.unit_coefficients import (
-    ExplicitCoefficients,
-    as_written,
-    make_coefficients_explicit,
-    write_factors,
-)
-from atoll.expression.writing.agreement import shortest_over
 from atoll_coordinator.data.recording import Smoothing
 from atoll_coordinator.model.inference.attractor import look_for_chaos
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
@@ -66,6 +56,16 @@ from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.shooting.variance import estimate_variance
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import EXACT_ERROR, FloatArray
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.unit_coefficients import (
+    ExplicitCoefficients,
+    as_written,
+    make_coefficients_explicit,
+    write_factors,
+)
+from atoll_core.expression.writing.agreement import shortest_over
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program, constant_places, structure
-from atoll.expression.unit_coefficients import as_written
-from atoll.expression.writing.opened import factored_forms
 from atoll_coordinator.model.inference.conclusion import (
     Final,
     HeldOut,
@@ -48,6 +44,10 @@ from atoll_coordinator.model.shooting.covariance import bounded_covariance, cova
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
 from atoll_coordinator.model.structure.one_sided import within_bounds
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.unit_coefficients import as_written
+from atoll_core.expression.writing.opened import factored_forms
 
 
 @dataclass(frozen=True, eq=False)

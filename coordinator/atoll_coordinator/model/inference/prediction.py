@@ -16,8 +16,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.inference.attractor import along
 from atoll_coordinator.model.refinement import Prediction
 from atoll_coordinator.model.shooting.measurements import Measurements
@@ -25,6 +23,8 @@ from atoll_coordinator.model.shooting.multiple_shooting import Unsimulated
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 
 @dataclass(frozen=True, eq=False)

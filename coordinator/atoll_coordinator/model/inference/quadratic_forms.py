@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 _REPRESENTED: Final = 8
 """Lengths by which those of many trajectories are represented: eigenvalues hardly differ between them."""

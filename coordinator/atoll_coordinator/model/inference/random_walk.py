@@ -12,10 +12,10 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.refinement import Simulation
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 _LAGS: Final = (1, 2, 4, 8)
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.inference.quadratic_forms import variance_ratio_tail
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 
 @dataclass(frozen=True)

@@ -14,16 +14,16 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program, constant_places
-from atoll.expression.writing.opened import Opened, Role, Shape, open_sum, raised_quotients, shape_of, terms_of
-from atoll.expression.writing.sums import Sum, UndefinedError
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.regression.rounding import find_simple
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.writing.opened import Opened, Role, Shape, open_sum, raised_quotients, shape_of, terms_of
+from atoll_core.expression.writing.sums import Sum, UndefinedError
 
 _ROUNDING: Final = 2.0**-50
 """Differences below this share of a constant are those of arithmetic."""

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program, constant_places
 from atoll_coordinator.model.inference.standard_errors import Errors
 from atoll_coordinator.model.refinement import Simulated
 from atoll_coordinator.model.selection.comparison import ModelComparison
@@ -16,6 +14,8 @@ from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program, constant_places
 
 
 def fit_starts(

@@ -10,10 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
-from atoll.expression.program import Program, constant_places
-from atoll.expression.unit_coefficients import ExplicitCoefficients
 from atoll_coordinator.model.refinement import Constant, Correlation, Covariance
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
@@ -21,6 +17,10 @@ from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.unit_coefficients import ExplicitCoefficients
 
 _HIGH_CORRELATION: Final = 0.95
 """Correlations of at least this size between two constants are reported."""

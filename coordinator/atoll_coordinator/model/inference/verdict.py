@@ -9,10 +9,10 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from atoll.data.dataset import EXACT_ERROR, FloatArray
 from atoll_coordinator.model.inference.residuals import Check, ReferenceSmoother, check
 from atoll_coordinator.model.refinement import Chaos, Constant, Grade, Prediction
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import EXACT_ERROR, FloatArray
 
 
 @dataclass(frozen=True, eq=False)

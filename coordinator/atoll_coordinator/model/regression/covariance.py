@@ -11,19 +11,19 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program, constant_places
-from atoll.expression.unit_coefficients import (
-    ONE,
-    ExplicitCoefficients,
-    as_written,
-    make_coefficients_explicit,
-)
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.refinement import Constant, SimpleNumber, UnitCoefficient
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import fitted_length
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.unit_coefficients import (
+    ONE,
+    ExplicitCoefficients,
+    as_written,
+    make_coefficients_explicit,
+)
 
 _RIDGE: Final = 1e-14
 _FLAT: Final = 1e-100

@@ -11,14 +11,6 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from atoll.config import JobConfig
-from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.operators import BY_NAME
-from atoll.expression.program import Program, constant_places, structure, with_constants
-from atoll.expression.restrictions import restrictions_of
-from atoll.expression.unit_coefficients import make_coefficients_explicit, write_factors
-from atoll.expression.writing.agreement import shortest_over
-from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Member, Refined, SimpleNumber, SimpleTogether, may_be_shown
@@ -28,6 +20,14 @@ from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants, round_estimates
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray, Problem
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import Program, constant_places, structure, with_constants
+from atoll_core.expression.restrictions import restrictions_of
+from atoll_core.expression.unit_coefficients import make_coefficients_explicit, write_factors
+from atoll_core.expression.writing.agreement import shortest_over
+from atoll_core.expression.writing.shortest import shortest
 
 
 def fit_equation(

@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from atoll.config import Loss
-from atoll.data.dataset import Problem
-from atoll.expression.evaluation import values_of
-from atoll.expression.program import Program
+from atoll_core.config import Loss
+from atoll_core.data.dataset import Problem
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program
 
 _ROWS_AT_A_TIME: Final = 100_000
 """Rows that are evaluated at a time, to save memory."""

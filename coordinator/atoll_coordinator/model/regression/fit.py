@@ -11,12 +11,12 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.evaluation import values_and_gradient, values_of
-from atoll.expression.program import Program, constant_places
-from atoll.expression.restrictions import NONE, Restrictions
 from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray, Problem
+from atoll_core.expression.evaluation import values_and_gradient, values_of
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.restrictions import NONE, Restrictions
 
 _OVERHEAD_ROWS: Final = 500
 """Rows whose evaluation takes as long as everything else about a program."""

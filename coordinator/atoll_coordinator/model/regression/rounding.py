@@ -22,15 +22,15 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program, constant_places, with_constants
-from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.covariance import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.writing.shortest import collected
 
 ERROR_DIGITS: Final = tuple(1 + 2**power for power in range(5))
 """Digits of standard errors to which estimates may be rounded, all of a double at last: the first with which

@@ -14,9 +14,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import Problem
-from atoll.expression.program import Program, structure
-from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.regression.covariance import description_length
@@ -25,6 +22,9 @@ from atoll_coordinator.model.regression.rounding import Model, round_constants
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import Problem
+from atoll_core.expression.program import Program, structure
+from atoll_core.expression.writing.shortest import shortest
 
 _MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
 """Neighbours are rounded whose description, constants as fitted, is longer than the best by at most so many nats (odds

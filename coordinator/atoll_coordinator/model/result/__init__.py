@@ -1,10 +1,9 @@
-"""The result of a job: ``result.json``, and what people read of it.
+"""The result of a job: ``result.json``.
 
 - `result`: the dictionary that is written; its parts: `diagnostics` (noise and smoothing), `trust` (alternatives,
   verdicts, simulations), `regression` (measured beside fitted values), `process` (ensembles and densities of a
   stochastic process), `shared_terms` (what equations have in common), `source` (data, columns, settings), `known`
   (equations that were given), `digest` (what two runs must share), `numbers`
-- `render`: that dictionary as text, CSV, sympy or LaTeX; `tables`: the tables of the text
 
-Refinements and fronts go in at `result`, text comes out at `render`.
+Refinements and fronts go in at `result`.
 """

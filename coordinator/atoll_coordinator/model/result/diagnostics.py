@@ -7,10 +7,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.recording import ExcludedRow, Quantisation, Recording, Smoothing
 from atoll_coordinator.model.refinement import StateErrors
 from atoll_coordinator.model.result.numbers import curve, finite, thinned
+from atoll_core.data.dataset import FloatArray
 
 MOST_ROWS: Final = 2_000
 """Rows listed of each state, all trajectories together; of more, rows spread evenly."""

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from atoll.search.pareto import FrontEntry
+from atoll_core.search.pareto import FrontEntry
 
 
 class Found(Protocol):

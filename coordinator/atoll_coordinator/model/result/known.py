@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset
-from atoll.expression.evaluation import values_of
-from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prior_knowledge import known_programs
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.regression.errors import errors_on
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset
+from atoll_core.expression.evaluation import values_of
+from atoll_core.search.pareto import FrontEntry
 
 
 def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:

@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from atoll.data.dataset import FloatArray
+from atoll_core.data.dataset import FloatArray
 
 CURVE_DIGITS: Final = 7
 """Significant digits of curves, which are looked at; there are many of their numbers."""

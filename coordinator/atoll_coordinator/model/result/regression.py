@@ -5,10 +5,10 @@ Plain dictionaries, lists, texts and numbers for ``result.json``; a number that 
 
 from typing import Any, Final
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.program import Program
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.result.numbers import curve, thinned
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program
 
 MOST_ROWS: Final = 1_000
 """Rows that are listed; of more, rows spread evenly."""

@@ -13,16 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.config import JobConfig, Loss
-from atoll.data.dataset import Dataset, Problem, Target
-from atoll.expression.operators import CONSTANT
-from atoll.expression.program import Program, structure
-from atoll.expression.restrictions import restrictions_of
-from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
-from atoll.expression.writing.agreement import shortest_over
-from atoll.search.pareto import FrontEntry
-from atoll.wire.messages.views import FINAL_STATES, JobState
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import select_member
 from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refinement, SimpleNumber, SimpleTogether
@@ -44,6 +34,16 @@ from atoll_coordinator.model.result.trust import (
     simulation,
     verdict,
 )
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.config import JobConfig, Loss
+from atoll_core.data.dataset import Dataset, Problem, Target
+from atoll_core.expression.operators import CONSTANT
+from atoll_core.expression.program import Program, structure
+from atoll_core.expression.restrictions import restrictions_of
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll_core.expression.writing.agreement import shortest_over
+from atoll_core.search.pareto import FrontEntry
+from atoll_core.wire.messages.views import FINAL_STATES, JobState
 
 SCHEMA: Final = 1
 KNOWN: Final = "known"
@@ -66,9 +66,10 @@ class VariableOutcome:
     to the cut (0: none yet); `generation` the one that met the target, counted from the search's beginning, or None
     when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
     the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
-    `atoll.wire.messages.views.VariableView`; `refined` is the equation made of the front after the search (None: none
-    yet); `runners_up` is what was kept beside the front; `convergence` has, for each island, the generations in which
-    it found a lower error, with that error. A known equation is the only member of its front, and `why` is `KNOWN`.
+    `atoll_core.wire.messages.views.VariableView`; `refined` is the equation made of the front after the search (None:
+    none yet); `runners_up` is what was kept beside the front; `convergence` has, for each island, the generations in
+    which it found a lower error, with that error. A known equation is the only member of its front, and `why` is
+    `KNOWN`.
     """
 
     variable: str

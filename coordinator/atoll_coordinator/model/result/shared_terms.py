@@ -8,15 +8,15 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from atoll.expression.builder import ProgramBuilder
-from atoll.expression.operators import VARIABLE
-from atoll.expression.text.infix import to_infix
-from atoll.expression.writing.layout import written
-from atoll.expression.writing.opened import inner_numbers, shape_of, terms_of
-from atoll.expression.writing.sums import ONE, Monomial, UndefinedError
 from atoll_coordinator.model.refinement import Refined, SharedTerm
 from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.builder import ProgramBuilder
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.writing.layout import written
+from atoll_core.expression.writing.opened import inner_numbers, shape_of, terms_of
+from atoll_core.expression.writing.sums import ONE, Monomial, UndefinedError
 
 _SAME_NUMBER: Final = 1e-9
 """Share by which a number in a term may differ from the constant that it is."""

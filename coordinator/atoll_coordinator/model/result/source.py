@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.recording import Preparation, Recording, Source, Trajectory
 from atoll_coordinator.model.result.numbers import curve, thinned
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray
 
 MOST_ROWS: Final = 2_000
 """Rows listed, all trajectories together; of more, rows spread evenly."""

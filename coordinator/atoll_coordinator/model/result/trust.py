@@ -10,9 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.data.dataset import Dataset, FloatArray, Target
-from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
-from atoll.wire.messages.views import FINAL_STATES, JobState
 from atoll_coordinator.data.recording import Preparation, Recording, Source
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import (
@@ -27,6 +24,9 @@ from atoll_coordinator.model.refinement import (
     Simulation,
 )
 from atoll_coordinator.model.result.numbers import curve, finite, thinned
+from atoll_core.data.dataset import Dataset, FloatArray, Target
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll_core.wire.messages.views import FINAL_STATES, JobState
 
 MOST_POINTS: Final = 200
 """Points of one simulated trajectory in a result; a longer one is thinned evenly."""

@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll.data.dataset import EXACT_ERROR, FloatArray
-from atoll.expression.evaluation import values_of
-from atoll.expression.program import Program, structure
 from atoll_coordinator.model.criteria import validated_length
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import SelectedModel
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import EXACT_ERROR, FloatArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program, structure
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset, Problem
-from atoll.expression.program import Program, structure
-from atoll.expression.writing.shortest import collected, shortest
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
@@ -19,6 +15,10 @@ from atoll_coordinator.model.selection.comparison import ModelComparison, distin
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.structure.term_libraries import Term
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, Problem
+from atoll_core.expression.program import Program, structure
+from atoll_core.expression.writing.shortest import collected, shortest
 
 
 @dataclass(frozen=True, eq=False)

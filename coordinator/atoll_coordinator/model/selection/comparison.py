@@ -13,9 +13,6 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program, constant_places, structure
-from atoll.expression.restrictions import NONE, Restrictions
 from atoll_coordinator.model.criteria import (
     TrajectoryMisfit,
     constant_nats_of,
@@ -30,6 +27,9 @@ from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting,
 from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.restrictions import NONE, Restrictions
 
 Item = TypeVar("Item")
 _REPEATED: Final = 10.0 * SETTINGS.effort.settled

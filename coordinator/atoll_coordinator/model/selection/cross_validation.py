@@ -9,11 +9,11 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

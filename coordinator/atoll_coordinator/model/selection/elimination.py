@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.operators import ARITY, CONSTANT, DIVIDE
-from atoll.expression.program import Program
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, column_of, sum_of
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray, Problem
+from atoll_core.expression.operators import ARITY, CONSTANT, DIVIDE
+from atoll_core.expression.program import Program
 
 
 def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term]) -> list[FittedModel]:

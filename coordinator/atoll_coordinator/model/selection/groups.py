@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.program import Program, constant_places, structure
-from atoll.expression.restrictions import NONE, Restrictions
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray, Problem
+from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.restrictions import NONE, Restrictions
 
 
 class GroupedRows:

@@ -13,12 +13,6 @@ from functools import cached_property
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset
-from atoll.expression.operators import BY_NAME
-from atoll.expression.program import Program
-from atoll.expression.restrictions import Restrictions, restrictions_of
-from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.criteria import is_function
 from atoll_coordinator.model.deadline import Deadline
@@ -35,6 +29,12 @@ from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import Program
+from atoll_core.expression.restrictions import Restrictions, restrictions_of
+from atoll_core.expression.writing.shortest import shortest
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,13 +5,13 @@ from typing import Final
 
 import numpy as np
 
-from atoll.expression.program import Program, constant_places, with_constants
-from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import least_term_length
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.writing.shortest import collected
 
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
 

@@ -8,7 +8,6 @@ longest that can be fitted are taken.
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from atoll.expression.program import Program
 from atoll_coordinator.model.selection.joint_search import (
     ModellingTask,
     SelectedModel,
@@ -19,6 +18,7 @@ from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, select_without_wrong_law, with_laws
 from atoll_coordinator.model.selection.stretches import in_stretches
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.program import Program
 
 
 def select_model(task: ModellingTask) -> SelectedModel | None:

@@ -9,15 +9,15 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program, constant_places, with_constants
-from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.rounding import Rounding, find_simple, quadratic_form, round_estimates
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.writing.shortest import collected
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.expression.program import Program
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
@@ -24,6 +23,7 @@ from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.sparse.laws import find_all_laws
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.program import Program
 
 _LEAST_SIZE: Final = 1e-4
 """Errors are taken to be so large, at least. They grow to the root of that, g-fold; the normal equations of constants

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll.expression.program import Program
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.program import Program
 
 
 def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingTask:

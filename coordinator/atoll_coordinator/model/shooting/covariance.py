@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_core.data.dataset import FloatArray
 
 _LEAST_EIGENVALUE: Final = 1e-11
 """Smaller eigenvalues of the normal matrix with a unit diagonal are those of rounding."""

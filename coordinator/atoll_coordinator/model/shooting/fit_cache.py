@@ -7,9 +7,9 @@ import threading
 from collections import OrderedDict
 from typing import Final, Generic, TypeVar
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.system import System
+from atoll_core.data.dataset import FloatArray
 
 _ROOM_BYTES: Final = 64_000_000
 """Fits that are remembered take about so much together; beyond, the oldest go."""

@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_core.data.dataset import FloatArray
 
 ROUGHNESS_VARIANCE: Final = 35.0 / 9.0
 """Relative variance of the variance that `roughness` estimates, times the rows: second differences of independent

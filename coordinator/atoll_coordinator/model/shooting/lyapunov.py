@@ -11,8 +11,8 @@ from itertools import groupby
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_core.data.dataset import FloatArray
 
 
 def growth_rate(fit: TrajectoryFit) -> float:

@@ -14,12 +14,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.data.recording import Recording, Trajectory
 from atoll_coordinator.model.shooting.variance import VarianceModel, estimate_variance
 from atoll_coordinator.model.thinning import lattice_step
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 _LARGEST_SHARE: Final = 0.1
 """Variance of normal errors over the squared reach of robustness weights, at most: beyond, what lies outside of the

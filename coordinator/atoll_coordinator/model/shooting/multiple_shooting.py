@@ -15,8 +15,6 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
@@ -29,6 +27,8 @@ from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 _FREE_STEPS: Final = (4.0, 12.0, 1.0)
 """Steps for each row that do not count as more work, by the quick, the precise and the implicit method."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
-from atoll.expression.operators import CONSTANT, VARIABLE
-from atoll.expression.program import Program
 from atoll_coordinator.model.shooting.kernels.rates import Tape
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
+from atoll_core.expression.operators import CONSTANT, VARIABLE
+from atoll_core.expression.program import Program
 
 Place = tuple[int, int]
 """A constant: its equation, and its node there."""

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.recording import Recording
+from atoll_core.data.dataset import FloatArray
 
 _SHARES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
 """Proportional shares that are tried; at the last, errors at zero are a tenth of those at the root mean square."""

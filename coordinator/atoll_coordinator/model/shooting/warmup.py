@@ -5,11 +5,11 @@ from typing import Final
 
 import numpy as np
 
-from atoll.expression.operators import ADD, CONSTANT, MULTIPLY, VARIABLE
-from atoll.expression.program import Program
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import System, system_of
+from atoll_core.expression.operators import ADD, CONSTANT, MULTIPLY, VARIABLE
+from atoll_core.expression.program import Program
 
 TOLERANCES: Final = (1e-8, 1e-3)
 """One for either table of the integration."""

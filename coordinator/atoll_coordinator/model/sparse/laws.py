@@ -6,12 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset, FloatArray, Problem
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import ADD, BY_NAME, MULTIPLY
-from atoll.expression.program import MAX_NODES, Program, constant_places, structure
-from atoll.expression.writing.shortest import collected
 from atoll_coordinator.data.recording import Preparation, Recording, by_group
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.refinement import Law, LawsByGroup, may_be_shown
@@ -24,6 +18,12 @@ from atoll_coordinator.model.sparse.windows.laws import WindowEquation, find_win
 from atoll_coordinator.model.sparse.windows.rows import window_rows
 from atoll_coordinator.model.structure.term_libraries import sum_of
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, FloatArray, Problem
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import ADD, BY_NAME, MULTIPLY
+from atoll_core.expression.program import MAX_NODES, Program, constant_places, structure
+from atoll_core.expression.writing.shortest import collected
 
 
 def find_all_laws(

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Mapping
 
-from atoll.expression.operators import ADD, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SQUARE, SUBTRACT, VARIABLE
-from atoll.expression.program import Program
 from atoll_coordinator.model.structure.term_libraries import Factor, Term
+from atoll_core.expression.operators import ADD, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SQUARE, SUBTRACT, VARIABLE
+from atoll_core.expression.program import Program
 
 _Sum = Mapping[tuple[int, ...], float]
 """Coefficients by the variables of a product, sorted, as often as they are its factors."""

@@ -17,15 +17,15 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.operators import ADD, MULTIPLY
-from atoll.expression.program import Program
-from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.damping import FIRST_DAMPING
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes, sum_program
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray, Problem
+from atoll_core.expression.operators import ADD, MULTIPLY
+from atoll_core.expression.program import Program
+from atoll_core.expression.writing.shortest import collected
 
 _DEGREE: Final = SETTINGS.sparse.degree - 1
 """Highest degree of the polynomial that functions are added to; products with functions have one less."""

@@ -7,13 +7,13 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
 from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.weak_form import WeakForm
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, sum_of
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 
 def libraries(columns: Sequence[int], rows: float) -> Iterator[tuple[list[Term], bool]]:

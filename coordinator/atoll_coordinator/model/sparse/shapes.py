@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.builder import Expression, ProgramBuilder
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import (
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.builder import Expression, ProgramBuilder
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import (
     ADD,
     COS,
     DIVIDE,
@@ -28,7 +28,7 @@ from atoll.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll.expression.program import Program
+from atoll_core.expression.program import Program
 
 _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
 _BOTH_SIGNS: Final = (*_RATES, *(-rate for rate in _RATES))

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
 from atoll_coordinator.model.structure.term_libraries import Term
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,6 @@
 - `simulation`: ensembles and the stationary density, beside the measurements
 - `conclusion`: errors of constants, verdicts, what is reported
 
-`pipeline` calls `choice` and `conclusion`. The moments of a step and the paths of a process are in `atoll.stochastic`.
-The reasons and figures: ADR 0044.
+`pipeline` calls `choice` and `conclusion`. The moments of a step and the paths of a process are in
+`atoll_coordinator.stochastic`. The reasons and figures: ADR 0044.
 """

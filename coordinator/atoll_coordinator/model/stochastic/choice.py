@@ -17,11 +17,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset
-from atoll.expression.builder import ProgramBuilder
-from atoll.expression.program import Program, constant_places, structure
-from atoll.expression.restrictions import Restrictions, restrictions_of
 from atoll_coordinator.data.increments.steps import Steps, take_steps
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.criteria import constant_nats_of, system_length
@@ -31,6 +26,11 @@ from atoll_coordinator.model.stochastic.likelihood import FittedProcess, Process
 from atoll_coordinator.model.stochastic.regression import CandidateFinder
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset
+from atoll_core.expression.builder import ProgramBuilder
+from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.restrictions import Restrictions, restrictions_of
 
 _ZERO: Final = b"zero"
 """By what rivals keep the equation that is zero."""

@@ -13,17 +13,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset, FloatArray, Problem, Target
-from atoll.expression.evaluation import values_of
-from atoll.expression.program import Program, constant_places, with_constants
-from atoll.expression.unit_coefficients import (
-    ExplicitCoefficients,
-    as_written,
-    make_coefficients_explicit,
-    write_factors,
-)
-from atoll.stochastic.paths import Simulator
 from atoll_coordinator.data.increments.bins import Rows, split_into_bins
 from atoll_coordinator.data.increments.steps import take_steps
 from atoll_coordinator.model.inference.residuals import check
@@ -46,6 +35,17 @@ from atoll_coordinator.model.stochastic.choice import ChosenProcess, is_zero
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.simulation import settle, simulate_ensemble
 from atoll_coordinator.settings import SETTINGS
+from atoll_coordinator.stochastic.paths import Simulator
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, FloatArray, Problem, Target
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.unit_coefficients import (
+    ExplicitCoefficients,
+    as_written,
+    make_coefficients_explicit,
+    write_factors,
+)
 
 _NO_COVARIANCE: Final = "The noises of these states show no correlation that is worth its description."
 _NO_VARIANCE: Final = "This state has no noise of its own: the noise of the states that it follows explains its steps."

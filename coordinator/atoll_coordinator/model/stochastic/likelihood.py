@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program, constant_places, with_constants
-from atoll.expression.restrictions import Restrictions
-from atoll.stochastic.moments import Discretisation, Pair, StepMoments, step_moments
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
 from atoll_coordinator.settings import SETTINGS
+from atoll_coordinator.stochastic.moments import Discretisation, Pair, StepMoments, step_moments
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.restrictions import Restrictions
 
 _DIFFERENCE = 1e-5
 """Share of a constant by which it is moved to find derivatives: central differences err by its square."""

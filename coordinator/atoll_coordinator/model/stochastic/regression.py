@@ -19,14 +19,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import FloatArray, Problem, Target
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import ADD, BY_NAME, MULTIPLY
-from atoll.expression.program import Program, constant_places, structure
-from atoll.expression.restrictions import restrictions_of
-from atoll.expression.unit_coefficients import make_coefficients_explicit
-from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.increments.bins import split_into_bins
 from atoll_coordinator.data.increments.differences import all_windows
 from atoll_coordinator.data.increments.moments import lagged, products
@@ -39,6 +31,14 @@ from atoll_coordinator.model.sparse.regression import eliminated, libraries
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
 from atoll_coordinator.model.structure.term_libraries import Term, sum_of
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray, Problem, Target
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import ADD, BY_NAME, MULTIPLY
+from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.restrictions import restrictions_of
+from atoll_core.expression.unit_coefficients import make_coefficients_explicit
+from atoll_core.expression.writing.shortest import shortest
 
 _STEPS: Final = 3
 """Steps of a difference by which noise is told from drift."""

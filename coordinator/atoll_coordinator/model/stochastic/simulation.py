@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from atoll.stochastic.densities import density_of, histograms, settled_paths
-from atoll.stochastic.paths import PATHS, Ensemble, Simulator
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.refinement import MeasuredDensity
+from atoll_coordinator.stochastic.densities import density_of, histograms, settled_paths
+from atoll_coordinator.stochastic.paths import PATHS, Ensemble, Simulator
 
 _STEPS = 500
 """That are shown of an ensemble."""

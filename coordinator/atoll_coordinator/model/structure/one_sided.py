@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.refinement import Constant
+from atoll_core.data.dataset import FloatArray
 
 
 def one_sided_reaches(

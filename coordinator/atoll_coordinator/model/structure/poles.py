@@ -9,10 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import CONSTANT, DIVIDE, INVERSE, LOG, MULTIPLY, NEGATE, POW, SQUARE
-from atoll.expression.program import Program
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import CONSTANT, DIVIDE, INVERSE, LOG, MULTIPLY, NEGATE, POW, SQUARE
+from atoll_core.expression.program import Program
 
 _HALVINGS: Final = 50
 _NEAR: Final = (1e-4, 1e-5)

@@ -12,12 +12,12 @@ from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.builder import Expression, ProgramBuilder
-from atoll.expression.operators import ADD, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
-from atoll.expression.program import Program
-from atoll.expression.simplification import simplify_program
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.builder import Expression, ProgramBuilder
+from atoll_core.expression.operators import ADD, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
+from atoll_core.expression.program import Program
+from atoll_core.expression.simplification import simplify_program
 
 
 @dataclass(frozen=True)

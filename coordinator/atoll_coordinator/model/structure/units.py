@@ -1,11 +1,11 @@
 """Units of the constants of an equation, from those of the columns."""
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset
-from atoll.errors import UsageError
-from atoll.expression.dimensions import EquationUnits, units_of
-from atoll.expression.program import Program
-from atoll.units import NO_UNIT, Unit, parse_unit
+from atoll_coordinator.dimensions import EquationUnits, units_of
+from atoll_coordinator.units import NO_UNIT, Unit, parse_unit
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset
+from atoll_core.errors import UsageError
+from atoll_core.expression.program import Program
 
 _VELOCITY = "_dot"
 

@@ -16,9 +16,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from atoll.machine.garbage import collect_rarely
-from atoll.machine.usage import memory_bytes
 from atoll_coordinator.service.background.child_process import OTHER_VERSION, version
+from atoll_core.machine.garbage import collect_rarely
+from atoll_core.machine.usage import memory_bytes
 
 Task = tuple[bool, Callable[[], Any]]
 """Whether an answer is awaited, and what is to be called."""
@@ -33,8 +33,8 @@ _LOG = logging.getLogger(__name__)
 
 def load_preparation() -> None:
     """Load what preparing needs; its kernels are loaded as they are needed."""
-    import atoll.data.table  # noqa: F401
     import atoll_coordinator.data.prepare  # noqa: F401
+    import atoll_core.data.table  # noqa: F401
 
 
 def ready_preparation() -> None:

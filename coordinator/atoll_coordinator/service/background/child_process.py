@@ -16,8 +16,8 @@ import threading
 from collections.abc import Callable
 from typing import Any, Final
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.errors import AtollError
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.errors import AtollError
 
 END_LIMIT_S: Final = 5.0
 """How long a process that was killed, or has closed its pipe, may take to be gone."""

@@ -10,10 +10,10 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Final, TypeVar
 
-from atoll.errors import AtollError
-from atoll.logs import fields
-from atoll.machine.cores import usable_cores
 from atoll_coordinator.service.background.child_process import ChildProcess, ProcessDiedError, TookTooLongError
+from atoll_core.errors import AtollError
+from atoll_core.logs import fields
+from atoll_core.machine.cores import usable_cores
 
 LIMIT_S: Final = 3_600.0
 """Far above what preparing or refining takes: a task that takes longer hangs, and is ended."""

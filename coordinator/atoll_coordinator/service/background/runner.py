@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from atoll.config import JobConfig
 from atoll_coordinator.model.refinement import Pools
 from atoll_coordinator.service.background.child_main import load_refinement, ready_preparation
 from atoll_coordinator.service.background.ports import Ports
@@ -19,6 +18,7 @@ from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.monitoring.breakages import what_to_send
 from atoll_coordinator.service.search.archipelago import Checkpoint
 from atoll_coordinator.service.store.store import Store
+from atoll_core.config import JobConfig
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,10 +5,6 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from atoll.config import JobConfig
-from atoll.errors import DataError, RemoteProtocolError, UsageError
-from atoll.logs import fields
-from atoll.wire.codec import dataset_to_bytes
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
@@ -16,6 +12,10 @@ from atoll_coordinator.model.result.known import known_entries, with_remarks
 from atoll_coordinator.service.jobs.defaults import resolve, with_units
 from atoll_coordinator.service.jobs.job import Fault, Prepared
 from atoll_coordinator.service.monitoring.breakages import what_to_send
+from atoll_core.config import JobConfig
+from atoll_core.errors import DataError, RemoteProtocolError, UsageError
+from atoll_core.logs import fields
+from atoll_core.wire.codec import dataset_to_bytes
 
 _LOG = logging.getLogger(__name__)
 
@@ -68,8 +68,8 @@ def prepare_table(table: bytes, config: JobConfig) -> Preparation:
         UsageError: Options contradict each other or name columns that are not there.
         RemoteProtocolError: The bytes are not those of a table.
     """
-    from atoll.data.table import Table
     from atoll_coordinator.data.prepare import prepare
+    from atoll_core.data.table import Table
 
     return prepare(Table.from_bytes(table), config)
 

@@ -5,11 +5,11 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from atoll import ENGINE_REVISION, VERSION
-from atoll.config import JobConfig
-from atoll.errors import RemoteProtocolError
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.search.checkpoints import StoredSearchState
+from atoll_core import ENGINE_REVISION, VERSION
+from atoll_core.config import JobConfig
+from atoll_core.errors import RemoteProtocolError
 
 DAMAGED_RECORD: Final = "its record in the coordinator's store is damaged; submit it again under another id"
 

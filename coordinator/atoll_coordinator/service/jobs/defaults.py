@@ -2,11 +2,11 @@
 
 from typing import Final
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset, Target
 from atoll_coordinator.data.prior_knowledge import resolve_prior
 from atoll_coordinator.data.recording import STENCIL_ROWS, Recording, Source
 from atoll_coordinator.service.search.collector import Stagnation
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, Target
 
 ROWS_CLEAN: Final = 16
 ROWS_NOISY: Final = 32

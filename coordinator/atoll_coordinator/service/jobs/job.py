@@ -4,15 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset, Target
-from atoll.errors import LocalProtocolError, RemoteProtocolError
-from atoll.expression.program import check_program_bytes
-from atoll.search.commit_order import CommitOrder
-from atoll.search.pareto import FrontEntry
-from atoll.wire.messages.limits import chunk_count
-from atoll.wire.messages.views import FINAL_STATES, JobState
-from atoll.wire.messages.workers import Commit, EpochReport, JobAnnouncement
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import count_constants, front_length
 from atoll_coordinator.model.refinement import LawsByGroup, Pool, Refinement
@@ -22,6 +13,15 @@ from atoll_coordinator.service.search.checkpoints import StoredSearchState
 from atoll_coordinator.service.search.collector import DivergedError, Limits, Measure
 from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, Target
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.expression.program import check_program_bytes
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.search.pareto import FrontEntry
+from atoll_core.wire.messages.limits import chunk_count
+from atoll_core.wire.messages.views import FINAL_STATES, JobState
+from atoll_core.wire.messages.workers import Commit, EpochReport, JobAnnouncement
 
 SEARCH_SHARE: Final = 0.5
 """Share of what preparing leaves of `--max-time` that the search may take: refining takes about as long."""

@@ -10,15 +10,15 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from typing import Final
 
-from atoll import VERSION
-from atoll.config import JobConfig
-from atoll.errors import StoreError
-from atoll.logs import fields
+from atoll_core import VERSION
+from atoll_core.config import JobConfig
+from atoll_core.errors import StoreError
+from atoll_core.logs import fields
 
 _LOG = logging.getLogger(__name__)
 
 MAX_PLACES: Final = 1000
-"""Places told apart at most, as in `atoll.wire.rejects`; what breaks elsewhere is counted alone."""
+"""Places told apart at most, as in `atoll_core.wire.rejects`; what breaks elsewhere is counted alone."""
 
 
 def what_to_send(config: JobConfig, *, is_certain: bool = True) -> str:

@@ -1,8 +1,8 @@
 """What live jobs have cost beside their point evaluations. Pure."""
 
-from atoll.wire.messages.views import JobCounters
-from atoll.wire.messages.workers import Holding
 from atoll_coordinator.service.jobs.job import Job
+from atoll_core.wire.messages.views import JobCounters
+from atoll_core.wire.messages.workers import Holding
 
 
 class CounterRegistry:

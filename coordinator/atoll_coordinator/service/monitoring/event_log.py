@@ -9,16 +9,16 @@ import logging
 from collections.abc import Callable
 from typing import Any, Final
 
-from atoll.logs import fields
-from atoll.wire.messages.clients import Submit
-from atoll.wire.messages.handshake import Hello
-from atoll.wire.messages.views import EventKind, EventView
-from atoll.wire.messages.workers import Placement
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.search.archipelago import ArchipelagoKey, Checkpoint
 from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.store import Store
+from atoll_core.logs import fields
+from atoll_core.wire.messages.clients import Submit
+from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.messages.views import EventKind, EventView
+from atoll_core.wire.messages.workers import Placement
 
 _LOG = logging.getLogger("coordinator")
 

@@ -7,10 +7,6 @@ from typing import Any, Literal, cast
 
 from pydantic import ValidationError
 
-from atoll import VERSION
-from atoll.config import JobConfig
-from atoll.expression.text.infix import to_infix
-from atoll.wire.messages.views import FINAL_STATES, JobCounters, JobState, JobView, VariableView
 from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from atoll_coordinator.model.result.trust import verdict
@@ -20,6 +16,10 @@ from atoll_coordinator.service.jobs.queue import Line
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.cut import Improvement, Why
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_core import VERSION
+from atoll_core.config import JobConfig
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.wire.messages.views import FINAL_STATES, JobCounters, JobState, JobView, VariableView
 
 
 def job_result(job: Job, now: float) -> dict[str, Any]:

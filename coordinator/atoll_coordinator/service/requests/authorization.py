@@ -6,9 +6,9 @@ so, as the answer to its greeting. Who may end which job cannot be said by rules
 
 from typing import Final, Protocol
 
-from atoll.wire.messages.clients import Ask, Cancel, Delete
-from atoll.wire.messages.handshake import Hello
-from atoll.wire.security.access_control import Role, Roster
+from atoll_core.wire.messages.clients import Ask, Cancel, Delete
+from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.security.access_control import Role, Roster
 
 _MAY: Final[dict[Role, str]] = {
     "coordinator": "serve",

@@ -3,8 +3,13 @@
 from collections.abc import Callable
 from typing import Final
 
-from atoll.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
-from atoll.wire.messages.clients import (
+from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.requests.authorization import Authorization
+from atoll_coordinator.service.requests.deletion import JobDeletion
+from atoll_coordinator.service.requests.uploads import Uploads
+from atoll_coordinator.service.store.store import Store
+from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
+from atoll_core.wire.messages.clients import (
     Ask,
     Cancel,
     Delete,
@@ -27,17 +32,12 @@ from atoll.wire.messages.clients import (
     WorkerList,
     Workers,
 )
-from atoll.wire.messages.limits import CHUNK_SIZE
-from atoll.wire.messages.views import CoordinatorView, JobView
-from atoll_coordinator.service.controller import Controller
-from atoll_coordinator.service.requests.authorization import Authorization
-from atoll_coordinator.service.requests.deletion import JobDeletion
-from atoll_coordinator.service.requests.uploads import Uploads
-from atoll_coordinator.service.store.store import Store
+from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.messages.views import CoordinatorView, JobView
 
 MAX_PAGE_BYTES: Final = CHUNK_SIZE
 """Of a list of jobs, as JSON, unless a single one has more: each item of a message has two bytes of JSON at least, so
-that the list keeps to `atoll.wire.codec.MAX_ITEMS`."""
+that the list keeps to `atoll_core.wire.codec.MAX_ITEMS`."""
 
 _SHOWN: Final = 5
 

@@ -2,10 +2,10 @@
 
 from typing import Final
 
-from atoll.errors import RefusedError
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
+from atoll_core.errors import RefusedError
 
 CHECK_INTERVAL_S: Final = 60.0
 """How often expired jobs are looked for; while there are some, one is deleted at each tick."""

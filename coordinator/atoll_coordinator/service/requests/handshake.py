@@ -3,18 +3,18 @@
 import logging
 from collections.abc import Callable
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.errors import RemoteProtocolError
-from atoll.logs import fields
-from atoll.wire import topics
-from atoll.wire.codec import decode
-from atoll.wire.messages.handshake import Greeting, Hello, Refusal, Welcome
-from atoll.wire.messages.limits import MAX_MESSAGE
-from atoll.wire.rejects import Rejects
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.membership import version_refusal
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.logs import fields
+from atoll_core.wire import topics
+from atoll_core.wire.codec import decode
+from atoll_core.wire.messages.handshake import Greeting, Hello, Refusal, Welcome
+from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.rejects import Rejects
 
 _LOG = logging.getLogger(__name__)
 

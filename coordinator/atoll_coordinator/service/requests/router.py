@@ -2,21 +2,21 @@
 
 from collections.abc import Callable
 
-from atoll.errors import RemoteProtocolError, StoreError
-from atoll.wire import topics
-from atoll.wire.bus.interface import Query
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.clients import Answer, Ask, Failure
-from atoll.wire.messages.handshake import GreetingAnswer
-from atoll.wire.messages.limits import MAX_MESSAGE
-from atoll.wire.messages.workers import Control, Pull, PullAnswer, PullStates, States
-from atoll.wire.rejects import Rejects
-from atoll.wire.state_transfer import State, split_states
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.jobs import checks
 from atoll_coordinator.service.requests.clients import Body, ClientRequests
 from atoll_coordinator.service.requests.handshake import Handshake, refusal
 from atoll_coordinator.service.store.store import Store
+from atoll_core.errors import RemoteProtocolError, StoreError
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Query
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.clients import Answer, Ask, Failure
+from atoll_core.wire.messages.handshake import GreetingAnswer
+from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.messages.workers import Control, Pull, PullAnswer, PullStates, States
+from atoll_core.wire.rejects import Rejects
+from atoll_core.wire.state_transfer import State, split_states
 
 
 class RequestRouter:

@@ -8,10 +8,10 @@ import hashlib
 from collections.abc import Callable
 from typing import Final
 
-from atoll.errors import RefusedError
-from atoll.wire.messages.clients import Upload, Uploaded
-from atoll.wire.messages.limits import CHUNK_LIMIT_S, CHUNK_SIZE
 from atoll_coordinator.service.store.store import Room, Store
+from atoll_core.errors import RefusedError
+from atoll_core.wire.messages.clients import Upload, Uploaded
+from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, CHUNK_SIZE
 
 MAX_STORED_BYTES: Final = 16 * 1024**3
 """Uploads are refused when all tables and datasets together would take more than this."""

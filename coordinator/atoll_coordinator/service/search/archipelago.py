@@ -8,18 +8,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from atoll.errors import RemoteProtocolError
-from atoll.wire.messages.workers import (
-    Commit,
-    EpochReport,
-    Holding,
-    Placement,
-    PullReports,
-    PullStates,
-    Schedule,
-    States,
-)
-from atoll.wire.state_transfer import State
 from atoll_coordinator.service.search.checkpoint_schedule import (
     FIRST_INTERVAL,
     common_epoch,
@@ -29,6 +17,18 @@ from atoll_coordinator.service.search.checkpoint_schedule import (
 from atoll_coordinator.service.search.checkpoints import Gathering, StoredSearchState
 from atoll_coordinator.service.search.collector import Collector, Limits, Measure, SearchState
 from atoll_coordinator.service.search.cut import Cut
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.wire.messages.workers import (
+    Commit,
+    EpochReport,
+    Holding,
+    Placement,
+    PullReports,
+    PullStates,
+    Schedule,
+    States,
+)
+from atoll_core.wire.state_transfer import State
 
 FORGET_EPOCHS: Final = 16
 """Commits that only say what workers may forget are published in steps of so many epochs."""

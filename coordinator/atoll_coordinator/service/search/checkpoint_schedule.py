@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Final
 
-from atoll.wire.messages.workers import Schedule
+from atoll_core.wire.messages.workers import Schedule
 
 FIRST_INTERVAL: Final = 8
 """Epochs before the first checkpoint, when nothing has been measured; a short search ends before."""

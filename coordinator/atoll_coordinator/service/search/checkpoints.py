@@ -5,12 +5,12 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-from atoll import ENGINE_REVISION
-from atoll.config import Model
-from atoll.wire.messages.workers import Placement, PullStates, States
-from atoll.wire.state_transfer import Assembly, State
 from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.cut import Convergence, CutEntry, entries, stored
+from atoll_core import ENGINE_REVISION
+from atoll_core.config import Model
+from atoll_core.wire.messages.workers import Placement, PullStates, States
+from atoll_core.wire.state_transfer import Assembly, State
 
 
 class Counted(Model):

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from atoll.errors import AtollError, RemoteProtocolError
-from atoll.search.commit_order import CommitOrder, Position
-from atoll.search.pareto import FrontEntry, merge, runners_up
-from atoll.wire.messages.workers import Addition, IslandReport
 from atoll_coordinator.service.search.cut import Convergence, Cut, Improvement, Why, stored
+from atoll_core.errors import AtollError, RemoteProtocolError
+from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.search.pareto import FrontEntry, merge, runners_up
+from atoll_core.wire.messages.workers import Addition, IslandReport
 
 IMPROVEMENT_NATS: Final = 1.0
 """A front is better when its least description length falls by at least this much; polishing of digits is not."""

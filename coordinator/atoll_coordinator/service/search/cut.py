@@ -5,15 +5,15 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from atoll.config import Model
-from atoll.search.pareto import FrontEntry
 from atoll_coordinator.model.refinement import Pool
+from atoll_core.config import Model
+from atoll_core.search.pareto import FrontEntry
 
 Why = Literal["target", "law", "stagnation", "max-epochs", "max-time", "cancelled"]
 
 
 class CutEntry(Model):
-    """A `atoll.search.pareto.FrontEntry` as it is stored."""
+    """A `atoll_core.search.pareto.FrontEntry` as it is stored."""
 
     complexity: int
     error: float
@@ -49,7 +49,7 @@ class Cut(Model):
     `epochs` are counted, so the last one is `epochs` - 1; `generation`, counted from the start of the search, is the
     one that met the target (None: it was not met, and the last epoch counts to its end); `evaluations` are point
     evaluations by part of all islands up to the cut; `seconds` run from the first epoch's start to the end of the last
-    slice that counts; `runners_up` are what was kept beside the front (`atoll.search.pareto.runners_up`);
+    slice that counts; `runners_up` are what was kept beside the front (`atoll_core.search.pareto.runners_up`);
     `convergence` is that of each island.
     """
 

@@ -7,9 +7,9 @@ being written, so that none waits for ever, and one that is larger than the limi
 from collections.abc import Mapping
 from typing import Final
 
-from atoll.wire.messages.limits import CHUNK_SIZE
-from atoll.wire.messages.workers import PullStates, States
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey, Checkpoint
+from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.messages.workers import PullStates, States
 
 MAX_PULLS: Final = 4
 """Pulls of states under way at the same time; with 4 MB an answer, what may come in at once."""

@@ -5,8 +5,8 @@ import sqlite3
 from collections.abc import Iterable
 from typing import Final, Literal, cast
 
-from atoll.errors import RemoteProtocolError
-from atoll.wire.messages.limits import CHUNK_SIZE, chunk_count
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
 
 Upload = Literal["partial", "whole", "wrong"]
 """How an upload stands: chunks are missing; it is there; its bytes did not have its digest, and it is forgotten."""

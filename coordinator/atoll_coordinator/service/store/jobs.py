@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from typing import Final, cast
 
-from atoll.errors import LocalProtocolError
+from atoll_core.errors import LocalProtocolError
 
 
 @dataclass(frozen=True, slots=True)

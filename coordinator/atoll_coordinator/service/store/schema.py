@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from atoll.errors import StoreError
+from atoll_core.errors import StoreError
 
 FILE_NAME: Final = "atoll.sqlite3"
 LOCK_NAME: Final = "lock"

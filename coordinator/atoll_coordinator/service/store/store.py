@@ -16,10 +16,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from atoll.errors import LocalProtocolError, RemoteProtocolError, StoreError
-from atoll.wire.messages.limits import chunk_count
-from atoll.wire.messages.views import FINAL_STATES, StoreView
-from atoll.wire.state_transfer import State
 from atoll_coordinator.service.store import archipelagos as archipelago_table
 from atoll_coordinator.service.store import blobs as blob_table
 from atoll_coordinator.service.store import checkpoints as checkpoint_table
@@ -30,6 +26,10 @@ from atoll_coordinator.service.store.deaths import Death
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.schema import Lock, connect, translated
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError, StoreError
+from atoll_core.wire.messages.limits import chunk_count
+from atoll_core.wire.messages.views import FINAL_STATES, StoreView
+from atoll_core.wire.state_transfer import State
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ class Store:
     def job_page(
         self, prefix: str = "", *, is_open: bool = False, before: int | None = None, limit: int = 1
     ) -> tuple[tuple[int, str], ...]:
-        """Return numbers and ids of the last jobs that came, the last first; see `atoll.wire.messages.clients.Jobs`."""
+        """Return numbers and ids of the last jobs that came, the last first; see `wire.messages.clients.Jobs`."""
         with self._transaction() as sql:
             return job_table.page(sql, prefix, is_open, before, limit)
 

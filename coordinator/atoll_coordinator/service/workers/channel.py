@@ -1,9 +1,9 @@
 """How the coordinator reaches workers over the bus."""
 
-from atoll.wire import topics
-from atoll.wire.bus.interface import Bus
-from atoll.wire.codec import encode
-from atoll.wire.messages.workers import Control, ControlBody, Pull, PullReports, PullStates
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Bus
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.workers import Control, ControlBody, Pull, PullReports, PullStates
 
 PULL_TIMEOUT_S = 5.0
 

@@ -8,21 +8,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Final, Protocol
 
-from atoll.compilation.sources import WORKER, source_digest
-from atoll.errors import RemoteProtocolError
-from atoll.wire.codec import encode
-from atoll.wire.messages.handshake import Hello
-from atoll.wire.messages.workers import (
-    Close,
-    Holding,
-    Introduce,
-    IslandFailure,
-    Placement,
-    Placements,
-    PullReports,
-    Shutdown,
-    WorkerStatus,
-)
 from atoll_coordinator.service.jobs.job import Fault, Job
 from atoll_coordinator.service.monitoring.breakages import Breakages, JobGuard, what_to_send
 from atoll_coordinator.service.monitoring.counters import CounterRegistry
@@ -37,6 +22,21 @@ from atoll_coordinator.service.workers.quarantine import Quarantine
 from atoll_coordinator.service.workers.reconciliation import corrections
 from atoll_coordinator.service.workers.scheduling import Assignment, Scheduler
 from atoll_coordinator.service.workers.stalls import StallDetector
+from atoll_core.compilation.sources import WORKER, source_digest
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.messages.workers import (
+    Close,
+    Holding,
+    Introduce,
+    IslandFailure,
+    Placement,
+    Placements,
+    PullReports,
+    Shutdown,
+    WorkerStatus,
+)
 
 
 class LiveJobs(Protocol):

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.wire.messages.handshake import Hello
-from atoll.wire.messages.views import Counters, WorkerState, WorkerView
-from atoll.wire.messages.workers import WorkerStatus
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.messages.views import Counters, WorkerState, WorkerView
+from atoll_core.wire.messages.workers import WorkerStatus
 
 LEASE_S: Final = 15.0
 """Silence after which a worker is lost although its presence is still shown: a process that hangs."""

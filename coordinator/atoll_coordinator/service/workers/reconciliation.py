@@ -2,7 +2,10 @@
 
 from collections.abc import Collection, Mapping
 
-from atoll.wire.messages.workers import (
+from atoll_coordinator.service.jobs.job import Job
+from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
+from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
+from atoll_core.wire.messages.workers import (
     Close,
     CloseJob,
     Commit,
@@ -12,9 +15,6 @@ from atoll.wire.messages.workers import (
     PullReports,
     WorkerStatus,
 )
-from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
-from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
 
 Correction = Close | CloseJob | Commit | Placements | PullReports
 

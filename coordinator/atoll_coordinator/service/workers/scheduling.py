@@ -5,12 +5,12 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from atoll.wire.messages.workers import Placement
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.service.workers.quarantine import Quarantine
+from atoll_core.wire.messages.workers import Placement
 
 REPLACE_WITHIN_S: Final = 5.0
 """A worker that joins this soon after a placement takes part in it: the little that was computed is computed again."""

@@ -1,4 +1,4 @@
-"""The compiled part of the search; see `atoll.compilation.jit` for what a kernel may do.
+"""The compiled part of the search; see `atoll_core.compilation.jit` for what a kernel may do.
 
 - ``variation``: random lists, crossover, mutation. ``tape``: from a list to its live nodes, and to a canonical program.
 - ``rows``: the rows that a measurement is made on. ``fit``: coefficients and constants fitted to rows; the loss.

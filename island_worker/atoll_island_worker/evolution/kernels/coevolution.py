@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from atoll.compilation.jit import kernel
-from atoll.expression.kernels.tape import Int
+from atoll_core.compilation.jit import kernel
+from atoll_core.expression.kernels.tape import Int
 from atoll_island_worker.evolution.kernels.generation import COEVOLUTION, residual_of_list
 from atoll_island_worker.evolution.kernels.predictors import INFINITY
 from atoll_island_worker.evolution.kernels.rows import gather

@@ -12,10 +12,10 @@ from typing import Final
 
 import numpy as np
 
-from atoll.compilation.jit import inlined
-from atoll.expression.kernels.lanes import LANES, add_scaled, copy, fill, lowest_bit, place, total_magnitude
-from atoll.expression.kernels.tape import Int, apply_operator, forward, reverse_block
-from atoll.expression.operators import ADD, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT, VARIABLE
+from atoll_core.compilation.jit import inlined
+from atoll_core.expression.kernels.lanes import LANES, add_scaled, copy, fill, lowest_bit, place, total_magnitude
+from atoll_core.expression.kernels.tape import Int, apply_operator, forward, reverse_block
+from atoll_core.expression.operators import ADD, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT, VARIABLE
 from atoll_island_worker.evolution.kernels.rows import centre_into, product
 from atoll_island_worker.evolution.kernels.tape import ARITY_OF
 from atoll_island_worker.evolution.kernels.variation import reset_scale

@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from atoll.compilation.jit import inlined, kernel
-from atoll.expression.kernels.lanes import LANES, add_scaled, copy, move, place, total_magnitude
-from atoll.expression.kernels.tape import Int, forward
-from atoll.expression.operators import CONSTANT, VARIABLE
+from atoll_core.compilation.jit import inlined, kernel
+from atoll_core.expression.kernels.lanes import LANES, add_scaled, copy, move, place, total_magnitude
+from atoll_core.expression.kernels.tape import Int, forward
+from atoll_core.expression.operators import CONSTANT, VARIABLE
 from atoll_island_worker.evolution.kernels.fit import collect_terms, fit, measure_plainly, residual_of
 from atoll_island_worker.evolution.kernels.predictors import predictor_generation
 from atoll_island_worker.evolution.kernels.random import Stream, below

@@ -4,8 +4,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.compilation.jit import inlined, kernel
-from atoll.expression.kernels.tape import forward
+from atoll_core.compilation.jit import inlined, kernel
+from atoll_core.expression.kernels.tape import forward
 from atoll_island_worker.evolution.kernels.fit import errors, fit, residual_of
 from atoll_island_worker.evolution.kernels.generation import INFINITY, REFITTING
 from atoll_island_worker.evolution.kernels.tape import canonical_tape, compile_tape

@@ -6,8 +6,8 @@ trainers. The losses of trainers at every row are kept, so that judging a predic
 
 import numpy as np
 
-from atoll.compilation.jit import inlined, kernel
-from atoll.expression.kernels.tape import Int
+from atoll_core.compilation.jit import inlined, kernel
+from atoll_core.expression.kernels.tape import Int
 from atoll_island_worker.evolution.kernels.random import Stream, below, uniform
 from atoll_island_worker.evolution.structures import Coevolution, Ints
 

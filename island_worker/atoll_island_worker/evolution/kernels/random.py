@@ -1,12 +1,13 @@
-"""The counter-based generator of `atoll.search.seeding` for kernels: a stream is one uint64 in an array of length 1."""
+"""The counter-based generator of `atoll_core.search.seeding` for kernels: a stream is one uint64 in an array of
+length 1."""
 
 import numpy as np
 import numpy.typing as npt
 
-from atoll.compilation.jit import inlined
-from atoll.expression.kernels.elementary import strict_cos, strict_log
-from atoll.expression.kernels.tape import Int
-from atoll.search.seeding import GAMMA as _GAMMA
+from atoll_core.compilation.jit import inlined
+from atoll_core.expression.kernels.elementary import strict_cos, strict_log
+from atoll_core.expression.kernels.tape import Int
+from atoll_core.search.seeding import GAMMA as _GAMMA
 
 Stream = npt.NDArray[np.uint64]
 

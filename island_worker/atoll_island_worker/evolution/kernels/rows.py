@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from atoll.compilation.jit import inlined, kernel
-from atoll.expression.kernels.functions import apply_function
-from atoll.expression.kernels.lanes import LANES, centre, place, total
-from atoll.expression.kernels.tape import Int, functions_address
-from atoll.expression.operators import COS, SIN
+from atoll_core.compilation.jit import inlined, kernel
+from atoll_core.expression.kernels.functions import apply_function
+from atoll_core.expression.kernels.lanes import LANES, centre, place, total
+from atoll_core.expression.kernels.tape import Int, functions_address
+from atoll_core.expression.operators import COS, SIN
 from atoll_island_worker.evolution.structures import Floats, Ints, Rows, empty_rows
 
 _ZERO = np.int64(0)

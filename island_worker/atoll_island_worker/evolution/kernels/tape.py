@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from atoll.compilation.jit import inlined, kernel
-from atoll.expression.kernels.lanes import LANES, fill, get, highest_bit, lowest_bit, place
-from atoll.expression.kernels.tape import Int, apply_operator
-from atoll.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, POW, SQUARE
+from atoll_core.compilation.jit import inlined, kernel
+from atoll_core.expression.kernels.lanes import LANES, fill, get, highest_bit, lowest_bit, place
+from atoll_core.expression.kernels.tape import Int, apply_operator
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, POW, SQUARE
 from atoll_island_worker.evolution.structures import Hashes, Ints, Lists, Tape, Work
 
 ARITY_OF = np.array(ARITY, np.int64)

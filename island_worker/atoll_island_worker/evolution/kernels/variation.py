@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from atoll.compilation.jit import inlined, kernel
-from atoll.expression.kernels.elementary import strict_exp
-from atoll.expression.kernels.lanes import CHUNK, blend, differing, lowest_bit, move
-from atoll.expression.kernels.tape import Int
-from atoll.expression.operators import CONSTANT, VARIABLE
+from atoll_core.compilation.jit import inlined, kernel
+from atoll_core.expression.kernels.elementary import strict_exp
+from atoll_core.expression.kernels.lanes import CHUNK, blend, differing, lowest_bit, move
+from atoll_core.expression.kernels.tape import Int
+from atoll_core.expression.operators import CONSTANT, VARIABLE
 from atoll_island_worker.evolution.kernels.random import GAMMA, Stream, below, bits_of, normal, uniform
 from atoll_island_worker.evolution.structures import Floats, Hashes, Ints, Lists, Space
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from atoll.errors import UsageError
 from atoll_coordinator.model import criteria
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.errors import UsageError
 from benchmarks.corpus.ablation import JOBS, Replay, changed, differences, summary
 
 

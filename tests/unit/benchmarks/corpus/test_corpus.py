@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from atoll.errors import DataError, UsageError
+from atoll_core.errors import DataError, UsageError
 from benchmarks.corpus import __main__ as corpus
 from benchmarks.corpus import campaign, cases
 from benchmarks.corpus.campaign import configuration, judge_again

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.errors import UsageError
+from atoll_core.errors import UsageError
 from benchmarks.dysts.flows import Flow
 from benchmarks.dysts.judging import Outcome, coefficient_error, outcome, polynomial
 from benchmarks.harness.journal import Journal, read

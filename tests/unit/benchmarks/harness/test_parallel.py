@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from atoll.errors import AtollError, UsageError
+from atoll_core.errors import AtollError, UsageError
 from benchmarks.harness import parallel as runs
 from benchmarks.harness.command_line import whole
 from benchmarks.harness.parallel import canvas, in_parallel

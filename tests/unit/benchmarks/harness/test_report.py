@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from atoll.errors import DataError
+from atoll_core.errors import DataError
 from benchmarks.harness.command_line import plain_errors, seeds
 from benchmarks.harness.report import Report
 from tests.unit.benchmarks.judging.verdicts import VERDICT

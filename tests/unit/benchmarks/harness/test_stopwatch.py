@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from atoll.errors import AtollError
-from atoll.wire.messages.views import JobView
+from atoll_core.errors import AtollError
+from atoll_core.wire.messages.views import JobView
 from benchmarks.harness.service import Machines, Searches
 from benchmarks.harness.stopwatch import Stopwatch, largest_child_mb, resident_mb
 from benchmarks.noise.data import Key, case

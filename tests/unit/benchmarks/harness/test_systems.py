@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import sympy
 
-from atoll.config import DataConfig
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, main, trajectories
 
 

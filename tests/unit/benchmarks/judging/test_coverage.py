@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.judging.coverage import covered
 
 ROWS = np.random.default_rng(0).uniform(0.4, 4.0, (2, 60))

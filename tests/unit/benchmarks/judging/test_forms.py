@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from atoll.errors import UsageError
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
+from atoll_core.errors import UsageError
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.judging.forms import FormVerdict, compare, main
 
 RANGES = {

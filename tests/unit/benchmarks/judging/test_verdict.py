@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll.data.dataset import Dataset, Target
+from atoll_core.data.dataset import Dataset, Target
 from benchmarks.judging.verdict import COLUMNS, Question, judged, miss
 
 TRUTH = "3*x - x*y"

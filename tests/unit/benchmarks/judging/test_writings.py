@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.judging.writings import LAWS, count_nodes, dressed, main, measured, of_result, undressed
 
 

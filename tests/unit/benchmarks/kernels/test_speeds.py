@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from atoll.errors import DataError, UsageError
-from atoll.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SIN, VARIABLE
+from atoll_core.errors import DataError, UsageError
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SIN, VARIABLE
 from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.structures import empty_lists, empty_tape
 from benchmarks.harness.record import Record

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, table_of, trajectories
 from benchmarks.judging.forms import compare
 from benchmarks.noise.data import LENGTHS, VARIANTS, Key, case, fresh

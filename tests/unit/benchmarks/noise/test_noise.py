@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from atoll.errors import DataError, UsageError
+from atoll_core.errors import DataError, UsageError
 from benchmarks.harness.journal import Journal
 from benchmarks.judging.coverage import Covered
 from benchmarks.noise import __main__ as noise

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.wire.messages.views import JobState, JobView, VariableView
+from atoll_core.wire.messages.views import JobState, JobView, VariableView
 from benchmarks.operations.checkpoints import Pair, Spent, committed, pairs_table
 
 LOG = """2026-11-21T20:54:25.545Z INFO commit job=one variable=x epoch=59 term=1 islands=4 bytes=184768 text="durable"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll.wire.messages.views import JobState, JobView, VariableView
+from atoll_core.wire.messages.views import JobState, JobView, VariableView
 from benchmarks.operations.faults import main
 from benchmarks.operations.strikes import LASTING_S, Blow, Standing, Strikes, kinds_of, rows
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.errors import UsageError
+from atoll_core.errors import UsageError
 from benchmarks.operations.same_results import Found, Side, compare, journal_of, main, summed
 from benchmarks.operations.small_jobs import EXAMPLES, JOBS, WRITERS, files_of, write_files
 from benchmarks.peers.strogatz_files import NAMES

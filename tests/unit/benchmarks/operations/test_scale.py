@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from atoll.config import PRESETS
-from atoll.data.table import Table
-from atoll.errors import AtollError
-from atoll.search.commit_order import CommitOrder
-from atoll.wire.messages.workers import Addition, EpochReport, IslandReport, SliceCounters
+from atoll_core.config import PRESETS
+from atoll_core.data.table import Table
+from atoll_core.errors import AtollError
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.workers import Addition, EpochReport, IslandReport, SliceCounters
 from atoll_island_worker.session.events import Computed, JobReady, Snapshot
 from atoll_island_worker.session.tasks import Task, TaskKey
 from benchmarks.operations import big_data as bigdata

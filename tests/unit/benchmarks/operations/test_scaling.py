@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from atoll.wire import topics
-from atoll.wire.bus.interface import Message
-from atoll.wire.bus.zenoh_bus import open_router
-from atoll.wire.messages.views import JobView, VariableView
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Message
+from atoll_core.wire.bus.zenoh_bus import open_router
+from atoll_core.wire.messages.views import JobView, VariableView
 from benchmarks.operations.scaling import (
     Findings,
     Round,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.errors import UsageError
+from atoll_core.errors import UsageError
 from benchmarks.operations.side_by_side import Beside, Took, in_turn, jobs, median, program_of, shown
 
 TOOK = Took(0.2, 2.0, 3.0, "abc", ("x",), 1000)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from atoll.wire.bus.interface import Timer
+from atoll_core.wire.bus.interface import Timer
 from benchmarks.operations import simulated_islands as module
 
 

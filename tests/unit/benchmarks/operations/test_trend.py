@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll.search.seeding import Stream
+from atoll_core.search.seeding import Stream
 from benchmarks.operations.soak import measured, short_job
 from benchmarks.operations.trend import trend
 

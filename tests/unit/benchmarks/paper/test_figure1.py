@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import ADD, CONSTANT, DIVIDE, SIN, VARIABLE
-from atoll.expression.simplification import complexity
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import ADD, CONSTANT, DIVIDE, SIN, VARIABLE
+from atoll_core.expression.simplification import complexity
+from atoll_core.expression.text.parsing import from_infix
 from atoll_island_worker.evolution.island import Island
 from benchmarks.paper import figure1
 from benchmarks.paper.archipelago import configured, problem_of

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.paper.guesses import EQUATIONS, KINDS, Found, Task, config_of, rows, search
 from benchmarks.paper.readings_runs import equation_problem
 

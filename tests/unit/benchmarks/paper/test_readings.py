@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from atoll.config import PRESETS, EvolutionConfig
-from atoll.errors import DataError, UsageError
+from atoll_core.config import PRESETS, EvolutionConfig
+from atoll_core.errors import DataError, UsageError
 from benchmarks.paper import readings, readings_runs
 from benchmarks.paper.readings import Journal, agreement, best_budget, equation_rows, main
 from benchmarks.paper.readings_runs import CHOSEN, READINGS, Run, Task, config_of, run

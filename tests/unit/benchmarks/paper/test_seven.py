@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from atoll.config import PRESETS
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
+from atoll_core.config import PRESETS
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.systems import Sampled, trajectories
 from benchmarks.paper.seven import SCALED_TRUTH, case, configured, pendulum, scaled, singular
 

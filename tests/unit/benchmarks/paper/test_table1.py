@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.text.parsing import from_infix
 from atoll_island_worker.evolution.island import Island
 from benchmarks.paper import table1
 from benchmarks.paper.published import ROWS, USUAL

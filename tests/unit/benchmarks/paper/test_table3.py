@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from atoll.errors import UsageError
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.errors import UsageError
 from benchmarks.harness.systems import TRUTH, trajectories
 from benchmarks.paper.table3 import (
     EQUATIONS,

@@ -5,7 +5,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from atoll.errors import AtollError, UsageError
+from atoll_core.errors import AtollError, UsageError
 from benchmarks.peers import operon
 from benchmarks.peers.operon import require, scaled_error, search_apart
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from atoll.errors import UsageError
+from atoll_core.errors import UsageError
 from benchmarks.noise.data import Key, case
 from benchmarks.noise.judging import outcome
 from benchmarks.peers import pysindy_models

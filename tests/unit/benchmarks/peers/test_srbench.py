@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll.errors import UsageError
+from atoll_core.errors import UsageError
 from benchmarks.judging.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UNCREDITED, rows_of
 from benchmarks.peers import srbench
 from benchmarks.peers.srbench import Comparer, assess, expectations, main, srbench_solved, strict_solved

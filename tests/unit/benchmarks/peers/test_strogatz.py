@@ -5,7 +5,7 @@ import dataclasses
 
 import pytest
 
-from atoll.wire.messages.views import JobView, VariableView
+from atoll_core.wire.messages.views import JobView, VariableView
 from benchmarks.peers.strogatz import (
     PUBLISHED,
     Passings,

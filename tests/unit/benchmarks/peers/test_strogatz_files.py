@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll.errors import DataError
+from atoll_core.errors import DataError
 from benchmarks.judging.equivalents import EQUIVALENTS
 from benchmarks.peers import strogatz
 from benchmarks.peers.strogatz_files import NAMES, rows_of, split, truths

@@ -7,7 +7,7 @@ from argparse import Namespace
 import numpy as np
 import pytest
 
-from atoll.config import PRESETS
+from atoll_core.config import PRESETS
 from benchmarks.harness.record import Record
 from benchmarks.peers import strogatz_noise
 from benchmarks.peers.srbench import Assessment

@@ -11,13 +11,13 @@ import pytest
 from numba import _dispatcher
 from numba.core import caching, ccallback, dispatcher, registry
 
-from atoll.compilation.cache import cache_directory
-from atoll.compilation.jit import IS_COMPILED, entry_point, kernel
-from atoll.compilation.sources import packages_compiled_into
+from atoll_core.compilation.cache import cache_directory
+from atoll_core.compilation.jit import IS_COMPILED, entry_point, kernel
+from atoll_core.compilation.sources import packages_compiled_into
 
 KERNELS = """
 import numpy
-from atoll.compilation.jit import allocating_kernel, kernel
+from atoll_core.compilation.jit import allocating_kernel, kernel
 
 @kernel
 def double(x):
@@ -72,9 +72,9 @@ def test_sources_that_say_something_else_are_compiled(tmp_path: Path) -> None:
 
 
 def test_each_program_has_a_folder_and_shares_what_both_stand_on() -> None:
-    assert packages_compiled_into("atoll") == ("atoll",)
-    assert packages_compiled_into("atoll_coordinator") == ("atoll", "atoll_coordinator")
-    folders = {cache_directory(name) for name in ("atoll", "atoll_coordinator", "atoll_island_worker")}
+    assert packages_compiled_into("atoll_core") == ("atoll_core",)
+    assert packages_compiled_into("atoll_coordinator") == ("atoll_core", "atoll_coordinator")
+    folders = {cache_directory(name) for name in ("atoll_core", "atoll_coordinator", "atoll_island_worker")}
     assert len(folders) == 3
 
 
@@ -93,7 +93,8 @@ def test_each_program_has_a_folder_and_shares_what_both_stand_on() -> None:
     ],
 )
 def test_numba_has_the_internals_that_kernels_are_compiled_with(owner: object, names: tuple[str, ...]) -> None:
-    """They are no public interface: a version of numba that fails here needs changes in `atoll.compilation.jit`."""
+    """They are no public interface: a version of numba that fails here needs changes in
+    `atoll_core.compilation.jit`."""
     assert [name for name in names if not hasattr(owner, name)] == []
 
 

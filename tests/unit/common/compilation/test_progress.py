@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from atoll.compilation.progress import WarmUpDisplay, count_of, sentence_of
+from atoll_core.compilation.progress import WarmUpDisplay, count_of, sentence_of
 
 
 class Terminal(io.StringIO):

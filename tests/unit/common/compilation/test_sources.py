@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from atoll.compilation import sources
-from atoll.compilation.sources import ALL, WORKER, kernel_files, source_digest
+from atoll_core.compilation import sources
+from atoll_core.compilation.sources import ALL, WORKER, kernel_files, source_digest
 
 LOADED = """
 import sys
-from atoll.compilation.sources import WORKER, kernel_files
+from atoll_core.compilation.sources import WORKER, kernel_files
 import atoll_island_worker.evolution.island
 loaded = {getattr(module, "__file__", None) for module in list(sys.modules.values())}
 print([str(file) for file in kernel_files(WORKER) if str(file) not in loaded])

@@ -9,11 +9,11 @@ from pathlib import Path
 import numba.core.dispatcher
 import pytest
 
-from atoll.compilation import cache as compiled
-from atoll.compilation import jit
-from atoll.compilation.progress import sentence_of
-from atoll.compilation.warmup import Report, compile_or_load
-from atoll.errors import AtollError
+from atoll_core.compilation import cache as compiled
+from atoll_core.compilation import jit
+from atoll_core.compilation.progress import sentence_of
+from atoll_core.compilation.warmup import Report, compile_or_load
+from atoll_core.errors import AtollError
 
 PACKAGE = "atoll_island_worker"
 
@@ -135,7 +135,7 @@ def test_without_a_compiler_there_is_nothing_to_do(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_numba_that_lacks_what_is_built_on_is_said_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "atoll.compilation.jit")
+    monkeypatch.delitem(sys.modules, "atoll_core.compilation.jit")
     monkeypatch.delattr(numba.core.dispatcher, "_FunctionCompiler")
     with pytest.raises(AtollError, match=r"with numba [0-9.]+ \(.*_FunctionCompiler.*\); install a version"):
         warm_up(lambda sentence: None, Exercise())

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from atoll.data.dataset import EXACT_ERROR, Target
+from atoll_core.data.dataset import EXACT_ERROR, Target
 
 
 def target(uncertainty: float, standard_deviation: float = 1.0) -> Target:

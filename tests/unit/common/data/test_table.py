@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from atoll.data.table import Table
-from atoll.errors import DataError, RemoteProtocolError
-from atoll.wire.codec import encode_arrays
+from atoll_core.data.table import Table
+from atoll_core.errors import DataError, RemoteProtocolError
+from atoll_core.wire.codec import encode_arrays
 
 
 def table_of(columns, starts=(0,), files=("a.csv",), file_of_row=None, line_of_row=None, **other):

@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from atoll.errors import UsageError
-from atoll.expression.bounds import EquationBounds, parse_bound
-from atoll.expression.program import constant_places, with_constants
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
+from atoll_core.errors import UsageError
+from atoll_core.expression.bounds import EquationBounds, parse_bound
+from atoll_core.expression.program import constant_places, with_constants
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 
 NAMES = ("x", "y")
 

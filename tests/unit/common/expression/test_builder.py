@@ -1,8 +1,8 @@
 """Programs under construction."""
 
-from atoll.expression.builder import ProgramBuilder, operators_in
-from atoll.expression.operators import ADD, CONSTANT, MULTIPLY, NEGATE, SIN, VARIABLE
-from atoll.expression.text.infix import to_infix
+from atoll_core.expression.builder import ProgramBuilder, operators_in
+from atoll_core.expression.operators import ADD, CONSTANT, MULTIPLY, NEGATE, SIN, VARIABLE
+from atoll_core.expression.text.infix import to_infix
 from tests.oracles.programs import program_of
 
 NAMES = ("x", "y")

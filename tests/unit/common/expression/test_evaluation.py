@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from atoll.expression.evaluation import value_of, values_and_gradient, values_of
-from atoll.expression.operators import CONSTANT, OPERATORS
-from atoll.expression.program import Program, constant_places, with_constants
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.evaluation import value_of, values_and_gradient, values_of
+from atoll_core.expression.operators import CONSTANT, OPERATORS
+from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 
 EVERY_OPERATOR = (

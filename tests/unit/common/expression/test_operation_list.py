@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from atoll.errors import UsageError
-from atoll.expression.operation_list import placed, placed_text
-from atoll.expression.operators import ARITY, BY_NAME, CONSTANT
-from atoll.expression.program import Program
-from atoll.expression.text.parsing import from_infix
+from atoll_core.errors import UsageError
+from atoll_core.expression.operation_list import placed, placed_text
+from atoll_core.expression.operators import ARITY, BY_NAME, CONSTANT
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 
 NAMES = ("x", "y")

@@ -4,9 +4,9 @@ import struct
 
 import pytest
 
-from atoll.errors import RemoteProtocolError
-from atoll.expression.operators import ADD, CONSTANT, NEGATE, OPERATORS, VARIABLE
-from atoll.expression.program import MAX_NODES, Program, check_program_bytes
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.expression.operators import ADD, CONSTANT, NEGATE, OPERATORS, VARIABLE
+from atoll_core.expression.program import MAX_NODES, Program, check_program_bytes
 
 
 def packed(*nodes: tuple[int, int, int], constants: tuple[float, ...] = ()) -> bytes:

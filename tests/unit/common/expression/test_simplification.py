@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from atoll.expression.operators import (
+from atoll_core.expression.operators import (
     ADD,
     BY_NAME,
     DIVIDE,
@@ -17,9 +17,9 @@ from atoll.expression.operators import (
     SUBTRACT,
     VARIABLE,
 )
-from atoll.expression.simplification import complexity, simplify_program
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.simplification import complexity, simplify_program
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import apply
 from tests.oracles.programs import program_of
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.program import constant_places, with_constants
-from atoll.expression.unit_coefficients import make_coefficients_explicit, write_factors
-from atoll.expression.writing.shortest import shortest
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import constant_places, with_constants
+from atoll_core.expression.unit_coefficients import make_coefficients_explicit, write_factors
+from atoll_core.expression.writing.shortest import shortest
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 DRAW = np.random.default_rng(3)

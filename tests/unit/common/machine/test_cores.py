@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from atoll.machine import cores
-from atoll.machine.cores import cgroup_quota, usable_cores
+from atoll_core.machine import cores
+from atoll_core.machine.cores import cgroup_quota, usable_cores
 
 
 @pytest.mark.parametrize(

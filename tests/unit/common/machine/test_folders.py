@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from atoll.compilation.cache import cache_directory
-from atoll.errors import UsageError
-from atoll.machine.folders import user_folder
+from atoll_core.compilation.cache import cache_directory
+from atoll_core.errors import UsageError
+from atoll_core.machine.folders import user_folder
 
 
 @pytest.fixture
@@ -32,11 +32,11 @@ def test_a_folder_is_the_chosen_one_or_lies_in_the_home_folder(monkeypatch: pyte
 
 
 def test_who_has_no_home_keeps_kernels_in_a_temporary_folder_of_its_own(homeless: Path) -> None:
-    folder = cache_directory("atoll")
+    folder = cache_directory("atoll_core")
     (own,) = homeless.iterdir()
     assert folder.is_relative_to(own)
     assert own.stat().st_mode & 0o077 == 0
-    assert cache_directory("atoll") == folder
+    assert cache_directory("atoll_core") == folder
 
 
 @pytest.mark.parametrize("how", ["writable by others", "a link"])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.machine import usage
+from atoll_core.machine import usage
 
 
 def test_memory_grows_with_what_is_kept() -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll.search.commit_order import CommitOrder, Position
+from atoll_core.search.commit_order import CommitOrder, Position
 
 COMMIT_ORDER = CommitOrder(generations=95, stride=10, joining=3)
 ENDS = (10, 20, 30, 40, 50, 60, 70, 80, 90, 95)

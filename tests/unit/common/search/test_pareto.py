@@ -5,8 +5,8 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.text.parsing import from_infix
-from atoll.search.pareto import AGREEMENT, FrontEntry, merge, runners_up, structure_of
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.pareto import AGREEMENT, FrontEntry, merge, runners_up, structure_of
 
 QUICK = settings(max_examples=200, deadline=None, derandomize=True, database=None)
 ERRORS = st.one_of(st.sampled_from([1.0, 1.0 + 0.5 * AGREEMENT, 2.0, math.inf]), st.floats(0.5, 3.0))

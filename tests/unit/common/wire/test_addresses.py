@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from atoll.errors import UsageError
-from atoll.wire.addresses import Address, bindable, own_address, parse_address, why_unreachable
+from atoll_core.errors import UsageError
+from atoll_core.wire.addresses import Address, bindable, own_address, parse_address, why_unreachable
 
 
 @pytest.mark.parametrize(

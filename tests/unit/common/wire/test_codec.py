@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, TypeAdapter
 
-from atoll.config import Model
-from atoll.data.dataset import Dataset, Target
-from atoll.errors import LocalProtocolError, RemoteProtocolError
-from atoll.wire import codec
+from atoll_core.config import Model
+from atoll_core.data.dataset import Dataset, Target
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.wire import codec
 
 
 class Ping(Model):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from atoll.errors import UnreachableError, UsageError
-from atoll.wire.connect_file import address_in, announced
+from atoll_core.errors import UnreachableError, UsageError
+from atoll_core.wire.connect_file import address_in, announced
 
 
 @pytest.fixture

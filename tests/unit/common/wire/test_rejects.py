@@ -4,9 +4,9 @@ import logging
 
 import pytest
 
-from atoll.errors import RemoteProtocolError
-from atoll.logs import fields_of
-from atoll.wire.rejects import MAX_SOURCES, OTHERS, Rejects
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.logs import fields_of
+from atoll_core.wire.rejects import MAX_SOURCES, OTHERS, Rejects
 
 
 def test_a_source_is_counted_each_time_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll.errors import RemoteProtocolError
-from atoll.wire.state_transfer import Assembly, State, split_states
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.wire.state_transfer import Assembly, State, split_states
 
 STATES = {island: State.of(bytes([island]) * (10 + island)) for island in range(4)}
 

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll.errors import LocalProtocolError, RemoteProtocolError
-from atoll.wire import topics
-from atoll.wire.bus.keys import matches
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.wire import topics
+from atoll_core.wire.bus.keys import matches
 
 IDS = st.from_regex(topics.ID, fullmatch=True)
 DIGESTS = st.from_regex(topics.DIGEST, fullmatch=True)

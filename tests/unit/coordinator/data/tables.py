@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from atoll.data.table import Table
 from atoll_coordinator.data.roles.roles import assign_roles
 from atoll_coordinator.data.trajectories.measurements import take_measurements
+from atoll_core.data.table import Table
 
 
 def table_of(columns, starts=(0,), skipped=()):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from atoll.config import DataConfig, JobConfig, PriorConfig
-from atoll.errors import DataError
 from atoll_coordinator.data.description import describe
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig, JobConfig, PriorConfig
+from atoll_core.errors import DataError
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from atoll.config import BudgetConfig, DataConfig, JobConfig, PriorConfig, SpaceConfig
-from atoll.errors import UsageError
 from atoll_coordinator.data.outline import outline
+from atoll_core.config import BudgetConfig, DataConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll_core.errors import UsageError
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 TABLE = table_of(oscillator())

@@ -7,9 +7,9 @@ import pytest
 import sympy
 from sympy.parsing.sympy_parser import parse_expr
 
-from atoll.config import Angle, DataConfig, JobConfig
-from atoll.errors import DataError
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.config import Angle, DataConfig, JobConfig
+from atoll_core.errors import DataError
 from benchmarks.harness.systems import SYSTEMS, TRUTH, trajectories
 from benchmarks.harness.systems import table_of as table_of_samples
 from tests.unit.coordinator.data.tables import oscillator, table_of

@@ -2,13 +2,13 @@
 
 import pytest
 
-from atoll.config import DataConfig, EvolutionConfig, JobConfig, PriorConfig, SpaceConfig
-from atoll.errors import UsageError
-from atoll.expression.text.infix import to_infix
 from atoll_coordinator.data.description import describe
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs, resolve_prior
 from atoll_coordinator.service.jobs.defaults import resolve
+from atoll_core.config import DataConfig, EvolutionConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll_core.errors import UsageError
+from atoll_core.expression.text.infix import to_infix
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 SYMBOLS = {"x": "x", "y-1": "y_1", "u": "u"}

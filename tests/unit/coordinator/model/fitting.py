@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset, FloatArray, Problem, Target
-from atoll.expression.evaluation import values_of
-from atoll.expression.program import Program
-from atoll.expression.simplification import complexity, simplify_program
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
-from atoll.search.pareto import FrontEntry
 from atoll_coordinator.settings import SETTINGS, Settings
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, FloatArray, Problem, Target
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program
+from atoll_core.expression.simplification import complexity, simplify_program
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.pareto import FrontEntry
 
 NAMES = ("x", "y")
 

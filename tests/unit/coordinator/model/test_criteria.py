@@ -7,9 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.data.dataset import Target
-from atoll.expression.program import with_constants
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.criteria import (
     SMALLEST_UNCERTAINTY,
     RegressionCriterion,
@@ -23,6 +20,9 @@ from atoll_coordinator.model.criteria import (
 )
 from atoll_coordinator.model.structure.moves.extensions import extensions
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import Target
+from atoll_core.expression.program import with_constants
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.fitting import parsed
 
 

@@ -6,10 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.data.dataset import Target
-from atoll.expression.program import MAX_NODES
-from atoll.expression.text.parsing import from_infix
-from atoll.search.pareto import FrontEntry
 from atoll_coordinator.model.criteria import (
     count_constants,
     front_length,
@@ -19,6 +15,10 @@ from atoll_coordinator.model.criteria import (
 from atoll_coordinator.model.refinement import may_be_shown
 from atoll_coordinator.model.sparse.regression import products
 from atoll_coordinator.model.structure.term_libraries import sum_of
+from atoll_core.data.dataset import Target
+from atoll_core.expression.program import MAX_NODES
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.pareto import FrontEntry
 
 
 def entry(size: int, rmse: float, text: str = "x") -> FrontEntry:

@@ -6,9 +6,6 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, SpaceConfig
-from atoll.expression.program import Program
-from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.pipeline import refine_all
@@ -18,6 +15,9 @@ from atoll_coordinator.model.regression.covariance import description_length, st
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants
+from atoll_core.config import BudgetConfig, EvolutionConfig, SpaceConfig
+from atoll_core.expression.program import Program
+from atoll_core.search.pareto import FrontEntry
 from tests.unit.coordinator.model.fitting import CONFIG, dataset, entry, parsed, problem, settings, shown
 
 

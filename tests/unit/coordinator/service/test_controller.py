@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from atoll.config import JobConfig
-from atoll.errors import StoreError
-from atoll.wire.messages.clients import JobList
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.store.store import JobRecord, Store
+from atoll_core.config import JobConfig
+from atoll_core.errors import StoreError
+from atoll_core.wire.messages.clients import JobList
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 
 EQUATION = {

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.config import JobConfig
-from atoll.data.dataset import Dataset, Target
-from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import CommitOrder, Position
-from atoll.wire.codec import dataset_to_bytes
-from atoll.wire.messages.workers import SliceCounters
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, Target
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.wire.codec import dataset_to_bytes
+from atoll_core.wire.messages.workers import SliceCounters
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobReady, LoadFailed, Rejected

@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import CommitOrder, Position
-from atoll.wire.messages.workers import HitStatement, IslandReport
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.wire.messages.workers import HitStatement, IslandReport
 from atoll_island_worker.compute.run_queue import RunQueue
 from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey

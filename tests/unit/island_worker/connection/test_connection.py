@@ -2,10 +2,10 @@
 
 import pytest
 
-from atoll import PROTOCOL_VERSION, VERSION
-from atoll.errors import RefusedError, UnreachableError
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Refusal, Welcome
+from atoll_core import PROTOCOL_VERSION, VERSION
+from atoll_core.errors import RefusedError, UnreachableError
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Refusal, Welcome
 from atoll_island_worker.connection.connection import ALONE_S, CoordinatorConnection
 from atoll_island_worker.connection.requests import Request, Requests
 from atoll_island_worker.session.events import Reset

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.operators import ADD, ARITY, MULTIPLY, SIN, SUBTRACT, VARIABLE
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.operators import ADD, ARITY, MULTIPLY, SIN, SUBTRACT, VARIABLE
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 from atoll_island_worker.evolution.formula import (
     combine_terms,
     from_program,

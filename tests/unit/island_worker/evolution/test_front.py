@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
-from atoll.data.dataset import Problem, Target
-from atoll.expression.program import Program
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
-from atoll.search.pareto import FrontEntry
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.pareto import FrontEntry
 from atoll_island_worker.evolution.front import Front, FrontUpdater
 from atoll_island_worker.evolution.kernels.generation import PARTS, REFITTING
 from atoll_island_worker.evolution.runners_up import RunnersUp

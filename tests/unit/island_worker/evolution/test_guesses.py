@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from atoll.config import EvolutionConfig, MigrationConfig, PredictorConfig, PriorConfig, SpaceConfig
-from atoll.expression.operators import BY_NAME, CONSTANT, VARIABLE
-from atoll.expression.program import Program
-from atoll.search.seeding import Stream, stream_key
-from atoll.wire.codec import decode_arrays
+from atoll_core.config import EvolutionConfig, MigrationConfig, PredictorConfig, PriorConfig, SpaceConfig
+from atoll_core.expression.operators import BY_NAME, CONSTANT, VARIABLE
+from atoll_core.expression.program import Program
+from atoll_core.search.seeding import Stream, stream_key
+from atoll_core.wire.codec import decode_arrays
 from atoll_island_worker.evolution.guesses import parse_guesses, place
 from atoll_island_worker.evolution.island import Island
 from atoll_island_worker.evolution.kernels.generation import random_population

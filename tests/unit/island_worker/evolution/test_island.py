@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.config import (
+from atoll_core.config import (
     BudgetConfig,
     EvolutionConfig,
     JobConfig,
@@ -18,11 +18,11 @@ from atoll.config import (
     PredictorConfig,
     SpaceConfig,
 )
-from atoll.data.dataset import Problem, Target
-from atoll.errors import LocalProtocolError, RemoteProtocolError
-from atoll.expression.program import Program
-from atoll.expression.simplification import complexity
-from atoll.wire.codec import decode_arrays, encode_arrays
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.expression.program import Program
+from atoll_core.expression.simplification import complexity
+from atoll_core.wire.codec import decode_arrays, encode_arrays
 from atoll_island_worker.evolution.island import Island, receivers, senders
 from atoll_island_worker.evolution.island import reshuffle as reshuffle_here
 from tests.archipelago import advance, reshuffle, search

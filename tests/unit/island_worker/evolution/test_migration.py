@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from atoll.config import EvolutionConfig, JobConfig
-from atoll.errors import RemoteProtocolError
-from atoll.expression.operators import EXP
-from atoll.wire.codec import decode_arrays, encode_arrays
+from atoll_core.config import EvolutionConfig, JobConfig
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.expression.operators import EXP
+from atoll_core.wire.codec import decode_arrays, encode_arrays
 from atoll_island_worker.evolution.migration import destinations, operator_codes, pack, receivers, senders, unpack
 from tests.oracles.spaces import random_lists, space_of
 

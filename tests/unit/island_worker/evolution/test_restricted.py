@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, PriorConfig, SpaceConfig
-from atoll.data.dataset import Problem, Target
-from atoll.expression.program import Program
-from atoll.expression.text.infix import to_infix
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, PriorConfig, SpaceConfig
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.infix import to_infix
 from atoll_island_worker.evolution.island import Island
 
 NAMES = ("x", "y")
@@ -32,7 +32,7 @@ def searched(bounds=(), required=(), truth=lambda x, y: 3.0 * x - 2.0 * x * y):
 
 
 def test_a_bound_that_excludes_the_best_constants_is_kept_by_all_that_is_reported():
-    from atoll.expression.bounds import EquationBounds, parse_bound
+    from atoll_core.expression.bounds import EquationBounds, parse_bound
 
     texts = ("x < 2", "x*y > -1")
     bounds = EquationBounds(tuple(parse_bound(text, NAMES) for text in texts))

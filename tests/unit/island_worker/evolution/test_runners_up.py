@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from atoll.search.pareto import FrontEntry
+from atoll_core.search.pareto import FrontEntry
 from atoll_island_worker.evolution.runners_up import RunnersUp
 from atoll_island_worker.evolution.structures import MOST_TERMS
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from atoll.config import BudgetConfig, JobConfig
-from atoll.data.dataset import EXACT_ERROR, Target
+from atoll_core.config import BudgetConfig, JobConfig
+from atoll_core.data.dataset import EXACT_ERROR, Target
 from atoll_island_worker.evolution.setup import UNREACHABLE_TARGET, island_share, target_error
 
 

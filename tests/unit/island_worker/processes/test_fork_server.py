@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.errors import AtollError
+from atoll_core.errors import AtollError
 from atoll_island_worker.processes.fork_server import Forked
 
 LIMIT_S = 100.0
@@ -20,7 +20,7 @@ from atoll_island_worker.processes.fork_server import load_ahead
 load_ahead()
 lines = Path("/proc/self/status").read_text().splitlines()
 print(*(line.split()[1] for line in lines if line.startswith("Threads:")))
-expected = {"atoll_island_worker.worker", "atoll.wire.bus.zenoh_bus", "atoll_island_worker.evolution.island"}
+expected = {"atoll_island_worker.worker", "atoll_core.wire.bus.zenoh_bus", "atoll_island_worker.evolution.island"}
 print(*(expected - set(sys.modules)))
 print(gc.get_freeze_count() > 10_000)
 """

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from atoll.errors import AtollError, LocalProtocolError
+from atoll_core.errors import AtollError, LocalProtocolError
 from atoll_island_worker.processes.exit_reasons import ExitReasons
 from atoll_island_worker.processes.restart_policy import RestartPolicy
 from atoll_island_worker.processes.supervisor import Supervisor

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from atoll.errors import LocalProtocolError, RemoteProtocolError
-from atoll.search.commit_order import CommitOrder, Position
-from atoll.wire.messages.workers import (
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.wire.messages.workers import (
     Addition,
     Block,
     Close,
@@ -27,7 +27,7 @@ from atoll.wire.messages.workers import (
     Sent,
     States,
 )
-from atoll.wire.state_transfer import State, split_states
+from atoll_core.wire.state_transfer import State, split_states
 from atoll_island_worker.session.actions import (
     AskPeer,
     Discard,

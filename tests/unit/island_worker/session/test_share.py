@@ -2,9 +2,9 @@
 
 import pytest
 
-from atoll.errors import LocalProtocolError
-from atoll.search.commit_order import CommitOrder
-from atoll.wire.messages.workers import Placement
+from atoll_core.errors import LocalProtocolError
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.workers import Placement
 from atoll_island_worker.session.local_island import ISLAND_TRANSITIONS, LocalIsland
 from atoll_island_worker.session.share import Share
 

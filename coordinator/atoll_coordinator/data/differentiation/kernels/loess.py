@@ -8,8 +8,8 @@ reductions. Letters: R rows of one trajectory, B bins, K rows of a loess window,
 
 import numpy as np
 
-from atoll.compilation.jit import allocating_kernel, inlined, kernel
-from atoll.data.dataset import FloatArray
+from atoll_core.compilation.jit import allocating_kernel, inlined, kernel
+from atoll_core.data.dataset import FloatArray
 
 DEGREES = 5
 """Loess fits degrees 0 to 4 in one pass."""

@@ -7,8 +7,8 @@ the definitions stand in ``tests/oracles/smoothing.py``.
 
 import numpy as np
 
-from atoll.compilation.jit import allocating_kernel, inlined
-from atoll.data.dataset import FloatArray
+from atoll_core.compilation.jit import allocating_kernel, inlined
+from atoll_core.data.dataset import FloatArray
 
 HALF_WIDTHS = 7
 """Largest half width of an interpolation stencil: 15 rows, error of order step**14."""

@@ -9,9 +9,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.compilation.jit import kernel
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.shooting.kernels.rates import (
     BLOWN_UP,
     EXHAUSTED,
@@ -23,6 +20,9 @@ from atoll_coordinator.model.shooting.kernels.rates import (
     rates,
     slopes,
 )
+from atoll_core.compilation.jit import kernel
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 _G: Final = 1767732205903 / 4055673282236
 _B: Final = (1471266399579 / 7840856788654, -4482444167858 / 7529755066697, 11266239266428 / 11593286722821, _G)

@@ -8,9 +8,9 @@ Filter, section 3.4). Letters: N rows, G segments; segments do not know of each 
 
 import math
 
-from atoll.compilation.jit import inlined, kernel
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
+from atoll_core.compilation.jit import inlined, kernel
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 
 @inlined

@@ -13,9 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from atoll.compilation.jit import allocating_kernel, inlined, kernel
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.shooting.kernels.implicit import advance_implicitly
 from atoll_coordinator.model.shooting.kernels.rates import (
     BLOWN_UP,
@@ -28,6 +25,9 @@ from atoll_coordinator.model.shooting.kernels.rates import (
     rates,
     slopes,
 )
+from atoll_core.compilation.jit import allocating_kernel, inlined, kernel
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 PRECISE: Final[Table] = (
     np.array([

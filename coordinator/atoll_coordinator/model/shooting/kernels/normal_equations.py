@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from atoll.compilation.jit import allocating_kernel, inlined, kernel
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.cholesky import factorize, substitute
 from atoll_coordinator.model.shooting.kernels.innovations import decayed
+from atoll_core.compilation.jit import allocating_kernel, inlined, kernel
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 LINES = 8
 """Rows of sensitivities whose products are added at once."""

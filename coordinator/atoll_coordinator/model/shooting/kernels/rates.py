@@ -7,11 +7,11 @@ constants, R rows.
 import math
 from typing import Any, Final
 
-from atoll.compilation.jit import inlined
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.choice import choose
-from atoll.expression.kernels.tape import Ints
-from atoll.expression.operators import (
+from atoll_core.compilation.jit import inlined
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.choice import choose
+from atoll_core.expression.kernels.tape import Ints
+from atoll_core.expression.operators import (
     ARITY,
     CONSTANT,
     DIVIDE,

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from atoll.compilation.jit import allocating_kernel, kernel
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
+from atoll_core.compilation.jit import allocating_kernel, kernel
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 DEPENDENT = 1e-9
 """A column of unit length of which the others leave less than this is a sum of them."""

@@ -11,11 +11,11 @@ import math
 
 import numpy as np
 
-from atoll.compilation.jit import allocating_kernel, kernel
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.cholesky import factorize, substitute
 from atoll_coordinator.model.sparse.kernels.robust import CAUCHY
+from atoll_core.compilation.jit import allocating_kernel, kernel
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 _MOST_DAMPING = 1e4
 """Numerics: steps that are damped more no longer move."""

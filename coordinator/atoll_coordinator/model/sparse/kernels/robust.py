@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 
-from atoll.compilation.jit import allocating_kernel
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.sparse.kernels.elimination import DEPENDENT, triangularize
+from atoll_core.compilation.jit import allocating_kernel
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 CAUCHY = 2.385
 """Residuals of this many standard errors get half the weight: 95 % efficient where errors are normal (Holland & Welsch

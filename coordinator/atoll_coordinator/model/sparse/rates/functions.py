@@ -10,12 +10,12 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.operators import DIVIDE
 from atoll_coordinator.model.sparse.rates.rows import RateRows
 from atoll_coordinator.model.sparse.rates.sums import Atom, RateSum, fitted, polished
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.operators import DIVIDE
 
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _NARROWINGS = 25

@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
-from atoll.expression.operators import TANH
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.sparse.rates.functions import extended
@@ -12,6 +11,7 @@ from atoll_coordinator.model.sparse.rates.screening import screened
 from atoll_coordinator.model.sparse.rates.sums import Atom, RateSum, polished, pruned, shortest_sum
 from atoll_coordinator.model.sparse.shapes import powers
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.operators import TANH
 
 
 def find_rate_laws(rows: RateRows, columns: Sequence[int], operators: Collection[int]) -> tuple[Law, ...]:

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.builder import Expression
-from atoll.expression.operators import ADD, MULTIPLY, TANH, VARIABLE
 from atoll_coordinator.model.sparse.rates.rows import RateRows
 from atoll_coordinator.model.sparse.rates.sums import Atom, RateSum, fitted
 from atoll_coordinator.model.sparse.shapes import SCALED, Shape
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.builder import Expression
+from atoll_core.expression.operators import ADD, MULTIPLY, TANH, VARIABLE
 
 _STEEPNESS = (1.0, 3.0, 10.0)
 """Standard deviations of the argument to begin with, each about the root of ten times the one before.

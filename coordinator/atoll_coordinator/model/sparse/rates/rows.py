@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Recording, Trajectory
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

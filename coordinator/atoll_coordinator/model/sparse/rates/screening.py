@@ -11,8 +11,6 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from atoll.config import JobConfig
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import log
@@ -20,6 +18,8 @@ from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.kernels.robust import select_forward
 from atoll_coordinator.model.sparse.rates.rows import RateRows, rate_rows
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray
 
 
 def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobConfig:

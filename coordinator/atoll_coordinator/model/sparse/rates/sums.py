@@ -12,17 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.builder import Expression
-from atoll.expression.operators import VARIABLE
-from atoll.expression.program import Program
-from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.kernels.robust import robust_fit
 from atoll_coordinator.model.sparse.rates.rows import RateRows
 from atoll_coordinator.model.sparse.shapes import Shape, sum_program
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.builder import Expression
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import Program
+from atoll_core.expression.writing.shortest import collected
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.expression.builder import operators_in
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.sparse.rates.functions import Beside, dictionary
@@ -19,6 +18,7 @@ from atoll_coordinator.model.sparse.windows.rows import WindowRows
 from atoll_coordinator.model.sparse.windows.sums import WindowSum, eliminated, fitted, improved, polished
 from atoll_coordinator.model.sparse.windows.terms import Terms, depends
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.builder import operators_in
 
 
 @dataclass(frozen=True, eq=False)

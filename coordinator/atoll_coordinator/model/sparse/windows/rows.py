@@ -13,8 +13,6 @@ from functools import cached_property
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, predict_left_out
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
@@ -23,6 +21,8 @@ from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION
 from atoll_coordinator.model.sparse.weak_form import Measured, measured_of
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
 
 _CUBIC, _LINE = 3, 1
 

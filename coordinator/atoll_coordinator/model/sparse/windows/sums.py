@@ -13,10 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.kernels.tape import Ints
-from atoll.expression.program import Program
-from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.sparse.kernels.errors_in_variables import fit_errors_in_variables, measure
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION, robust_fit
@@ -24,6 +20,10 @@ from atoll_coordinator.model.sparse.rates.sums import Atom
 from atoll_coordinator.model.sparse.shapes import sum_program
 from atoll_coordinator.model.sparse.windows.terms import Terms, covariances, gradient
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
+from atoll_core.expression.program import Program
+from atoll_core.expression.writing.shortest import collected
 
 _SETTLED = 1e-1
 """Numerics: nats below which a step of a fit gains nothing."""

@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.operators import VARIABLE
 from atoll_coordinator.model.criteria import constant_nats_of
 from atoll_coordinator.model.sparse.kernels.errors_in_variables import error_products
 from atoll_coordinator.model.sparse.rates.sums import Atom
 from atoll_coordinator.model.sparse.shapes import Shape
 from atoll_coordinator.model.sparse.windows.rows import WindowRows
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.operators import VARIABLE
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,8 +3,10 @@
 import math
 from collections.abc import Collection, Iterator, Sequence
 
-from atoll.expression.builder import Expression, ProgramBuilder
-from atoll.expression.operators import (
+from atoll_coordinator.model.structure.moves.replacement import replace_each
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.builder import Expression, ProgramBuilder
+from atoll_core.expression.operators import (
     ABS,
     ADD,
     ARITY,
@@ -20,9 +22,7 @@ from atoll.expression.operators import (
     SUBTRACT,
     VARIABLE,
 )
-from atoll.expression.program import Node, Program
-from atoll_coordinator.model.structure.moves.replacement import replace_each
-from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.program import Node, Program
 
 
 def extensions(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:

@@ -3,11 +3,11 @@
 from collections.abc import Collection, Iterator
 from typing import Final
 
-from atoll.expression.builder import Expression
-from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
-from atoll.expression.program import Node, Program
 from atoll_coordinator.model.structure.moves.replacement import FRESH_CONSTANT, cofunctions, replace_each
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.builder import Expression
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
+from atoll_core.expression.program import Node, Program
 
 _EXCHANGED: Final = {ADD: SUBTRACT, SUBTRACT: ADD, MULTIPLY: DIVIDE, DIVIDE: MULTIPLY, SIN: COS, COS: SIN}
 

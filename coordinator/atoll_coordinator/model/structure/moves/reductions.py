@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from typing import Final
 
-from atoll.expression.builder import Expression
-from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT
-from atoll.expression.program import Node, Program, structure
 from atoll_coordinator.model.structure.moves.replacement import FRESH_CONSTANT, cofunctions, replace_node
+from atoll_core.expression.builder import Expression
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT
+from atoll_core.expression.program import Node, Program, structure
 
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
 

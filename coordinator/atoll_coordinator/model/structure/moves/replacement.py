@@ -3,10 +3,10 @@
 from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import Final
 
-from atoll.expression.builder import Expression, ProgramBuilder, operators_in
-from atoll.expression.operators import ADD, COS, MULTIPLY, NEGATE, SIN, SUBTRACT
-from atoll.expression.program import Node, Program, structure
-from atoll.expression.writing.shortest import collected
+from atoll_core.expression.builder import Expression, ProgramBuilder, operators_in
+from atoll_core.expression.operators import ADD, COS, MULTIPLY, NEGATE, SIN, SUBTRACT
+from atoll_core.expression.program import Node, Program, structure
+from atoll_core.expression.writing.shortest import collected
 
 FRESH_CONSTANT: Final = 1.5
 """Where the fit of a constant begins that has no old value: a neutral one would not stay."""

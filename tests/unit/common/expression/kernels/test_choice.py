@@ -1,7 +1,7 @@
 """The choice of a compiled function by a code."""
 
-from atoll.compilation.jit import inlined, kernel
-from atoll.expression.kernels.choice import choose
+from atoll_core.compilation.jit import inlined, kernel
+from atoll_core.expression.kernels.choice import choose
 
 
 @inlined

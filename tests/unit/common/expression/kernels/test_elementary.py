@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.expression.operators import TRIGONOMETRIC_LIMIT
+from atoll_core.expression.operators import TRIGONOMETRIC_LIMIT
 from tests.oracles.elementary import (
     LOOPS,
     Floats,

@@ -5,11 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from atoll.compilation.jit import IS_COMPILED, kernel
-from atoll.expression.kernels.elementary import strict_cos, strict_exp, strict_log, strict_pow, strict_sin, strict_tanh
-from atoll.expression.kernels.functions import LEFT, RIGHT, apply_function, functions_address, left_slope_code
-from atoll.expression.kernels.lanes import LANES, place
-from atoll.expression.operators import ABS, COS, EXP, LOG, OPERATORS, POW, SIN, TANH
+from atoll_core.compilation.jit import IS_COMPILED, kernel
+from atoll_core.expression.kernels.elementary import (
+    strict_cos,
+    strict_exp,
+    strict_log,
+    strict_pow,
+    strict_sin,
+    strict_tanh,
+)
+from atoll_core.expression.kernels.functions import LEFT, RIGHT, apply_function, functions_address, left_slope_code
+from atoll_core.expression.kernels.lanes import LANES, place
+from atoll_core.expression.operators import ABS, COS, EXP, LOG, OPERATORS, POW, SIN, TANH
 
 AWKWARD = [0.0, -0.0, 1.0, -1.0, 0.5, 3.0, -2.0, 1e-300, 5e-324, 1e200, 1e5, -1.1e5, math.inf, -math.inf, math.nan]
 FUNCTIONS = {

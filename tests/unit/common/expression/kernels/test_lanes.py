@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.compilation.jit import kernel
-from atoll.expression.kernels import lanes as kernels_lanes
-from atoll.expression.kernels.lanes import (
+from atoll_core.compilation.jit import kernel
+from atoll_core.expression.kernels import lanes as kernels_lanes
+from atoll_core.expression.kernels.lanes import (
     CHUNK,
     LANES,
     add_scaled,

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.kernels.elementary import strict_cos, strict_sin
-from atoll.expression.kernels.tape import LANES, forward_block, functions_address, padded, reverse_block
-from atoll.expression.operators import (
+from atoll_core.expression.kernels.elementary import strict_cos, strict_sin
+from atoll_core.expression.kernels.tape import LANES, forward_block, functions_address, padded, reverse_block
+from atoll_core.expression.operators import (
     ADD,
     ARITY,
     BY_NAME,

@@ -3,11 +3,11 @@
 import pytest
 import sympy
 
-from atoll.expression.operators import ADD, COS, DIVIDE, INVERSE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT, VARIABLE
-from atoll.expression.program import Program
-from atoll.expression.text.export import to_latex, to_sympy
-from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
-from atoll.expression.text.parsing import from_infix
+from atoll_core.expression.operators import ADD, COS, DIVIDE, INVERSE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT, VARIABLE
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.export import to_latex, to_sympy
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.programs import program_of
 
 NAMES = ("x", "y", "z")

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from atoll.errors import UsageError
-from atoll.expression.operators import MULTIPLY, POW, SQUARE
-from atoll.expression.text.parsing import from_infix
+from atoll_core.errors import UsageError
+from atoll_core.expression.operators import MULTIPLY, POW, SQUARE
+from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 
 NAMES = ("x", "y", "θ", "pi_x")

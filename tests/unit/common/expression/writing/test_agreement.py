@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing import agreement
-from atoll.expression.writing.agreement import agree, points_of, shortest_over
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing import agreement
+from atoll_core.expression.writing.agreement import agree, points_of, shortest_over
 
 NAMES = ("x", "y")
 BOX = np.array([[-1.0, 0.2, 3.0], [2.0, 2.5, 2.25]])

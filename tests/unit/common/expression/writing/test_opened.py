@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing.opened import factored_forms, open_terms, raised_quotients, shape_of, terms_of
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing.opened import factored_forms, open_terms, raised_quotients, shape_of, terms_of
 
 NAMES = ("x", "y")
 POINTS = np.random.default_rng(3).uniform(0.5, 2.0, (2, 20))

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import ADD, MULTIPLY, VARIABLE
-from atoll.expression.simplification import simplify_program
-from atoll.expression.text.infix import to_infix, tree_size
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing.shortest import collected, shortest
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import ADD, MULTIPLY, VARIABLE
+from atoll_core.expression.simplification import simplify_program
+from atoll_core.expression.text.infix import to_infix, tree_size
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing.shortest import collected, shortest
 from tests.oracles.programs import program_of
 
 NAMES = ("x", "y", "z")

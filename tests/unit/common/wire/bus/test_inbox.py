@@ -1,7 +1,7 @@
 """The inbox keeps order and bounds memory; alarms ring once."""
 
-from atoll.wire.bus.inbox import INBOX_BYTES, Inbox, Timers
-from atoll.wire.bus.interface import Message, Posted, Query, Reply
+from atoll_core.wire.bus.inbox import INBOX_BYTES, Inbox, Timers
+from atoll_core.wire.bus.interface import Message, Posted, Query, Reply
 
 
 def test_events_come_in_the_order_in_which_they_were_added() -> None:

@@ -2,10 +2,10 @@
 
 from typing import get_args
 
-from atoll.wire import topics
-from atoll.wire.bus.interface import Message, Query, Reply
-from atoll.wire.bus.metered_bus import _KINDS, OTHER, MeteredBus, kind_of
-from atoll.wire.messages.views import Traffic
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Message, Query, Reply
+from atoll_core.wire.bus.metered_bus import _KINDS, OTHER, MeteredBus, kind_of
+from atoll_core.wire.messages.views import Traffic
 from tests.simulation.bus.network import SimulatedNetwork
 
 REALM = "r"

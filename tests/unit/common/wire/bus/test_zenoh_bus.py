@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from atoll.errors import UnreachableError, UsageError
-from atoll.wire.addresses import bindable, own_address, parse_address
-from atoll.wire.bus import zenoh_bus
-from atoll.wire.bus.interface import MAX_PAYLOAD, Event, Message, Presence, Query, Reply
-from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
+from atoll_core.errors import UnreachableError, UsageError
+from atoll_core.wire.addresses import bindable, own_address, parse_address
+from atoll_core.wire.bus import zenoh_bus
+from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Message, Presence, Query, Reply
+from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 
 LIMIT_S = 30.0
 
@@ -119,7 +119,7 @@ def test_a_flood_loses_nothing(router: ZenohBus) -> None:
 def test_a_message_larger_than_ours_is_not_read_and_changes_nothing(
     router: ZenohBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("atoll.wire.bus.keys.MAX_PAYLOAD", 2 * MAX_PAYLOAD)
+    monkeypatch.setattr("atoll_core.wire.bus.keys.MAX_PAYLOAD", 2 * MAX_PAYLOAD)
     router.subscribe("large")
     with open_client(router.endpoint) as stranger:
         stranger.get("barrier", timeout_s=5.0)
@@ -140,7 +140,7 @@ def repeated_until_read(stranger: ZenohBus, router: ZenohBus, payload: bytes) ->
 
 
 def started(script: str, *arguments: str) -> subprocess.Popen[str]:
-    imports = "import os, sys\nfrom atoll.wire.bus.zenoh_bus import open_client, open_router\n"
+    imports = "import os, sys\nfrom atoll_core.wire.bus.zenoh_bus import open_client, open_router\n"
     return subprocess.Popen([sys.executable, "-c", imports + script, *arguments], stdout=subprocess.PIPE, text=True)
 
 

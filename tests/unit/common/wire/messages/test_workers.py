@@ -2,14 +2,14 @@
 
 import pytest
 
-from atoll.config import JobConfig
-from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import CommitOrder
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.clients import Answer, Ask, Cancel, Failure, Submit, Upload, Uploaded
-from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
-from atoll.wire.messages.limits import CHUNK_SIZE, chunk_count
-from atoll.wire.messages.workers import (
+from atoll_core.config import JobConfig
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.clients import Answer, Ask, Cancel, Failure, Submit, Upload, Uploaded
+from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
+from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
+from atoll_core.wire.messages.workers import (
     Addition,
     Block,
     Close,

@@ -6,9 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from atoll.errors import UsageError
-from atoll.wire import topics
-from atoll.wire.security.access_control import Flow, Roster, access_control, checked_roster, permissions, read_roster
+from atoll_core.errors import UsageError
+from atoll_core.wire import topics
+from atoll_core.wire.security.access_control import (
+    Flow,
+    Roster,
+    access_control,
+    checked_roster,
+    permissions,
+    read_roster,
+)
 
 ROSTER = Roster({"lab1": "worker", "lab2": "worker", "ann": "submitter", "eve": "admin"})
 REALM = "0123456789ab"

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from atoll.errors import UsageError
-from atoll.wire.addresses import destination
-from atoll.wire.security.credentials import credentials_of, load
+from atoll_core.errors import UsageError
+from atoll_core.wire.addresses import destination
+from atoll_core.wire.security.credentials import credentials_of, load
 from tests.certificates import Lab
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from atoll.config import Angle, DataConfig, JobConfig
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.config import Angle, DataConfig, JobConfig
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.increments.steps import Steps
+from atoll_core.data.dataset import FloatArray
 
 
 def steps_of(states: FloatArray, step: float) -> Steps:

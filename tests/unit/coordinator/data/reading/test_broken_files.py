@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.config import DataConfig, JobConfig
-from atoll.errors import DataError
 from atoll_coordinator.data.description import describe
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig, JobConfig
+from atoll_core.errors import DataError
 
 
 def rows(form: str) -> str:

@@ -4,10 +4,10 @@ import numpy as np
 import polars
 import pytest
 
-from atoll.config import DataConfig
-from atoll.data.table import Table
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import DataError
 
 ANYTHING = DataConfig()
 

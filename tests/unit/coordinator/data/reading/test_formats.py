@@ -12,11 +12,11 @@ import polars
 import pytest
 import scipy.io
 
-from atoll.config import DataConfig, JobConfig
-from atoll.data.table import Table
-from atoll.errors import DataError
 from atoll_coordinator.data.description import describe
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig, JobConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import DataError
 
 MADE = Path(__file__).parent / "files"
 ROWS = np.arange(12)

@@ -5,8 +5,8 @@ import datetime
 import numpy as np
 import pytest
 
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.instants import NANOSECONDS, of_array, read_instants, times_of, with_clock
+from atoll_core.errors import DataError
 
 S, H, D = (NANOSECONDS[unit] for unit in ("s", "h", "d"))
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.config import DataConfig
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.matlab import read_matlab
 from atoll_coordinator.data.reading.matlab_child import flat
+from atoll_core.config import DataConfig
+from atoll_core.errors import DataError
 
 
 def test_a_file_that_ends_its_reader_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

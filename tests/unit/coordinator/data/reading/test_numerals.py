@@ -2,8 +2,8 @@
 
 import pytest
 
-from atoll.errors import DataError
 from atoll_coordinator.data.reading.numerals import read_numbers
+from atoll_core.errors import DataError
 
 
 def numbers(separator=",", **columns):

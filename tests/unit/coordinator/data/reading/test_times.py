@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from atoll.config import DataConfig
-from atoll.data.table import Table
 from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig
+from atoll_core.data.table import Table
 
 
 def read(folder: Path, header: str, *rows: str, config: DataConfig | None = None) -> Table:

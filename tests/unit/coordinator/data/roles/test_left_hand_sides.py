@@ -2,8 +2,8 @@
 
 import pytest
 
-from atoll.errors import UsageError
 from atoll_coordinator.data.roles.left_hand_sides import LeftSides
+from atoll_core.errors import UsageError
 
 SYMBOLS = {"x": "x", "v-x": "v_x", "dx": "dx", "u": "u"}
 

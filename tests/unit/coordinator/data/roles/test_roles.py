@@ -2,10 +2,10 @@
 
 import pytest
 
-from atoll.config import Angle, DataConfig
-from atoll.errors import DataError, UsageError
 from atoll_coordinator.data.roles.options import strip_units
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
+from atoll_core.config import Angle, DataConfig
+from atoll_core.errors import DataError, UsageError
 from tests.unit.coordinator.data.tables import table_of
 
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from atoll.config import DataConfig, JobConfig
-from atoll.errors import DataError, UsageError
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.config import DataConfig, JobConfig
+from atoll_core.errors import DataError, UsageError
 from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from atoll.config import Angle, DataConfig
-from atoll.errors import DataError
+from atoll_core.config import Angle, DataConfig
+from atoll_core.errors import DataError
 from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.inference import attractor
 from atoll_coordinator.model.inference.attractor import _block_means, _welch, along, look_for_chaos
 from atoll_coordinator.model.inference.verdict import Evidence, judge
@@ -15,6 +14,7 @@ from atoll_coordinator.model.result.trust import chaos
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, prepared
 
 TRUTH = ("10*(y - x)", "28*x - x*z - y", "x*y - 2.6666666666666665*z")

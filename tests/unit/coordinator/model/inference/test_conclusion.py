@@ -8,13 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
-from atoll.data.dataset import Dataset, Target
-from atoll.expression.operators import BY_NAME
-from atoll.expression.program import constant_places
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
-from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference import conclusion
@@ -26,6 +19,13 @@ from atoll_coordinator.model.refinement import Alternative, Pool
 from atoll_coordinator.model.selection import joint_search, piece_lengths
 from atoll_coordinator.model.selection.candidates import collect_candidates, form
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll_core.data.dataset import Dataset, Target
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import constant_places
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.pareto import FrontEntry
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import (
     DECAY,
@@ -67,7 +67,7 @@ def refined(known, starts, pool, *, times=TIMES, noise=0.0, seed=0, config=None)
 def is_same(known, refinement, **truths):
     """Tell whether equations have the truths' functions, with simple constants."""
     draw = np.random.default_rng(5).uniform(0.5, 2.0, (len(known.names), 20))
-    from atoll.expression.evaluation import values_of
+    from atoll_core.expression.evaluation import values_of
 
     return all(
         np.allclose(values_of(refinement.equations[name].program, draw), values_of(known.parsed(text), draw), rtol=1e-9)
@@ -77,7 +77,7 @@ def is_same(known, refinement, **truths):
 
 def is_near(known, refinement, **truths):
     """Tell whether equations have about the truths' functions, and the truths' constants within five errors."""
-    from atoll.expression.evaluation import values_of
+    from atoll_core.expression.evaluation import values_of
 
     draw = np.random.default_rng(5).uniform(0.5, 2.0, (len(known.names), 20))
     for name, text in truths.items():

@@ -5,22 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
-from atoll.data.table import Table
-from atoll.errors import DataError, UsageError
-from atoll.expression.evaluation import values_of
+from atoll.api.tables import table_of
 from atoll.model.model import Model
-from atoll.search.pareto import FrontEntry
-from atoll_coordinator.api.tables import table_of
+from atoll.text.render import render_text
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.roles.roles import assign_roles
 from atoll_coordinator.data.trajectories.measurements import take_measurements
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.render import render_text
 from atoll_coordinator.model.result.result import KNOWN, NOT_BY_GROUP, Account, VariableOutcome, build_result
 from atoll_coordinator.model.selection import joint_search
+from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll_core.data.table import Table
+from atoll_core.errors import DataError, UsageError
+from atoll_core.expression.evaluation import values_of
+from atoll_core.search.pareto import FrontEntry
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import pools
 

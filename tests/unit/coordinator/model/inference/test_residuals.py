@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.inference.residuals import check
+from atoll_core.data.dataset import FloatArray
 
 
 def noise(seed: int, rows: int = 100, trajectories: int = 4) -> list[FloatArray]:

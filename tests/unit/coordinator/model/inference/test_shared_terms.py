@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing.opened import open_terms
 from atoll_coordinator.model.inference import shared_terms
 from atoll_coordinator.model.inference.shared_terms import fit_together
 from atoll_coordinator.model.inference.standard_errors import estimate_errors
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing.opened import open_terms
 from tests.unit.coordinator.model.shooting.made import Known, compare, measurements
 
 TIMES = 0.05 * np.arange(80.0)

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.expression.program import constant_places
-from atoll.expression.unit_coefficients import as_written
 from atoll_coordinator.model.inference import standard_errors
 from atoll_coordinator.model.inference.simulation import (
     bands,
@@ -19,6 +17,8 @@ from atoll_coordinator.model.inference.simulation import (
 from atoll_coordinator.model.inference.standard_errors import estimate_errors
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_core.expression.program import constant_places
+from atoll_core.expression.unit_coefficients import as_written
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, Known, compare, recording
 
 TIMES = 0.2 * np.arange(20.0)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.inference.residuals import check
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import Chaos, Constant, Prediction
+from atoll_core.data.dataset import FloatArray
 
 KNOWN = (Constant(3.0, 2.98, 0.02, (2.94, 3.02)), Constant(1.0, 1.01, 0.02, (0.97, 1.05)))
 

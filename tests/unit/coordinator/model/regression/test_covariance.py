@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from atoll.data.dataset import Problem, Target
-from atoll.expression.simplification import simplify_program
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.regression.covariance import estimate_constants
 from atoll_coordinator.model.regression.fit import LeastSquares
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.expression.simplification import simplify_program
+from atoll_core.expression.text.parsing import from_infix
 
 NAMES = ("x", "y", "z")
 TRUTH = {"x": 1.5, "y": -0.7, "z": 1.0, "": 2.0}

@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from atoll.data.dataset import Problem, Target
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants, round_estimates
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, simple_numbers
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
 
 ODDS = math.exp(SETTINGS.inference.distinct_nats)
 

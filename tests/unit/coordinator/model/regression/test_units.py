@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from atoll.config import JobConfig, SpaceConfig
-from atoll.data.dataset import Problem, Target
-from atoll.expression.program import structure
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.refinement import Member
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
+from atoll_core.config import JobConfig, SpaceConfig
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.expression.program import structure
+from atoll_core.expression.text.parsing import from_infix
 
 UNITS = [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e-6)]
 SUMS = JobConfig(space=SpaceConfig(operators=("+", "-", "*")))

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from atoll.text.tables import noise_lines
 from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.refinement import StateErrors
 from atoll_coordinator.model.result.diagnostics import MOST_EXCLUDED, MOST_ROWS, noise, smoothing
-from atoll_coordinator.model.result.tables import noise_lines
 
 
 def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory:

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.config import EvolutionConfig, JobConfig, PriorConfig
-from atoll.data.dataset import Dataset, Target
-from atoll.expression.text.parsing import from_infix
+from atoll.text.render import render_text
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.result.digest import result_digest
 from atoll_coordinator.model.result.known import known_entries, with_remarks
-from atoll_coordinator.model.result.render import render_text
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
+from atoll_core.config import EvolutionConfig, JobConfig, PriorConfig
+from atoll_core.data.dataset import Dataset, Target
+from atoll_core.expression.text.parsing import from_infix
 
 X = np.linspace(-2.0, 2.0, 50)
 DATASET = Dataset(

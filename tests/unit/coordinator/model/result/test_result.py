@@ -9,12 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.config import BudgetConfig, JobConfig
-from atoll.data.dataset import Dataset, Target
-from atoll.errors import UsageError
-from atoll.expression.simplification import complexity
-from atoll.expression.text.parsing import from_infix
-from atoll.search.pareto import FrontEntry
+from atoll.text.render import parse_picks, pick, render, render_text
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.model.refinement import (
     Constant,
@@ -25,8 +20,13 @@ from atoll_coordinator.model.refinement import (
     Simulation,
 )
 from atoll_coordinator.model.result.digest import result_digest
-from atoll_coordinator.model.result.render import parse_picks, pick, render, render_text
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
+from atoll_core.config import BudgetConfig, JobConfig
+from atoll_core.data.dataset import Dataset, Target
+from atoll_core.errors import UsageError
+from atoll_core.expression.simplification import complexity
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.search.pareto import FrontEntry
 
 NAMES = ("x", "S", "v")
 SYMBOLS = {"x": "x", "S": "S", "v [m/s]": "v"}
@@ -332,7 +332,7 @@ def test_an_unknown_format_is_refused():
 
 
 def test_what_is_no_model_is_not_said_to_have_converged():
-    from atoll_coordinator.model.result.render import _standing
+    from atoll.text.render import _standing
 
     equation = {"why": "target", "converged": True, "verdict": "no model", "normalized_error": 0.1}
     equation |= {"complexity": 3, "epoch": 2}

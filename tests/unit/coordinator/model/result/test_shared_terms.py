@@ -2,10 +2,10 @@
 
 import pytest
 
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing.opened import shape_of, terms_of
 from atoll_coordinator.model.refinement import Constant, Refined, SharedTerm
 from atoll_coordinator.model.result.shared_terms import shared_terms
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing.opened import shape_of, terms_of
 
 NAMES = ("x", "y", "z")
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.config import DataConfig, JobConfig
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.model.result import source
 from atoll_coordinator.model.result.source import data, settings, system
+from atoll_core.config import DataConfig, JobConfig
 
 CONFIG = JobConfig(seed=3, data=DataConfig(target="y"))
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.data.dataset import Dataset, Target
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Source
 from atoll_coordinator.model.refinement import Alternative, Correlation, Covariance, Refined, Simulated, Simulation
 from atoll_coordinator.model.result.trust import MOST_POINTS, candidates, correlations, covariance, simulation, verdict
+from atoll_core.data.dataset import Dataset, Target
+from atoll_core.expression.text.parsing import from_infix
 
 VALUES = np.linspace(-1.0, 1.0, 20)
 TARGET = Target("x", "dx/dt", VALUES, 1e-9, 0.6)

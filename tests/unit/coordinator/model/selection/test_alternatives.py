@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.config import JobConfig
-from atoll.expression.program import structure
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import alternatives as alternatives
 from atoll_coordinator.model.selection.alternatives import rank_alternatives
@@ -14,6 +12,8 @@ from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.expression.program import structure
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import SWING, table
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from atoll.data.dataset import Problem, Target
-from atoll.expression.operators import BY_NAME
-from atoll.expression.program import structure
 from atoll_coordinator.model.selection.candidates import ranked
 from atoll_coordinator.model.structure.term_libraries import libraries
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import structure
 from tests.unit.coordinator.model.shooting.made import SWING, compare, measurements_of, recording
 
 TIMES = 0.1 * np.arange(40.0)

@@ -8,9 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.config import DataConfig, JobConfig
-from atoll.expression.program import Program, structure
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.model.criteria import structure_length
@@ -21,6 +18,9 @@ from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_core.config import DataConfig, JobConfig
+from atoll_core.expression.program import Program, structure
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, compare, measurements, recording
 

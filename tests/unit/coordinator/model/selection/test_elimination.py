@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from atoll.data.dataset import Problem, Target
-from atoll.expression.operators import ADD, DIVIDE, MULTIPLY
-from atoll.expression.program import constant_places
 from atoll_coordinator.model.selection import elimination
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.structure.term_libraries import Divisor, Factor, fractions, libraries
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.expression.operators import ADD, DIVIDE, MULTIPLY
+from atoll_core.expression.program import constant_places
 from tests.unit.coordinator.model.shooting.made import SWING, Known, compare, measurements_of, recording
 
 PLAIN = (ADD, MULTIPLY)

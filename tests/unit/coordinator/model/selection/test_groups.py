@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.data.dataset import Problem, Target
-from atoll.expression.bounds import EquationBounds, parse_bound
-from atoll.expression.program import constant_places
-from atoll.expression.restrictions import Restrictions
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.selection.comparison import Constraints, ModelComparison
 from atoll_coordinator.model.selection.groups import GroupedRows
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.expression.bounds import EquationBounds, parse_bound
+from atoll_core.expression.program import constant_places
+from atoll_core.expression.restrictions import Restrictions
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.shooting.made import Known, recording
 
 RATES = (0.5, 1.0, 1.7)

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from atoll.config import BudgetConfig, JobConfig, SpaceConfig
-from atoll.expression.program import structure
-from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Law, Refined
 from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask, ranked_candidates
+from atoll_core.config import BudgetConfig, JobConfig, SpaceConfig
+from atoll_core.expression.program import structure
+from atoll_core.expression.writing.shortest import shortest
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
 DRAG = Known(("v",), lambda _, z: [-0.05 * z[0] ** 2])

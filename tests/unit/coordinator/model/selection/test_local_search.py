@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from atoll.expression.operators import BY_NAME
-from atoll.expression.program import structure
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.structure.moves.extensions import extensions
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import structure
 from tests.unit.coordinator.model.shooting.made import SWING, Known, compare, measurements
 
 TIMES = 0.1 * np.arange(40.0)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.config import JobConfig, SpaceConfig
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
@@ -15,6 +14,7 @@ from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig, SpaceConfig
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import SWING, Known, pools, table
 

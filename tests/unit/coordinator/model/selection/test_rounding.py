@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from atoll.expression.program import constant_places, structure
 from atoll_coordinator.model.selection.rounding import round_shown, round_system
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.program import constant_places, structure
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, Known, compare, measurements
 
 TIMES = 0.25 * np.arange(60.0)

@@ -3,9 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-from atoll.config import PRESETS, JobConfig, SpaceConfig
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.pipeline import refine_all
@@ -15,6 +12,9 @@ from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.piece_lengths import select_model
 from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, with_laws
+from atoll_core.config import PRESETS, JobConfig, SpaceConfig
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, TERMS, monomials, prepared
 from tests.unit.coordinator.model.sparse.ring import RING, SUMS, TRUTHS, ring
 

@@ -6,20 +6,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.data.dataset import FloatArray, Problem
-from atoll.data.table import Table
-from atoll.expression.evaluation import values_of
-from atoll.expression.program import Program
-from atoll.expression.simplification import complexity, simplify_program
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing.shortest import shortest
-from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_core.data.dataset import FloatArray, Problem
+from atoll_core.data.table import Table
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program
+from atoll_core.expression.simplification import complexity, simplify_program
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing.shortest import shortest
+from atoll_core.search.pareto import FrontEntry
 
 Rates = Callable[[float, Sequence[float]], Sequence[float]]
 Wave = Callable[[FloatArray], FloatArray]

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.operators import CONSTANT, VARIABLE
-from atoll.expression.program import constant_places
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.shooting.kernels.rates import rates
 from atoll_coordinator.model.shooting.system import system_of, variable_program
+from atoll_core.expression.operators import CONSTANT, VARIABLE
+from atoll_core.expression.program import constant_places
+from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 
 NAMES = ("x", "y", "u")

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.config import PRESETS
-from atoll.data.table import Table
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.config import PRESETS
+from atoll_core.data.table import Table
 
 NAMES = ("x", "y", "z")
 TERMS = {"x": {"x", "y"}, "y": {"x", "y", "x*z"}, "z": {"z", "x*y"}}

@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.config import JobConfig, SpaceConfig
-from atoll.data.table import Table
+from atoll_core.config import JobConfig, SpaceConfig
+from atoll_core.data.table import Table
 
 RING = tuple(f"x{place}" for place in range(6))
 SUMS = JobConfig(space=SpaceConfig(operators=("+", "-", "*")))

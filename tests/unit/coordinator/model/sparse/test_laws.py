@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import special
 
-from atoll.config import BudgetConfig, JobConfig, PriorConfig, SpaceConfig
-from atoll.expression.operators import BY_NAME
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.sparse.laws import find_laws, laws_among_many, settled_variables
 from atoll_coordinator.model.sparse.regression import Regression, products
 from atoll_coordinator.model.sparse.weak_form import Measured, weak_form
+from atoll_core.config import BudgetConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, TERMS, monomials, prepared
 from tests.unit.coordinator.model.sparse.ring import RING, SUMS, ring
 

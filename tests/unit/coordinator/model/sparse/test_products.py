@@ -2,8 +2,8 @@
 
 import pytest
 
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.sparse.products import products_of
+from atoll_core.expression.text.parsing import from_infix
 
 NAMES = ("x", "y", "z")
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from atoll.data.dataset import Problem, Target
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import BY_NAME
-from atoll.expression.program import constant_places
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import constant_places
+from atoll_core.expression.text.parsing import from_infix
 
 NAMES = ("x", "y")
 ALL = {each.code for each in BY_NAME.values()}

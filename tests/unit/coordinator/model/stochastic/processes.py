@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.text.parsing import from_infix
 
 
 def ornstein_uhlenbeck(rows: int, step: float, seed: int, noise: float = 0.0) -> FloatArray:

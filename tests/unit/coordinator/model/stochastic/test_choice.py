@@ -3,15 +3,15 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import linalg
 
-from atoll.config import DataConfig, JobConfig, SpaceConfig
-from atoll.data.dataset import FloatArray
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.stochastic.choice import ChosenProcess, ProcessChoice, is_zero
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
+from atoll_core.config import DataConfig, JobConfig, SpaceConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.data.tables import table_of
 
 

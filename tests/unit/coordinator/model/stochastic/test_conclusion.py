@@ -4,10 +4,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
-from atoll.data.dataset import FloatArray
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.pipeline import refine_all
@@ -16,6 +12,10 @@ from atoll_coordinator.model.regression.covariance import Known
 from atoll_coordinator.model.stochastic.choice import ChosenProcess
 from atoll_coordinator.model.stochastic.conclusion import _Equation, _judge, _pattern, joint_objections
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
+from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.data.tables import table_of
 from tests.unit.coordinator.model.stochastic.processes import ornstein_uhlenbeck, steps_of
 

@@ -1,9 +1,9 @@
 import numpy as np
 from scipy import stats
 
-from atoll.expression.text.parsing import from_infix
-from atoll.stochastic.moments import step_moments
 from atoll_coordinator.model.stochastic.likelihood import ProcessLikelihood, ProcessModel
+from atoll_coordinator.stochastic.moments import step_moments
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.stochastic.processes import model_of, ornstein_uhlenbeck, steps_of
 
 NAMES = ("x", "y")

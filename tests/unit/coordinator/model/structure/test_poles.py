@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from atoll.expression.text.infix import to_infix
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.structure.poles import find_poles
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 POINTS = np.random.default_rng(0).uniform([[0.2], [-1.0]], [[3.0], [1.0]], (2, 60))

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import ADD, BY_NAME, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT
-from atoll.expression.program import constant_places
 from atoll_coordinator.model.structure.term_libraries import Divisor, Factor, column_of, fractions, libraries, sum_of
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import ADD, BY_NAME, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT
+from atoll_core.expression.program import constant_places
 
 PLAIN = (ADD, MULTIPLY)
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.config import Angle, DataConfig, JobConfig
-from atoll.data.dataset import Dataset, Target
-from atoll.errors import DataError, UsageError
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.result.trust import verdict
 from atoll_coordinator.model.structure.units import equation_units
 from atoll_coordinator.service.jobs.defaults import with_units
+from atoll_core.config import Angle, DataConfig, JobConfig
+from atoll_core.data.dataset import Dataset, Target
+from atoll_core.errors import DataError, UsageError
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from atoll.logs import fields
+from atoll_core.logs import fields
 
 
 def pid() -> int:

@@ -20,9 +20,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.config import JobConfig, SpaceConfig
-from atoll.errors import StoreError
-from atoll.logs import JsonLines, TextLines
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.service.background import process_pool as module
 from atoll_coordinator.service.background.child_process import ProcessDiedError, cause_of
@@ -43,6 +40,9 @@ from atoll_coordinator.service.monitoring.breakages import what_to_send
 from atoll_coordinator.service.search.archipelago import Checkpoint
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
+from atoll_core.config import JobConfig, SpaceConfig
+from atoll_core.errors import StoreError
+from atoll_core.logs import JsonLines, TextLines
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.task_pools import call
 from tests.unit.coordinator.model.shooting.made import DECAY, pools, table

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from atoll import VERSION
 from atoll_coordinator.model import pipeline
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.selection.shortcut import with_laws
@@ -29,6 +28,7 @@ from atoll_coordinator.service.background.tasks import (
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.monitoring.breakages import Breakages, what_to_send
 from atoll_coordinator.service.store.store import Store
+from atoll_core import VERSION
 from tests.task_pools import LocalPool
 from tests.unit.coordinator.model.sparse.ring import RING, SUMS, ring
 

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.config import PAPER, BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
-from atoll.data.dataset import Dataset, Target
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
 from atoll_coordinator.data.recording import STENCIL_ROWS, Recording, Smoothing
 from atoll_coordinator.service.jobs.defaults import (
@@ -19,6 +17,8 @@ from atoll_coordinator.service.jobs.defaults import (
     stagnation_of,
 )
 from atoll_coordinator.service.search.collector import Stagnation
+from atoll_core.config import PAPER, BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
+from atoll_core.data.dataset import Dataset, Target
 
 RECORDING = Recording(("x0",), ("x0",), (), (), (), 1, 0.0, (Smoothing("x0", "interpolation", 0.0, 0.0),), ())
 

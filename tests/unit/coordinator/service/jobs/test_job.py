@@ -5,12 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
-from atoll.data.dataset import Dataset, Target
-from atoll.errors import LocalProtocolError, RemoteProtocolError
-from atoll.search.pareto import FrontEntry
-from atoll.wire.messages.views import FINAL_STATES
-from atoll.wire.messages.workers import Addition, EpochReport, Holding, IslandReport, Placement, SliceCounters
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Pool, Refinement
 from atoll_coordinator.service.jobs.job import (
@@ -30,6 +24,12 @@ from atoll_coordinator.service.search.checkpoints import StoredSearchState
 from atoll_coordinator.service.search.collector import SearchState, Stagnation
 from atoll_coordinator.service.search.cut import Cut, stored
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll_core.data.dataset import Dataset, Target
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.search.pareto import FrontEntry
+from atoll_core.wire.messages.views import FINAL_STATES
+from atoll_core.wire.messages.workers import Addition, EpochReport, Holding, IslandReport, Placement, SliceCounters
 
 VALUES = np.linspace(0.0, 1.0, 30)
 DATASET = Dataset(

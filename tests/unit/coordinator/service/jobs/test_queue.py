@@ -1,9 +1,9 @@
 """In which order jobs are taken up."""
 
-from atoll.config import JobConfig
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.jobs.queue import MAX_RUNNING, Line, next_job, waiting_jobs
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_core.config import JobConfig
 
 
 def job(name: str, priority: int = 0, state: str = "queued") -> Job:

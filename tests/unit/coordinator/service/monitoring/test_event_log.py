@@ -4,10 +4,10 @@ import logging
 
 import pytest
 
-from atoll.logs import fields_of
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.store import Store
+from atoll_core.logs import fields_of
 
 
 def test_what_is_recorded_is_logged_with_its_fields_and_comes_back_from_the_store(

@@ -8,10 +8,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from atoll.config import JobConfig
-from atoll.errors import RefusedError, StoreError
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.clients import (
+from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.requests import clients as clients_module
+from atoll_coordinator.service.requests import uploads as uploads_module
+from atoll_coordinator.service.requests.authorization import Authorization
+from atoll_coordinator.service.requests.clients import ClientRequests
+from atoll_coordinator.service.requests.deletion import JobDeletion
+from atoll_coordinator.service.store.store import JobRecord, Room, Store
+from atoll_core.config import JobConfig
+from atoll_core.errors import RefusedError, StoreError
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.clients import (
     Answer,
     Ask,
     Cancel,
@@ -31,14 +38,7 @@ from atoll.wire.messages.clients import (
     WorkerList,
     Workers,
 )
-from atoll.wire.messages.limits import CHUNK_SIZE
-from atoll_coordinator.service.controller import Controller
-from atoll_coordinator.service.requests import clients as clients_module
-from atoll_coordinator.service.requests import uploads as uploads_module
-from atoll_coordinator.service.requests.authorization import Authorization
-from atoll_coordinator.service.requests.clients import ClientRequests
-from atoll_coordinator.service.requests.deletion import JobDeletion
-from atoll_coordinator.service.store.store import JobRecord, Room, Store
+from atoll_core.wire.messages.limits import CHUNK_SIZE
 
 TABLE = b"t,x\n0,1\n"
 BLOB = hashlib.sha256(TABLE).hexdigest()

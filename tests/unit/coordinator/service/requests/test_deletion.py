@@ -4,17 +4,17 @@ from collections.abc import Iterator
 
 import pytest
 
-from atoll.config import JobConfig
-from atoll.errors import RefusedError
-from atoll.wire.messages.clients import Ask, Cancel, Delete, Submit
-from atoll.wire.messages.limits import CHUNK_SIZE
-from atoll.wire.security.access_control import Roster
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import CHECK_INTERVAL_S, JobDeletion
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.store import Store
+from atoll_core.config import JobConfig
+from atoll_core.errors import RefusedError
+from atoll_core.wire.messages.clients import Ask, Cancel, Delete, Submit
+from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.security.access_control import Roster
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 
 DAY = 86400.0

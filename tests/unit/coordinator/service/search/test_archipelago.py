@@ -2,9 +2,12 @@
 
 import pytest
 
-from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import CommitOrder
-from atoll.wire.messages.workers import (
+from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
+from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
+from atoll_coordinator.service.search.collector import Limits, Stagnation
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.workers import (
     Commit,
     EpochReport,
     Holding,
@@ -14,10 +17,7 @@ from atoll.wire.messages.workers import (
     SliceCounters,
     States,
 )
-from atoll.wire.state_transfer import State, split_states
-from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
-from atoll_coordinator.service.search.collector import Limits, Stagnation
+from atoll_core.wire.state_transfer import State, split_states
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=2)
 WORKERS = ("a", "b")

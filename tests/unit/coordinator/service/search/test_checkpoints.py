@@ -7,12 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import CommitOrder
-from atoll.search.pareto import FrontEntry
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.workers import Placement, Schedule, States
-from atoll.wire.state_transfer import State, split_states
 from atoll_coordinator.service.search.checkpoint_schedule import (
     COST_S,
     COST_S_PER_BYTE,
@@ -27,6 +21,12 @@ from atoll_coordinator.service.search.checkpoint_schedule import (
 from atoll_coordinator.service.search.checkpoints import Gathering, StoredSearchState
 from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.cut import Improvement
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.search.pareto import FrontEntry
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.workers import Placement, Schedule, States
+from atoll_core.wire.state_transfer import State, split_states
 
 STATES = {island: State.of(bytes([island]) * 30) for island in range(4)}
 PLACEMENT = Placement(

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import CommitOrder
-from atoll.search.pareto import FrontEntry, merge
-from atoll.wire.codec import decode, encode
-from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_coordinator.service.search.collector import Collector, DivergedError, Limits, Stagnation, additions_of
 from atoll_coordinator.service.search.cut import Cut
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.search.pareto import FrontEntry, merge
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 LIMITS = Limits(islands=2, epochs=50, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)

@@ -2,15 +2,15 @@
 
 import pytest
 
-from atoll.search.commit_order import CommitOrder
-from atoll.wire.messages.limits import CHUNK_SIZE
-from atoll.wire.messages.workers import Holding, Placement, PullStates, States
-from atoll.wire.state_transfer import State, split_states
 from atoll_coordinator.service.search import pull_budget as module
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
 from atoll_coordinator.service.search.collector import Limits, SearchState, Stagnation
 from atoll_coordinator.service.search.pull_budget import MAX_PULLS, PullBudget
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.messages.workers import Holding, Placement, PullStates, States
+from atoll_core.wire.state_transfer import State, split_states
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
 STATE = b"a state of an island"

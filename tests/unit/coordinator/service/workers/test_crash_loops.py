@@ -2,11 +2,11 @@
 
 import pytest
 
-from atoll.wire.messages.views import EventView
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.crash_loops import FAIL_AFTER, QUARANTINE_AFTER, CrashLoop, CrashLoops
+from atoll_core.wire.messages.views import EventView
 
 KEY = ("job", "x")
 

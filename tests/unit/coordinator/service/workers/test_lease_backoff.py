@@ -1,10 +1,10 @@
 """Longer leases for workers whose work is slow."""
 
-from atoll.search.commit_order import CommitOrder
-from atoll.wire.messages.workers import Placement
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Limits, Stagnation
 from atoll_coordinator.service.workers.lease_backoff import MAX_FACTOR, LeaseBackoff
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.workers import Placement
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 

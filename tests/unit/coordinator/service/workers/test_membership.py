@@ -1,9 +1,5 @@
 """Workers come, go, hang and return; who is there is decided by this alone."""
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.wire.messages.handshake import Hello
-from atoll.wire.messages.views import WorkerState
-from atoll.wire.messages.workers import Holding, WorkerStatus
 from atoll_coordinator.service.workers.membership import (
     ABSENCE_S,
     LEASE_S,
@@ -12,6 +8,10 @@ from atoll_coordinator.service.workers.membership import (
     Membership,
     version_refusal,
 )
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.messages.views import WorkerState
+from atoll_core.wire.messages.workers import Holding, WorkerStatus
 
 
 def hello(name: str = "w0", instance: str = "a", fingerprint: str = "f", **changes: object) -> Hello:

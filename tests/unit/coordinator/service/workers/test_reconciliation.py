@@ -5,12 +5,12 @@ from typing import Any, cast
 
 import pytest
 
-from atoll.search.commit_order import CommitOrder
-from atoll.wire.messages.workers import Close, CloseJob, Holding, Placement, Placements, PullReports, WorkerStatus
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Limits, Stagnation
 from atoll_coordinator.service.workers.reconciliation import Correction, corrections
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.workers import Close, CloseJob, Holding, Placement, Placements, PullReports, WorkerStatus
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 TERM = 2

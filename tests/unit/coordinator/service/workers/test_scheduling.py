@@ -9,10 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.search.commit_order import CommitOrder
-from atoll.wire.messages.handshake import Hello
-from atoll.wire.messages.workers import Placement, WorkerStatus
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.search.archipelago import Archipelago
@@ -22,6 +18,10 @@ from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import ABSENCE_S, Membership
 from atoll_coordinator.service.workers.quarantine import Quarantine
 from atoll_coordinator.service.workers.scheduling import EXPECT_S, REPLACE_WITHIN_S, Plan, Scheduler, spread
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.messages.workers import Placement, WorkerStatus
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 

@@ -4,14 +4,14 @@ from typing import Any
 
 import pytest
 
-from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.search.commit_order import CommitOrder
-from atoll.wire.messages.handshake import Hello
-from atoll.wire.messages.workers import Doing, Holding, IslandReport, Placement, SliceCounters, WorkerStatus
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Limits, Stagnation
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.service.workers.stalls import PATIENCE_S, StallDetector, named, stall_of
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.messages.workers import Doing, Holding, IslandReport, Placement, SliceCounters, WorkerStatus
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
 LONG_S = 100.0

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.kernels.tape import functions_address
+from atoll_core.expression.kernels.tape import functions_address
 from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, renew_trainer, use_best_predictor
 from atoll_island_worker.evolution.kernels.coevolution import most_disputed, train
 from atoll_island_worker.evolution.kernels.generation import COEVOLUTION, PARTS

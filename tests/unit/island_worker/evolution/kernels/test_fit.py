@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.operators import (
+from atoll_core.expression.operators import (
     ADD,
     CONSTANT,
     COS,

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from atoll.expression.kernels.tape import padded
-from atoll.expression.operators import CONSTANT
-from atoll.search.seeding import Stream
+from atoll_core.expression.kernels.tape import padded
+from atoll_core.expression.operators import CONSTANT
+from atoll_core.search.seeding import Stream
 from atoll_island_worker.evolution.kernels.generation import (
     FITTING,
     OFFSPRING,

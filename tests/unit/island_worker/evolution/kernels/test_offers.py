@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from atoll.expression.operators import MULTIPLY, VARIABLE
-from atoll.expression.simplification import complexity
+from atoll_core.expression.operators import MULTIPLY, VARIABLE
+from atoll_core.expression.simplification import complexity
 from atoll_island_worker.evolution.formula import from_book, from_tape, to_program
 from atoll_island_worker.evolution.kernels.generation import PARTS, REFITTING
 from atoll_island_worker.evolution.kernels.offers import (

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 
-from atoll.expression.operators import ADD, ARITY, DIVIDE, MULTIPLY, SQUARE, SUBTRACT, VARIABLE
-from atoll.expression.simplification import complexity, simplify_program
+from atoll_core.expression.operators import ADD, ARITY, DIVIDE, MULTIPLY, SQUARE, SUBTRACT, VARIABLE
+from atoll_core.expression.simplification import complexity, simplify_program
 from atoll_island_worker.evolution.kernels.tape import canonical_tape, compile_tape, mark_live, sign
 from atoll_island_worker.evolution.structures import empty_tape, empty_work
 from tests.oracles import variation

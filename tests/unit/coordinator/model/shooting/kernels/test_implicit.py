@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF, eliminate
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
 from atoll_coordinator.model.shooting.system import system_of
+from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.integration import integrate
 
 NAMES = ("x", "y", "u")

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, OPERATORS, POW, VARIABLE
-from atoll.expression.program import Program, with_constants
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
 from atoll_coordinator.model.shooting.warmup import TOLERANCES
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, OPERATORS, POW, VARIABLE
+from atoll_core.expression.program import Program, with_constants
+from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.integration import integrate
 from tests.unit.coordinator.model.shooting.made import DECAY, measurements
 from tests.unit.documents import ROOT

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from atoll.compilation.jit import kernel
-from atoll.expression.evaluation import value_of, values_and_gradient
-from atoll.expression.kernels.functions import STRICT
-from atoll.expression.operators import BY_NAME
-from atoll.expression.program import constant_places
 from atoll_coordinator.model.shooting.kernels.rates import rates, slopes
 from atoll_coordinator.model.shooting.system import system_of
+from atoll_core.compilation.jit import kernel
+from atoll_core.expression.evaluation import value_of, values_and_gradient
+from atoll_core.expression.kernels.functions import STRICT
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import constant_places
 from tests.oracles.programs import program_of
 from tests.unit.common.expression.kernels.test_tape import gradient as kernel_gradient
 

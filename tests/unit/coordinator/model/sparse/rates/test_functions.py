@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from atoll.expression.operators import BY_NAME
 from atoll_coordinator.model.sparse.rates.functions import dictionary
 from atoll_coordinator.model.sparse.rates.laws import _without_first
 from atoll_coordinator.model.sparse.rates.sums import Atom
+from atoll_core.expression.operators import BY_NAME
 
 
 def test_quotients_keep_their_products_where_all_functions_are_too_many() -> None:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import BY_NAME
-from atoll.expression.program import constant_places
-from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.sparse.rates.laws import find_rate_laws
 from atoll_coordinator.model.sparse.rates.rows import RateRows
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import constant_places
+from atoll_core.expression.text.parsing import from_infix
 
 OPERATORS = {BY_NAME[name].code for name in ("+", "-", "*", "/")}
 NAMES = tuple(f"x{place + 1}" for place in range(7))

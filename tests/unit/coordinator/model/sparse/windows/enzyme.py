@@ -5,9 +5,9 @@ import functools
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.config import PRESETS
-from atoll.data.table import Table
 from atoll_coordinator.data.prepare import prepare
+from atoll_core.config import PRESETS
+from atoll_core.data.table import Table
 
 NAMES = ("a", "b")
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import BY_NAME
-from atoll.expression.program import constant_places
 from atoll_coordinator.model.sparse.windows.laws import WindowEquation, find_window_laws
 from atoll_coordinator.model.sparse.windows.rows import window_rows
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import constant_places
 from tests.unit.coordinator.model.sparse.windows.enzyme import NAMES, field, prepared
 
 OPERATORS = frozenset(BY_NAME[name].code for name in ("+", "-", "*", "/"))

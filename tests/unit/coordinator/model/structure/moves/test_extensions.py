@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.expression.evaluation import values_of
-from atoll.expression.operators import ADD, ARITY, BY_NAME, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT
-from atoll.expression.program import constant_places, structure
-from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import ADD, ARITY, BY_NAME, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT
+from atoll_core.expression.program import constant_places, structure
+from atoll_core.expression.writing.shortest import shortest
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 ALL = [its.code for its in BY_NAME.values()]

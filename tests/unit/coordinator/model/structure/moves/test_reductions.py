@@ -1,7 +1,7 @@
 """Smaller programs made of a program."""
 
-from atoll.expression.program import structure
 from atoll_coordinator.model.structure.moves.reductions import reductions
+from atoll_core.expression.program import structure
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 

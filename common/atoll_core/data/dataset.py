@@ -1,0 +1,127 @@
+"""What a search is given: rows of input variables and, per equation sought, the target column.
+
+Not the measurements (those are `atoll_core.data.table.Table`): smoothing and differentiating have been done, once, by
+the coordinator. Letters: R rows, V input variables.
+"""
+
+import hashlib
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+CLEAN_UNCERTAINTY: Final = 1e-3
+"""Targets known better than this, relative to their spread, count as noise-free."""
+
+EXACT_ERROR: Final = 1e-9
+"""Normalized error at which an equation of noise-free data has converged: rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The left-hand side of one equation.
+
+    `variable` is the column name it belongs to and the name by which everything refers to this equation; `lhs` is how
+    it is printed, such as ``dx/dt``; `values` has shape (R,); `uncertainty` is the mean estimated uncertainty of
+    `values` divided by `standard_deviation`, that of `values`; `noise` is the estimated relative noise (0: none).
+    """
+
+    variable: str
+    lhs: str
+    values: FloatArray
+    uncertainty: float
+    standard_deviation: float
+    noise: float = 0.0
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the truth itself would miss these values by so much that errors alone cannot tell it."""
+        return self.noise > 0.0 or self.uncertainty >= CLEAN_UNCERTAINTY
+
+    def convergence_threshold(self, target_error: float | None = None) -> float:
+        """Return the normalized error at most which an equation of this target has converged.
+
+        That is `target_error` if the job has one, else twice the uncertainty, but not less than `EXACT_ERROR`.
+        """
+        return target_error if target_error is not None else max(EXACT_ERROR, 2.0 * self.uncertainty)
+
+    def convergence_error(self, target_error: float | None = None) -> float:
+        """Return the error at most which an equation of this target has converged, in the unit of `values`."""
+        return self.convergence_threshold(target_error) * self.standard_deviation
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One regression problem: the inputs, shape (V, R), C order, and one target over the same R rows.
+
+    `groups` (R,) number the groups of trajectories that have constants of their own; None: all share them.
+    """
+
+    names: tuple[str, ...]
+    inputs: FloatArray
+    target: Target
+    groups: IntArray | None = None
+
+    def of_group(self, group: int) -> "Problem":
+        """Return the problem on the rows of one group; itself where there are no groups."""
+        if self.groups is None:
+            return self
+        rows = np.flatnonzero(self.groups == group)
+        target = replace(self.target, values=np.ascontiguousarray(self.target.values[rows]))
+        return Problem(self.names, np.ascontiguousarray(self.inputs[:, rows]), target)
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """All regression problems of a job over the same rows.
+
+    `names` are the V symbols used in expressions, in the order of the rows of `inputs`; `symbols` maps each column name
+    of the user's file to its symbol; `warnings` are sentences for the user about how the data were treated; `groups`
+    are as in `Problem`.
+    """
+
+    names: tuple[str, ...]
+    inputs: FloatArray
+    targets: tuple[Target, ...]
+    symbols: dict[str, str]
+    warnings: tuple[str, ...] = ()
+    groups: IntArray | None = None
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the equations, in their order; of those that are known as well."""
+        return tuple(target.variable for target in self.targets)
+
+    def problem(self, variable: str) -> Problem:
+        """Return the regression problem of `variable`; raises KeyError for an unknown one."""
+        for target in self.targets:
+            if target.variable == variable:
+                return Problem(self.names, self.inputs, target, self.groups)
+        raise KeyError(variable)
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex digest of everything that can influence the search."""
+        digest = hashlib.sha256()
+        _update(digest, self.names)
+        digest.update(self.inputs.tobytes())
+        for target in self.targets:
+            _update(digest, (target.variable, target.lhs))
+            digest.update(target.values.tobytes())
+            digest.update(struct.pack("<ddd", target.uncertainty, target.standard_deviation, target.noise))
+        if self.groups is not None:
+            digest.update(self.groups.tobytes())
+        return digest.hexdigest()
+
+
+def _update(digest: "hashlib._Hash", texts: Sequence[str]) -> None:
+    for text in texts:
+        encoded = text.encode()
+        digest.update(struct.pack("<q", len(encoded)) + encoded)

@@ -1,0 +1,195 @@
+"""Raw numeric columns as they were read from files: what a client uploads and only the coordinator interprets.
+
+Letters: C columns, N rows.
+"""
+
+import datetime
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Final, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import DataError, RemoteProtocolError
+from atoll_core.wire.codec import BROKEN, decode_arrays, encode_arrays
+
+IntArray = npt.NDArray[np.int64]
+S = TypeVar("S", bound=np.generic)
+C = TypeVar("C", list[Any], dict[str, Any])
+MANY = 5
+"""So many rows are named in a message before it says how many there are in all."""
+
+
+MIDNIGHT: Final = "midnight"
+
+
+class Origin(NamedTuple):
+    """Since when the times of a column of dates are counted, as ISO 8601 or `MIDNIGHT`, and the seconds of its unit."""
+
+    since: str
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns as read, checked for shape only.
+
+    `names` are unique and without units, `units` are "" where the header gives none; `columns` (C, N) float64, C order,
+    may hold NaN and infinity; `starts` are the rows at which the files or blank rows begin a new trajectory, the first
+    one 0. For messages: `files` are the names of the files, `file_of_row` (N,) indices into them, `line_of_row` (N,)
+    line numbers from 1, or 0 where a file has no lines. `skipped` are columns that hold text. `read_as` says how
+    the files were read, "" where that is not known. `labels` are the texts that the numbers of a column of groups stand
+    for, from 1. `origins` belong to columns that hold dates or clock times in the files.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: FloatArray
+    starts: tuple[int, ...]
+    files: tuple[str, ...]
+    file_of_row: IntArray
+    line_of_row: IntArray
+    skipped: tuple[str, ...] = ()
+    read_as: str = ""
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    origins: Mapping[str, Origin] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit together; raises DataError."""
+        shape = (len(self.names), len(self.file_of_row))
+        sizes_fit = self.columns.shape == shape and len(self.units) == shape[0] and len(self.line_of_row) == shape[1]
+        if not sizes_fit or len(set(self.names)) != len(self.names) or not self.files:
+            raise DataError(f"a table of {len(self.names)} names has columns of shape {self.columns.shape}")
+        if list(self.starts) != sorted(set(self.starts)) or self.starts[:1] != (0,) or self.starts[-1] > shape[1]:
+            raise DataError(f"a table of {shape[1]} rows has trajectories that start at rows {self.starts}")
+        if shape[1] and not 0 <= self.file_of_row.min() <= self.file_of_row.max() < len(self.files):
+            raise DataError(f"a table refers to files beyond its {len(self.files)}")
+
+    def label(self, name: str, value: float) -> str | None:
+        """Return the text that a number of column `name` stands for, None where it stands for itself."""
+        texts = self.labels.get(name)
+        return texts[int(value) - 1] if texts is not None and 1 <= value <= len(texts) else None
+
+    def moment(self, name: str, time: float) -> str:
+        """Return a time of column `name` as a date or clock time where the files hold these, else as a number."""
+        origin = self.origins.get(name)
+        if origin is None:
+            return repr(time)
+        start = "1970-01-01" if origin.since == MIDNIGHT else origin.since.removesuffix(" UTC")
+        try:
+            since = datetime.timedelta(seconds=round(time * origin.seconds, 6))
+            moment = datetime.datetime.fromisoformat(start) + since
+        except (OverflowError, ValueError):  # no calendar goes so far
+            return repr(time)
+        return str(moment.time() if origin.since == MIDNIGHT else moment)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows N."""
+        return int(self.columns.shape[1])
+
+    def column(self, name: str) -> FloatArray:
+        """Return the values (N,) of column `name`; raises KeyError."""
+        try:
+            values: FloatArray = self.columns[self.names.index(name)]
+        except ValueError:
+            raise KeyError(name) from None
+        return values
+
+    def places(self, rows: Sequence[int]) -> str:
+        """Say where `rows` (indices from 0) stand: ``rows 12, 40 (lines 13, 41 of a.csv), 2 in all``."""
+        shown = list(rows[:MANY])
+        numbers = ", ".join(str(row + 1) for row in shown)
+        text = f"{_plural('row', shown)} {numbers}{', …' if len(rows) > MANY else ''}"
+        files = [int(self.file_of_row[row]) for row in shown]
+        if all(self.line_of_row[row] > 0 for row in shown):
+            parts = []
+            for file in dict.fromkeys(files):
+                lines = [str(self.line_of_row[row]) for row, its in zip(shown, files, strict=True) if its == file]
+                parts.append(f"{_plural('line', lines)} {', '.join(lines)} of {self.files[file]}")
+            text += f" ({'; '.join(parts)})"
+        return text + (f", {len(rows)} in all" if len(rows) > 1 else "")
+
+    def to_bytes(self) -> bytes:
+        """Return the bytes that are uploaded; `from_bytes` reads them."""
+        header: dict[str, object] = {
+            "names": list(self.names),
+            "units": list(self.units),
+            "starts": list(self.starts),
+            "files": list(self.files),
+            "skipped": list(self.skipped),
+            "read_as": self.read_as,
+        }
+        if self.labels:
+            header["labels"] = {name: list(texts) for name, texts in self.labels.items()}
+        if self.origins:
+            header["origins"] = {name: list(origin) for name, origin in self.origins.items()}
+        arrays = {"columns": self.columns, "file_of_row": self.file_of_row, "line_of_row": self.line_of_row}
+        return encode_arrays(header, arrays)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> "Table":
+        """Parse what `to_bytes` wrote; raises RemoteProtocolError when it is anything else."""
+        header, arrays = decode_arrays(data)
+        try:
+            return cls(
+                _texts(header["names"]),
+                _texts(header["units"]),
+                _numbers(arrays["columns"], np.float64, 2),
+                tuple(_whole(start) for start in _items(header["starts"], list)),
+                _texts(header["files"]),
+                _numbers(arrays["file_of_row"], np.int64, 1),
+                _numbers(arrays["line_of_row"], np.int64, 1),
+                _texts(header["skipped"]),
+                _texts([header.get("read_as", "")])[0],
+                {name: _texts(texts) for name, texts in _items(header.get("labels", {}), dict).items()},
+                {name: _origin(*its) for name, its in _items(header.get("origins", {}), dict).items()},
+            )
+        except (*BROKEN, DataError) as error:
+            raise RemoteProtocolError(f"the bytes of a table do not fit: {error}") from error
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex sha256 of the content."""
+        return hashlib.sha256(self.to_bytes()).hexdigest()
+
+
+def _plural(noun: str, items: Sequence[object]) -> str:
+    return noun if len(items) == 1 else noun + "s"
+
+
+def _items(value: object, kind: type[C]) -> C:
+    if not isinstance(value, kind):
+        raise TypeError(f"a {kind.__name__} was expected")
+    return value
+
+
+def _whole(value: object) -> int:
+    if type(value) is not int:
+        raise TypeError("a whole number was expected")
+    return value
+
+
+def _texts(values: object) -> tuple[str, ...]:
+    if not isinstance(values, (list, tuple)) or not all(isinstance(value, str) for value in values):
+        raise TypeError("a list of texts was expected")
+    return tuple(values)
+
+
+def _origin(since: object, seconds: object) -> Origin:
+    if since != MIDNIGHT:
+        datetime.datetime.fromisoformat(str(since).removesuffix(" UTC"))
+    if not isinstance(seconds, int | float) or not 0.0 < seconds < math.inf:
+        raise ValueError("the unit of times is no positive number of seconds")
+    return Origin(_texts([since])[0], float(seconds))
+
+
+def _numbers(array: npt.NDArray[Any], kind: type[S], dimensions: int) -> npt.NDArray[S]:
+    if array.dtype != kind or array.ndim != dimensions:
+        raise TypeError(f"an array of {array.dtype} with {array.ndim} dimensions was found")
+    return np.ascontiguousarray(array)

@@ -1,0 +1,122 @@
+"""A program's values and their derivatives with respect to its constants, on all rows at once, by numpy.
+
+For what is done after the search, where a last bit more or less decides nothing; the kernels of
+`atoll_core.expression.kernels.tape` are for the search. Letters: N nodes, R rows, K constants.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.operators import (
+    ARITY,
+    CONSTANT,
+    TRIGONOMETRIC_LIMIT,
+    VARIABLE,
+    Functions,
+    Slope,
+    definitions,
+)
+from atoll_core.expression.program import Program
+
+
+def _periodic(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatArray], FloatArray]:
+    """Return sine or cosine as programs have it: not a number where the argument is too large to be reduced well."""
+
+    def limited(a: FloatArray) -> FloatArray:
+        values = function(a)
+        return np.where(np.abs(a) > TRIGONOMETRIC_LIMIT, np.nan, values)
+
+    return limited
+
+
+def _power(x: FloatArray, y: FloatArray) -> FloatArray:
+    return np.where((x == 0.0) & (y < 0.0), np.nan, np.power(x, y))
+
+
+def _base_log(x: FloatArray, v: FloatArray) -> FloatArray:
+    return np.where((x == 0.0) & (v == 0.0), 0.0, np.log(x))
+
+
+DEFINITIONS: Final = definitions(
+    Functions(
+        _periodic(np.sin), _periodic(np.cos), np.exp, np.log, np.sqrt, np.abs, np.tanh, _power, np.sign, _base_log
+    )
+)
+
+
+def value_of(code: int, left: float, right: float) -> float:
+    """Return the value of one operator; not finite where it has none."""
+    with np.errstate(all="ignore"):
+        return float(DEFINITIONS[code].value(np.array([left]), np.array([right]))[0])
+
+
+def values_of(program: Program, inputs: FloatArray) -> FloatArray:
+    """Return the values of `program` at all rows of `inputs` (V, R), shape (R,); not finite where there is none."""
+    return node_values(program, inputs)[-1]
+
+
+def node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
+    """Return the values of every node of `program` at all rows of `inputs` (V, R), each of shape (R,)."""
+    rows = inputs.shape[1]
+    values: list[FloatArray] = []
+    with np.errstate(all="ignore"):
+        for code, left, right, constant in program.nodes():
+            if code == VARIABLE:
+                values.append(inputs[left])
+            elif code == CONSTANT:
+                values.append(np.full(rows, constant))
+            else:
+                values.append(DEFINITIONS[code].value(values[left], values[right]))
+    return values
+
+
+def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    """Return what `values_of` does, and d(output)/d(constant), (K, R), for the K constants at the indices `places`.
+
+    The derivatives are found by one reverse sweep; not finite where there is none.
+    """
+    values = node_values(program, inputs)
+    codes, lefts, rights = program.operators.tolist(), program.left.tolist(), program.right.tolist()
+    depends = _dependent(codes, lefts, rights, places)
+    adjoint: list[FloatArray | None] = [None] * len(codes)
+    adjoint[-1] = np.ones_like(values[-1])
+    with np.errstate(all="ignore"):
+        for i in range(len(codes) - 1, -1, -1):
+            code, mine = codes[i], adjoint[i]
+            if mine is None or code <= CONSTANT:
+                continue
+            at = values[lefts[i]], values[rights[i]], values[i]
+            if depends[lefts[i]]:
+                _gather(adjoint, lefts[i], mine * _slope(DEFINITIONS[code].left, *at))
+            if ARITY[code] == 2 and depends[rights[i]]:
+                _gather(adjoint, rights[i], mine * _slope(DEFINITIONS[code].right, *at))
+    found = [adjoint[place] for place in places]
+    zero = np.zeros_like(values[-1])
+    return values[-1], np.array([zero if each is None else each for each in found]).reshape(len(found), len(zero))
+
+
+def _slope(slope: Slope, a: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray | float:
+    """Return the derivative by an argument, from both arguments and the value."""
+    amount: FloatArray | float = float(slope.sign)
+    for factor in slope.factors:
+        amount = amount * factor(a, b, v)
+    return amount if slope.divisor is None else amount / slope.divisor(a, b, v)
+
+
+def _dependent(codes: list[int], lefts: list[int], rights: list[int], places: Sequence[int]) -> list[bool]:
+    """Return for every node whether it depends on a constant at `places`."""
+    depends: list[bool] = []
+    for index, (code, left, right) in enumerate(zip(codes, lefts, rights, strict=True)):
+        if code <= CONSTANT:
+            depends.append(index in places)
+        else:
+            depends.append(depends[left] or (ARITY[code] == 2 and depends[right]))
+    return depends
+
+
+def _gather(adjoint: list[FloatArray | None], node: int, amount: FloatArray) -> None:
+    known = adjoint[node]
+    adjoint[node] = amount if known is None else known + amount

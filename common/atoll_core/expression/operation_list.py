@@ -1,0 +1,187 @@
+"""A program as an operation list of a given shape, made of given operators: how a guess comes into a population.
+
+An operation list begins with its terminals and ends with its output. What people write uses squares, minus signs and
+quotients that the operators of a job may lack; where others can take their place, they do. Pure.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from atoll_core.errors import UsageError
+from atoll_core.expression.builder import ProgramBuilder, live_nodes
+from atoll_core.expression.operators import (
+    ADD,
+    ARITY,
+    CONSTANT,
+    DIVIDE,
+    INVERSE,
+    MULTIPLY,
+    NEGATE,
+    OPERATORS,
+    SQUARE,
+    SUBTRACT,
+)
+from atoll_core.expression.program import Node, Program
+from atoll_core.expression.simplification import simplify_program
+from atoll_core.expression.text.parsing import from_infix
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedNode:
+    """Node `index` of a list; for terminals and operators `left` and `right` are as in `Program`."""
+
+    index: int
+    code: int
+    left: int
+    right: int
+    constant: float
+
+
+def placed_text(
+    text: str, names: Sequence[str], operators: Collection[int], terminals: int, operator_nodes: int
+) -> tuple[PlacedNode, ...]:
+    """Return the nodes of a list that computes what `text` says over the symbols `names`, see `placed`.
+
+    Every number in it is a constant of its own; where there is no room for that, equal ones are one constant.
+
+    Raises:
+        UsageError: the text cannot be read or placed.
+    """
+    try:
+        apart = from_infix(text, names, merges_constants=False)
+        return placed(apart, operators, terminals, operator_nodes)
+    except UsageError:
+        return placed(from_infix(text, names), operators, terminals, operator_nodes)
+
+
+def placed(program: Program, operators: Collection[int], terminals: int, operator_nodes: int) -> tuple[PlacedNode, ...]:
+    """Return the nodes of a list that computes what `program` does, up to rounding.
+
+    Terminals come first, operators last; what lies between is the caller's.
+
+    Args:
+        program: any valid program.
+        operators: codes that the list may use.
+        terminals: nodes at the beginning of a list, which hold variables and constants.
+        operator_nodes: nodes after them; the last one is the output.
+
+    Raises:
+        UsageError: other operators would be needed, or more nodes; a sentence without its subject, such as
+            ``has 30 operators, …``.
+    """
+    nodes = _Rewriting(frozenset(operators)).rewritten(simplify_program(program, merges_constants=False))
+    leaves = [index for index, node in enumerate(nodes) if not ARITY[node[0]]]
+    inner = [index for index, node in enumerate(nodes) if ARITY[node[0]]]
+    for found, possible, what in (
+        (len(leaves), terminals, "different variables and constants"),
+        (len(inner), operator_nodes, "operators"),
+    ):
+        if found > possible:
+            raise UsageError(f"has {found} {what}, but an operation list has room for {possible}; shorten it")
+    end = terminals + operator_nodes
+    place = {old: new for new, old in enumerate(leaves)}
+    place |= {old: end - len(inner) + number for number, old in enumerate(inner)}
+    return tuple(_moved(nodes[old], new, place) for old, new in place.items())
+
+
+def _moved(node: Node, index: int, place: dict[int, int]) -> PlacedNode:
+    code, left, right, value = node
+    if not ARITY[code]:
+        return PlacedNode(index, code, left, 0, value)
+    return PlacedNode(index, code, place[left], place[right] if ARITY[code] == 2 else 0, 0.0)
+
+
+class _Rewriting(ProgramBuilder):
+    """Builds a program with the operators at hand; each constant of the given one stays a node of its own."""
+
+    def __init__(self, operators: frozenset[int]) -> None:
+        super().__init__()
+        self._operators = operators
+
+    def rewritten(self, program: Program) -> list[Node]:
+        """Return the nodes, the output last; raises UsageError."""
+        places: list[int] = []
+        for code, left, right, value in program.nodes():
+            if ARITY[code]:
+                places.append(self.operate(code, places[left], places[right] if ARITY[code] == 2 else 0))
+            else:
+                places.append(self._own_constant(value) if code == CONSTANT else self.add(code, left))
+        output = places[-1]
+        if not ARITY[self.nodes[output][0]]:
+            output = self._unchanged(output)
+        return live_nodes(self.nodes, output)
+
+    def operate(self, code: int, left: int, right: int = 0) -> int:
+        """Return the index of a node with the value of an operator, which may be written with others."""
+        if code in self._operators:
+            return self.add(code, left, right)
+        substitute = _SUBSTITUTES.get(code)
+        node = substitute(self, left, right) if substitute is not None else None
+        if node is None:
+            raise UsageError(
+                f"needs '{OPERATORS[code].name}', but may be made of {_names(self._operators)} only; "
+                "write it otherwise, or allow more operators"
+            )
+        return node
+
+    def _own_constant(self, value: float) -> int:
+        """Return a new constant, which is fitted apart from equal ones."""
+        return self.append(CONSTANT, value=value)
+
+    def _value(self, node: int) -> float | None:
+        return self.nodes[node][3] if self.nodes[node][0] == CONSTANT else None
+
+    def _product(self, left: int, right: int) -> int | None:
+        if MULTIPLY in self._operators:
+            return self.add(MULTIPLY, left, right)
+        return self.add(SQUARE, left) if left == right and SQUARE in self._operators else None
+
+    def _negated(self, node: int) -> int | None:
+        value = self._value(node)
+        if value is not None:
+            return self._own_constant(-value)
+        if NEGATE in self._operators:
+            return self.add(NEGATE, node)
+        if MULTIPLY in self._operators:
+            return self.add(MULTIPLY, self.constant(-1.0), node)
+        return self.add(SUBTRACT, self.constant(0.0), node) if SUBTRACT in self._operators else None
+
+    def _joined(self, code: int, left: int, right: int) -> int | None:
+        """Return ``left - right`` as a sum, or ``left + right`` as a difference; `code` is the operator to use."""
+        negated = self._negated(right) if code in self._operators else None
+        return None if negated is None else self.add(code, left, negated)
+
+    def _quotient(self, left: int, right: int) -> int | None:
+        value = self._value(right)
+        if value and abs(1.0 / value) < float("inf"):
+            return self._product(left, self._own_constant(1.0 / value))
+        if INVERSE not in self._operators:
+            return None
+        inverse = self.add(INVERSE, right)
+        return inverse if self._value(left) == 1.0 else self._product(left, inverse)
+
+    def _inverse(self, node: int) -> int | None:
+        return self.add(DIVIDE, self.constant(1.0), node) if DIVIDE in self._operators else None
+
+    def _unchanged(self, leaf: int) -> int:
+        """Return an operation with the value of a variable or constant: the output of a list is no terminal."""
+        for code, value in ((MULTIPLY, 1.0), (ADD, 0.0), (SUBTRACT, 0.0), (DIVIDE, 1.0)):
+            if code in self._operators:
+                return self.add(code, leaf, self.constant(value))
+        raise UsageError(f"is a single variable or number, which {_names(self._operators)} cannot leave as it is")
+
+
+_SUBSTITUTES: Final[dict[int, Callable[[_Rewriting, int, int], int | None]]] = {
+    SQUARE: lambda builder, left, _: builder._product(left, left),
+    MULTIPLY: lambda builder, left, right: builder._product(left, right),
+    NEGATE: lambda builder, left, _: builder._negated(left),
+    SUBTRACT: lambda builder, left, right: builder._joined(ADD, left, right),
+    ADD: lambda builder, left, right: builder._joined(SUBTRACT, left, right),
+    DIVIDE: lambda builder, left, right: builder._quotient(left, right),
+    INVERSE: lambda builder, left, _: builder._inverse(left),
+}
+
+
+def _names(operators: Collection[int]) -> str:
+    return ",".join(OPERATORS[code].name for code in sorted(operators))

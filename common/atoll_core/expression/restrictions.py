@@ -1,0 +1,53 @@
+"""What an equation must keep to, whatever it is made of: bounds on its constants, variables that it must have."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from atoll_core.config import JobConfig
+from atoll_core.expression.bounds import EquationBounds, equation_bounds
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import Program
+
+
+@dataclass(frozen=True, eq=False)
+class Restrictions:
+    """`bounds` on the constants of an equation, None without; `required` are indices of variables that it must have."""
+
+    bounds: EquationBounds | None = None
+    required: frozenset[int] = frozenset()
+
+    @property
+    def are_none(self) -> bool:
+        """Whether any program will do."""
+        return self.bounds is None and not self.required
+
+    def admitted(self, program: Program) -> Program | None:
+        """Return `program` as it may be fitted, laid out for the bounds; None when it may not."""
+        if not self.has_required(program):
+            return None
+        return program if self.bounds is None else self.bounds.laid_out(program)
+
+    def are_kept(self, program: Program) -> bool:
+        """Tell whether a program, with its constants as they stand, keeps to everything."""
+        return self.has_required(program) and (self.bounds is None or self.bounds.are_kept(program))
+
+    def has_required(self, program: Program) -> bool:
+        """Tell whether all variables that an equation must have are in `program`."""
+        return self.required <= set(program.left[program.operators == VARIABLE].tolist())
+
+
+NONE = Restrictions()
+
+
+def restrictions_of(config: JobConfig, variable: str, names: Sequence[str]) -> Restrictions:
+    """Return the restrictions of the equation of `variable`.
+
+    Args:
+        config: resolved.
+        variable: whose equation it is.
+        names: the symbols of the variables that it may use; a bound on a term of others says nothing.
+    """
+    required = config.space.required_of.get(variable, ())
+    return Restrictions(
+        equation_bounds(config.prior.bounds, variable, names), frozenset(names.index(each) for each in required)
+    )

@@ -1,0 +1,159 @@
+"""Constants of one that nobody writes, made explicit: without them, errors of the others would be too small.
+
+``3*x - x**2`` says that the factor of x**2 is 1 as surely as that of x is 3. Standard errors come from the fit of all
+such factors together, before any of them was made simple: each term of a sum has a factor, and so has a product that is
+not part of a sum. Factors inside functions are not opened, nor is one of those that would only scale each other.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from atoll_core.expression.builder import ProgramBuilder
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT
+from atoll_core.expression.program import Node, Program, constant_places, with_constants
+from atoll_core.expression.writing.shortest import collected
+
+ONE: Final = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class ExplicitCoefficients:
+    """A program with its factors of one as constants.
+
+    `origins` has for each constant of `program`, in node order, its number among those of the program that was opened;
+    None for a factor of one. `terms` has for each of these, in the same order, what it is a factor of.
+    """
+
+    program: Program
+    origins: tuple[int | None, ...]
+    terms: tuple[Program, ...]
+
+
+def make_coefficients_explicit(program: Program) -> ExplicitCoefficients:
+    """Return `program` with its factors of one as constants; the same function."""
+    draft = _Draft(program.nodes())
+    output = draft.open(len(program) - 1, has_factor=False)
+    return draft.finished(output)
+
+
+def write_factors(explicit: ExplicitCoefficients, fitted: Program, chosen: Collection[int]) -> Program:
+    """Return the program that was opened with some factors written out.
+
+    Args:
+        explicit: with all its factors of one as constants.
+        fitted: its program with other values of constants.
+        chosen: numbers of the terms whose factors are written; the other factors are one.
+    """
+    places = constant_places(fitted)
+    factors = [place for place, origin in zip(places, explicit.origins, strict=True) if origin is None]
+    rest = {place: ONE for term, place in enumerate(factors) if term not in chosen}
+    return collected(with_constants(fitted, rest))
+
+
+def as_written(program: Program) -> ExplicitCoefficients:
+    """Return `program` unopened."""
+    return ExplicitCoefficients(program, tuple(range(int((program.operators == CONSTANT).sum()))), ())
+
+
+class _Draft:
+    """A program under construction: nodes of the old one copied where they are needed, each constant once."""
+
+    def __init__(self, old: list[Node]) -> None:
+        self._old = old
+        self._numbers = {
+            place: number for number, place in enumerate(index for index, node in enumerate(old) if node[0] == CONSTANT)
+        }
+        self._new = ProgramBuilder()
+        self._copies: dict[int, int] = {}
+        self._origins: dict[int, int | None] = {}
+        self._terms: dict[int, int] = {}
+
+    def open(self, index: int, *, has_factor: bool) -> int:
+        """Return the new place of an old node, opened; `has_factor` tells whether a constant scales it already."""
+        code, left, right, _ = self._old[index]
+        if code == CONSTANT:
+            return self._copy(index)
+        if code in (ADD, SUBTRACT):
+            return self._sum(index, next(self._without_factor(index), None) if has_factor else None)
+        if code == NEGATE:
+            return self._new.append(NEGATE, self.open(left, has_factor=has_factor))
+        if code == MULTIPLY:
+            return self._product(index, has_factor=has_factor)
+        if code == DIVIDE:
+            above = self.open(left, has_factor=has_factor)
+            return self._new.append(DIVIDE, above, self._scaled(right))
+        return self._copy(index) if has_factor else self._factored(self._copy(index))
+
+    def finished(self, output: int) -> ExplicitCoefficients:
+        """Return what was opened."""
+        program = self._new.program(output)
+        places = [index for index, node in enumerate(self._new.nodes[: output + 1]) if node[0] == CONSTANT]
+        terms = [self._new.program(self._terms[place]) for place in places if self._origins[place] is None]
+        return ExplicitCoefficients(program, tuple(self._origins[place] for place in places), tuple(terms))
+
+    def _sum(self, index: int, spared: int | None) -> int:
+        """Open a sum; a term that is `spared` keeps its factor of one, since another constant scales the whole."""
+        code, left, right, _ = self._old[index]
+        if code in (ADD, SUBTRACT):
+            return self._new.append(code, self._sum(left, spared), self._sum(right, spared))
+        return self.open(index, has_factor=index == spared)
+
+    def _without_factor(self, index: int) -> Iterator[int]:
+        """Yield the terms of a sum that have no constant factor."""
+        code, left, right, _ = self._old[index]
+        if code in (ADD, SUBTRACT):
+            yield from self._without_factor(left)
+            yield from self._without_factor(right)
+        elif not self._holds_factor(index):
+            yield index
+
+    def _product(self, index: int, *, has_factor: bool) -> int:
+        """Open a product: its constant takes the factor if it has one, else a sum in it, else the whole gets one."""
+        _, left, right, _ = self._old[index]
+        if has_factor or self._holds_factor(index):
+            return self._new.append(MULTIPLY, self._scaled(left), self._scaled(right))
+        first, second = (left, right) if self._holds_sum(left) else (right, left)
+        if not self._holds_sum(first):
+            return self._factored(self._copy(index))
+        return self._new.append(MULTIPLY, self.open(first, has_factor=False), self._scaled(second))
+
+    def _scaled(self, index: int) -> int:
+        """Return the new place of a node that is scaled already."""
+        return self.open(index, has_factor=True)
+
+    def _holds_factor(self, index: int) -> bool:
+        """Tell whether a product, quotient or negative has a constant factor."""
+        code, left, right, _ = self._old[index]
+        if code == MULTIPLY:
+            return self._holds_factor(left) or self._holds_factor(right)
+        if code in (DIVIDE, NEGATE):
+            return self._holds_factor(left)
+        return code == CONSTANT
+
+    def _holds_sum(self, index: int) -> bool:
+        """Tell whether a product or quotient has a sum above its line."""
+        code, left, right, _ = self._old[index]
+        if code == MULTIPLY:
+            return self._holds_sum(left) or self._holds_sum(right)
+        if code in (DIVIDE, NEGATE):
+            return self._holds_sum(left)
+        return code in (ADD, SUBTRACT)
+
+    def _copy(self, index: int) -> int:
+        """Return the new place of an old node as it is."""
+        if index not in self._copies:
+            code, left, right, value = self._old[index]
+            if ARITY[code]:
+                left = self._copy(left)
+                right = self._copy(right) if ARITY[code] == 2 else 0
+            self._copies[index] = self._new.append(code, left, right, value)
+            if code == CONSTANT:
+                self._origins[self._copies[index]] = self._numbers[index]
+        return self._copies[index]
+
+    def _factored(self, place: int) -> int:
+        factor = self._new.append(CONSTANT, value=ONE)
+        self._origins[factor] = None
+        self._terms[factor] = place
+        return self._new.append(MULTIPLY, factor, place)

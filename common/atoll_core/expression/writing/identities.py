@@ -1,0 +1,382 @@
+"""Sums that equal a given sum: one identity applied at one place.
+
+None of them brings in a pole or takes a value away: a factor is taken out of a sum only where all of its terms have it,
+and nothing is divided by what was not a divisor.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from itertools import combinations
+from typing import Final
+
+from atoll_core.expression.operators import ABS, ADD, COS, LOG, SIN, SQRT
+from atoll_core.expression.writing.sums import (
+    ONE,
+    ZERO,
+    Atom,
+    Monomial,
+    Sum,
+    UndefinedError,
+    add,
+    atom_sum,
+    cleaned,
+    collect,
+    common,
+    constant,
+    distribute,
+    divided,
+    function,
+    kept,
+    merged,
+    multiply,
+    power,
+    product,
+    times,
+)
+
+_MOST_TERMS: Final = 7
+"""Sums of more terms are only collected; no product is opened that would leave more."""
+_EQUAL: Final = 1e-12
+"""Relative difference of coefficients that count as equal."""
+
+Best = Callable[[Sum], Sum]
+"""The best form of a part."""
+Term = tuple[Monomial, float]
+
+
+def equal_sums(its: Sum, best: Best) -> Iterator[Sum]:
+    """Yield sums that equal `its`, parts that are made anew in their `best` form."""
+    if len(its) > _MOST_TERMS:
+        return
+    for identity in _IDENTITIES:
+        try:
+            yield from identity(its, best)
+        except UndefinedError:
+            continue
+
+
+def _without(its: Sum, *terms: Term) -> Sum:
+    return tuple(term for term in its if term not in terms)
+
+
+def _one(term: Term) -> Sum:
+    return (term,)
+
+
+def _opened(its: Sum, best: Best) -> Iterator[Sum]:
+    """One power of a bracket times the rest, term by term; all brackets at once."""
+    everything: list[tuple[float, Sum]] = []
+    is_open = True
+    for monomial, coefficient in its:
+        parts = [(atom, exponent) for atom, exponent in monomial if atom[0] == ADD and exponent > 0]
+        whole: Sum = ((tuple(item for item in monomial if item not in parts), coefficient),)
+        for atom, exponent in parts:
+            rest = product([coefficient, *merged([*monomial, (atom, -1)])])
+            opened = distribute(rest, atom[1])
+            if len(opened) + len(its) <= _MOST_TERMS:
+                yield add((1.0, _without(its, (monomial, coefficient))), (1.0, opened))
+            for _ in range(exponent):
+                whole = distribute(whole, atom[1])
+                if len(whole) > _MOST_TERMS:
+                    return
+            is_open = False
+        everything.append((1.0, whole))
+    if not is_open:
+        yield add(*everything)
+
+
+def _inner(its: Sum, best: Best) -> Iterator[Sum]:
+    """Brackets in their best form."""
+    parts: list[tuple[float, Sum]] = []
+    for monomial, coefficient in its:
+        whole = product([coefficient, *(item for item in monomial if item[0][0] != ADD)])
+        for atom, exponent in monomial:
+            if atom[0] == ADD:
+                whole = multiply(whole, power(best(atom[1]), exponent))
+        parts.append((1.0, whole))
+    yield add(*parts)
+
+
+def _factored(its: Sum, best: Best) -> Iterator[Sum]:
+    """What terms have in common, in front of a bracket."""
+    tried: set[Monomial] = set()
+    for (one, _), (other, _) in combinations(its, 2):
+        shared = common([one, other])
+        if not shared or shared in tried:
+            continue
+        tried.add(shared)
+        chosen = [term for term in its if _divides(shared, term[0])]
+        inner = best(collect((divided(monomial, shared), coefficient) for monomial, coefficient in chosen))
+        yield add((1.0, _without(its, *chosen)), (1.0, multiply(((shared, 1.0),), inner)))
+        for atom, exponent in shared if len(shared) > 1 else ():
+            single = ((atom, 1 if exponent > 0 else -1),)
+            if single not in tried:
+                tried.add(single)
+                chosen = [term for term in its if _divides(single, term[0])]
+                inner = best(collect((divided(monomial, single), coefficient) for monomial, coefficient in chosen))
+                yield add((1.0, _without(its, *chosen)), (1.0, multiply(((single, 1.0),), inner)))
+
+
+def _divides(divisor: Monomial, monomial: Monomial) -> bool:
+    exponents = dict(monomial)
+    return all(
+        exponents.get(atom, 0) >= count if count > 0 else exponents.get(atom, 0) <= count for atom, count in divisor
+    )
+
+
+def _over_one_line(its: Sum, best: Best) -> Iterator[Sum]:
+    """Terms over a sum, a sine or a cosine together with others, all of them or one."""
+    divisors: dict[Atom, int] = {}
+    for monomial, _ in its:
+        for atom, exponent in monomial:
+            if exponent < 0 and atom[0] in (ADD, SIN, COS):
+                divisors[atom] = min(divisors.get(atom, 0), exponent)
+    for atom, exponent in divisors.items():
+        over = [term for term in its if dict(term[0]).get(atom, 0) < 0]
+        others = [term for term in its if term not in over]
+        groups = [others] if len(others) < 2 else [others, *([other] for other in others)]
+        if not others and len(over) > 1:
+            groups = [[]]
+        for group in groups:
+            raising: Sum = _expanded_power(atom, -exponent)
+            parts = [(1.0, distribute(_one(term), raising)) for term in group]
+            parts += [(1.0, _lifted(term, atom, exponent, raising)) for term in over]
+            above = add(*parts)
+            if len(above) > _MOST_TERMS:
+                continue
+            whole = multiply(best(above), (((((atom, exponent),)), 1.0),)) if above else ZERO
+            yield add((1.0, _without(its, *over, *group)), (1.0, whole))
+
+
+def _expanded_power(atom: Atom, exponent: int) -> Sum:
+    base = atom[1] if atom[0] == ADD else atom_sum(atom)
+    total = base
+    for _ in range(exponent - 1):
+        total = distribute(total, base)
+    return total
+
+
+def _lifted(term: Term, atom: Atom, exponent: int, raising: Sum) -> Sum:
+    """Return a term that has a divisor times the highest power of it."""
+    monomial, coefficient = term
+    own = dict(monomial)[atom]
+    rest = product([coefficient, *merged([*monomial, (atom, -own)])])
+    return distribute(rest, _expanded_power(atom, own - exponent)) if own > exponent else rest
+
+
+def _divisors_multiplied(its: Sum, best: Best) -> Iterator[Sum]:
+    """1/((u + v) (u - v)) as 1/(u^2 - v^2)."""
+    for term in its:
+        monomial, coefficient = term
+        below = [atom for atom, exponent in monomial if atom[0] == ADD and exponent < 0]
+        for one, other in combinations(below, 2):
+            divisor = distribute(one[1], other[1])
+            rest = product([coefficient, *merged([*monomial, (one, 1), (other, 1)])])
+            yield add((1.0, _without(its, term)), (1.0, multiply(rest, power(divisor, -1))))
+
+
+def _divided_out(its: Sum, best: Best) -> Iterator[Sum]:
+    """u/(u + r) as 1 - r/(u + r)."""
+    for term in its:
+        monomial, coefficient = term
+        for atom, exponent in monomial:
+            if atom[0] != ADD or exponent >= 0:
+                continue
+            for lead, factor in atom[1]:
+                if lead == ONE or not _divides(lead, monomial):
+                    continue
+                quotient = product([kept(coefficient / factor), *merged([*divided(monomial, lead), (atom, 1)])])
+                rest = _without(atom[1], (lead, factor))
+                over = product([kept(-coefficient / factor), *divided(monomial, lead)])
+                yield add((1.0, _without(its, term)), (1.0, quotient), (1.0, distribute(over, rest)))
+
+
+def _without_inner_quotients(its: Sum, best: Best) -> Iterator[Sum]:
+    """A bracket with quotients as one quotient."""
+    for term in its:
+        monomial, coefficient = term
+        for atom, exponent in monomial:
+            if atom[0] != ADD:
+                continue
+            lowest: dict[Atom, int] = {}
+            for inner, _ in atom[1]:
+                for part, count in inner:
+                    lowest[part] = min(lowest.get(part, 0), count)
+            divisor = tuple((part, -count) for part, count in lowest.items() if count < 0)
+            if not divisor:
+                continue
+            raised = add(*((1.0, distribute(_one(inner), ((merged(divisor), 1.0),))) for inner in atom[1]))
+            rest = product([coefficient, *merged([*monomial, (atom, -exponent)])])
+            scaled = multiply(power(best(raised), exponent), power(((merged(divisor), 1.0),), -exponent))
+            yield add((1.0, _without(its, term)), (1.0, multiply(rest, scaled)))
+
+
+def _squares_of_waves(its: Sum, best: Best) -> Iterator[Sum]:
+    """sin^2 u as 1 - cos^2 u and the reverse; both as (1 -+ cos 2u)/2; in one term, in all of them."""
+    for atom in _waves(its):
+        argument = atom[1]
+        other = ((COS if atom[0] == SIN else SIN), argument)
+        doubled = function(COS, add((2.0, argument)))
+        chosen = [term for term in its if dict(term[0]).get(atom, 0) >= 2]
+        if not chosen:
+            continue
+        of_other = add((1.0, constant(1.0)), (-1.0, _squared(other)))
+        of_double = add((1.0, constant(0.5)), (-0.5 if atom[0] == SIN else 0.5, doubled))
+        for substitute in (of_other, of_double):
+            groups = [chosen] if len(chosen) == 1 else [chosen, *([term] for term in chosen)]
+            for group in groups:
+                parts = [
+                    (1.0, distribute(product([coefficient, *merged([*monomial, (atom, -2)])]), substitute))
+                    for monomial, coefficient in group
+                ]
+                yield add((1.0, _without(its, *group)), *parts)
+
+
+def _squared(atom: Atom) -> Sum:
+    return ((((atom, 2),), 1.0),)
+
+
+def _waves(its: Sum) -> list[Atom]:
+    return sorted({atom for monomial, _ in its for atom, _ in monomial if atom[0] in (SIN, COS)})
+
+
+def _double_angles(its: Sum, best: Best) -> Iterator[Sum]:
+    """sin u cos u as sin(2 u)/2; sin 2u and cos 2u by those of u where these occur."""
+    waves = _waves(its)
+    for term in its:
+        monomial, coefficient = term
+        exponents = dict(monomial)
+        for atom, exponent in monomial:
+            partner = (COS, atom[1]) if atom[0] == SIN else None
+            if partner in exponents and exponent > 0 and exponents[partner] > 0:
+                rest = product([times(0.5, coefficient), *merged([*monomial, (atom, -1), (partner, -1)])])
+                whole = multiply(rest, function(SIN, add((2.0, atom[1]))))
+                yield add((1.0, _without(its, term)), (1.0, whole))
+            if atom[0] in (SIN, COS) and exponent > 0:
+                half = add((0.5, atom[1]))
+                if any(wave[1] == half for wave in waves):
+                    rest = product([coefficient, *merged([*monomial, (atom, -1)])])
+                    for opened in _by_half(atom[0], half):
+                        yield add((1.0, _without(its, term)), (1.0, distribute(rest, opened)))
+
+
+def _by_half(code: int, half: Sum) -> list[Sum]:
+    sine, cosine = (SIN, half), (COS, half)
+    if code == SIN:
+        return [((merged([(sine, 1), (cosine, 1)]), 2.0),)]
+    return [
+        add((1.0, constant(1.0)), (-2.0, _squared(sine))),
+        add((2.0, _squared(cosine)), (-1.0, constant(1.0))),
+    ]
+
+
+def _angle_sums(its: Sum, best: Best) -> Iterator[Sum]:
+    """sin a cos b +- cos a sin b and cos a cos b -+ sin a sin b as one function of a sum."""
+    for first, second in combinations(its, 2):
+        if not math.isclose(abs(first[1]), abs(second[1]), rel_tol=_EQUAL):
+            continue
+        shared = common([first[0], second[0]])
+        one, other = (_waves_by_argument(divided(term[0], shared)) for term in (first, second))
+        if len(one) != 2 or one.keys() != other.keys() or any(one[each] == other[each] for each in one):
+            continue
+        a, b = sorted(one, key=lambda argument: (one[argument] != SIN, argument))
+        sign = 1.0 if first[1] * second[1] > 0.0 else -1.0
+        if one[a] == one[b]:
+            whole, factor = function(COS, add((1.0, a), (-sign, b))), (first if one[a] == COS else second)[1]
+        else:
+            whole, factor = function(SIN, add((1.0, a), (sign, b))), first[1]
+        yield add((1.0, _without(its, first, second)), (1.0, multiply(((shared, factor),), whole)))
+
+
+def _waves_by_argument(monomial: Monomial) -> dict[Sum, int]:
+    """Return SIN or COS by argument, of a product of sines and cosines; nothing of any other product."""
+    if any(atom[0] not in (SIN, COS) or exponent != 1 for atom, exponent in monomial):
+        return {}
+    return {atom[1]: atom[0] for atom, _ in monomial}
+
+
+def _opened_angles(its: Sum, best: Best) -> Iterator[Sum]:
+    """sin(a + b) by sines and cosines of a and b, where one of these occurs."""
+    waves = _waves(its)
+    for term in its:
+        monomial, coefficient = term
+        for atom, exponent in monomial:
+            if atom[0] not in (SIN, COS) or exponent < 1 or len(atom[1]) < 2:
+                continue
+            for part in dict.fromkeys(wave[1] for wave in waves if wave[1] != atom[1]):
+                for sign in (1.0, -1.0):
+                    other = add((1.0, atom[1]), (-sign, part))
+                    if len(other) >= len(atom[1]) or not other:
+                        continue
+                    rest = product([coefficient, *merged([*monomial, (atom, -1)])])
+                    yield add((1.0, _without(its, term)), (1.0, distribute(rest, _of_two(atom[0], part, sign, other))))
+
+
+def _of_two(code: int, part: Sum, sign: float, other: Sum) -> Sum:
+    """Return the sine or cosine of ``sign * part + other``."""
+    sine, cosine = function(SIN, part), function(COS, part)
+    other_sine, other_cosine = function(SIN, other), function(COS, other)
+    if code == SIN:
+        return add((sign, distribute(sine, other_cosine)), (1.0, distribute(cosine, other_sine)))
+    return add((1.0, distribute(cosine, other_cosine)), (-sign, distribute(sine, other_sine)))
+
+
+def _logarithms(its: Sum, best: Best) -> Iterator[Sum]:
+    """log a + log b as log(a b), log a - log b as log(a/b)."""
+    for first, second in combinations(its, 2):
+        if not math.isclose(abs(first[1]), abs(second[1]), rel_tol=_EQUAL):
+            continue
+        shared = common([first[0], second[0]])
+        logs = [divided(term[0], shared) for term in (first, second)]
+        if any(len(each) != 1 or each[0][1] != 1 or each[0][0][0] != LOG for each in logs):
+            continue
+        sign = 1 if first[1] * second[1] > 0.0 else -1
+        inner = multiply(logs[0][0][0][1], power(logs[1][0][0][1], sign))
+        whole = multiply(((shared, first[1]),), function(LOG, best(inner)))
+        yield add((1.0, _without(its, first, second)), (1.0, whole))
+
+
+def _roots(its: Sum, best: Best) -> Iterator[Sum]:
+    """sqrt a sqrt b as sqrt(a b), and likewise for quotients and absolute values."""
+    for term in its:
+        monomial, coefficient = term
+        for (one, count), (other, other_count) in combinations(monomial, 2):
+            if one[0] == other[0] and one[0] in (SQRT, ABS) and abs(count) == abs(other_count) == 1:
+                inner = multiply(power(one[1], count), power(other[1], other_count))
+                rest = product([coefficient, *merged([*monomial, (one, -count), (other, -other_count)])])
+                yield add((1.0, _without(its, term)), (1.0, multiply(rest, function(one[0], best(inner)))))
+
+
+def _whole_squares(its: Sum, best: Best) -> Iterator[Sum]:
+    """p u^2 + 2 p q u v + p q^2 v^2 as p (u + q v)^2."""
+    squares = [term for term in its if all(exponent % 2 == 0 for _, exponent in term[0])]
+    for first, second in combinations(squares, 2):
+        ratio = second[1] / first[1]
+        if ratio <= 0.0:
+            continue
+        u, v = (tuple((atom, exponent // 2) for atom, exponent in term[0]) for term in (first, second))
+        mixed = merged([*u, *v])
+        for monomial, coefficient in its:
+            size = coefficient / (2.0 * first[1])
+            if monomial == mixed and math.isclose(size * size, ratio, rel_tol=_EQUAL):
+                inner = collect([(u, 1.0), (v, cleaned(size))])
+                squared = multiply(constant(first[1]), power(inner, 2))
+                yield add((1.0, _without(its, first, second, (monomial, coefficient))), (1.0, squared))
+
+
+_IDENTITIES: Final = (
+    _inner,
+    _opened,
+    _factored,
+    _over_one_line,
+    _divisors_multiplied,
+    _divided_out,
+    _without_inner_quotients,
+    _squares_of_waves,
+    _double_angles,
+    _angle_sums,
+    _opened_angles,
+    _logarithms,
+    _roots,
+    _whole_squares,
+)

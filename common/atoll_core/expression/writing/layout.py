@@ -1,0 +1,250 @@
+"""A sum written as an expression: which writing of its terms, factors and signs costs least, and in which order.
+
+The cost counts what a reader meets: each number, variable, operator and function once, wherever it stands; a minus
+sign in front of something counts nothing. Among writings of one count the one with fewer numbers is the cheaper, then
+that with fewer functions, fewer minus signs, fewer digits.
+"""
+
+import math
+from functools import lru_cache
+from typing import Final
+
+from atoll_core.expression.builder import Expression
+from atoll_core.expression.operators import (
+    ADD,
+    COS,
+    DIVIDE,
+    INVERSE,
+    MULTIPLY,
+    NEGATE,
+    POW,
+    SIN,
+    SUBTRACT,
+    TANH,
+    VARIABLE,
+)
+from atoll_core.expression.writing.sums import ONE, Atom, Monomial, Sum, cleaned, raised_number, scaled, times
+
+NODE: Final = 1 << 36
+"""What a node costs; the other costs decide between writings of as many nodes."""
+_INNER_QUOTIENT: Final = 3 * NODE
+"""What a quotient in a divisor costs beside its nodes: it has no value at one more place than its function."""
+_NUMBER: Final = 1 << 28
+_FUNCTION: Final = 1 << 20
+_SIGN: Final = 1 << 12
+
+Written = tuple[int, Expression]
+"""Cost and expression."""
+
+
+@lru_cache(maxsize=50_000)
+def written(its: Sum) -> Written:
+    """Return the cheapest writing of a sum whose terms and brackets stay as they are."""
+    if not its:
+        return _number(0.0)
+    if len(its) == 1:
+        negative, cost, expression = _term(*its[0])
+        return _signed(negative, cost, expression)
+    best = _listed([_term(*term) for term in in_order(its)])
+    grouped = _grouped(its)
+    return best if grouped is None else min(best, grouped, key=_cost)
+
+
+def _cost(each: Written) -> int:
+    return each[0]
+
+
+def _number(value: float) -> Written:
+    text = f"{abs(value):.17g}"
+    digits = len(text) if float(text) == abs(value) and len(text) < 9 else len(repr(abs(value)))
+    return NODE + _NUMBER + digits + (_SIGN if value < 0.0 else 0), value
+
+
+def _signed(negative: bool, cost: int, expression: Expression) -> Written:
+    if not negative:
+        return cost, expression
+    if isinstance(expression, float):
+        return cost + _SIGN, -expression
+    if isinstance(expression, tuple) and expression[0] in (MULTIPLY, DIVIDE) and _leads_with_number(expression):
+        return cost + _SIGN, _negated(expression)
+    return cost + _SIGN, (NEGATE, expression)
+
+
+def _leads_with_number(expression: Expression) -> bool:
+    while isinstance(expression, tuple) and expression[0] in (MULTIPLY, DIVIDE):
+        expression = expression[1]
+    return isinstance(expression, float)
+
+
+def _negated(expression: Expression) -> Expression:
+    """Return a product with its leading number negated."""
+    if isinstance(expression, float):
+        return -expression
+    assert isinstance(expression, tuple)
+    code, first, *rest = expression
+    return (code, _negated(first), *rest)
+
+
+def _listed(terms: list[tuple[bool, int, Expression]]) -> Written:
+    """Return terms added and subtracted from left to right, the first positive one in front."""
+    lead = next((index for index, (negative, _, _) in enumerate(terms) if not negative), 0)
+    terms.insert(0, terms.pop(lead))
+    total, expression = _signed(*terms[0])
+    for negative, cost, other in terms[1:]:
+        total += NODE + cost
+        expression = (SUBTRACT if negative else ADD, expression, other)
+        total += _SIGN if negative else 0
+    return total, expression
+
+
+def _grouped(its: Sum) -> Written | None:
+    """Return a sum in which the terms that have one coefficient in common stand in a bracket behind it."""
+    groups: dict[float, list[tuple[Monomial, float]]] = {}
+    for monomial, coefficient in its:
+        if monomial != ONE and abs(coefficient) != 1.0:
+            groups.setdefault(abs(coefficient), []).append((monomial, coefficient))
+    shared = [(size, group) for size, group in groups.items() if len(group) > 1]
+    if not shared:
+        return None
+    grouped = {term for _, group in shared for term in group}
+    parts = [_term(*term) for term in in_order(tuple(term for term in its if term not in grouped))]
+    for size, group in shared:
+        sign = 1.0 if group[0][1] > 0.0 or any(coefficient > 0.0 for _, coefficient in group) else -1.0
+        cost, inner = written(tuple((monomial, sign * coefficient / size) for monomial, coefficient in group))
+        number, text = _number(size)
+        parts.append((sign < 0.0, cost + number + NODE, (MULTIPLY, text, inner)))
+    if len(parts) == 1:
+        negative, cost, expression = parts[0]
+        return _signed(negative, cost, expression)
+    return _listed(parts)
+
+
+def in_order(its: Sum) -> list[tuple[Monomial, float]]:
+    """Return terms in the order of reading: numbers, products of variables by degree, quotients, functions."""
+    return sorted(its, key=_place)
+
+
+def _place(term: tuple[Monomial, float]) -> tuple[object, ...]:
+    monomial, _ = term
+    has_function = any(atom[0] not in (VARIABLE, ADD) for atom, _ in monomial)
+    has_quotient = any(exponent < 0 for _, exponent in monomial)
+    degree = sum(exponent for _, exponent in monomial if exponent > 0)
+    variables = tuple((atom[1], -exponent) for atom, exponent in monomial if atom[0] == VARIABLE)
+    return (monomial != ONE, has_function, has_quotient, degree, variables, monomial)
+
+
+def _term(monomial: Monomial, coefficient: float) -> tuple[bool, int, Expression]:
+    """Return sign, cost and expression of a term without its sign."""
+    if not monomial:
+        return (coefficient < 0.0, *_number(abs(coefficient)))
+    if len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == VARIABLE and abs(coefficient) == 1.0:
+        return coefficient < 0.0, NODE, (VARIABLE, monomial[0][0][1])
+    brackets = {atom: exponent for atom, exponent in monomial if atom[0] == ADD}
+    scales = {atom: _own_scale(atom[1]) for atom in brackets}
+    best = _laid_out(monomial, coefficient, scales)
+    for atom, exponent in brackets.items():
+        if abs(exponent) == 1:
+            others = math.prod(raised_number(scales[other], -brackets[other]) for other in brackets if other != atom)
+            own = cleaned(raised_number(times(coefficient, others), exponent))
+            found = _laid_out(monomial, coefficient, {**scales, atom: own})
+            best = min(best, found, key=lambda each: each[1])
+    return best
+
+
+def _with_tangents(monomial: Monomial) -> list[tuple[Atom, int]]:
+    """Return factors in which sin u/cos u is one, ``(DIVIDE, u, SIN)``, and cos u/sin u likewise."""
+    exponents = dict(monomial)
+    for (kind, *its), exponent in monomial:
+        partner = (COS, *its) if kind == SIN else ()
+        other = exponents.get(partner, 0)
+        if exponent * other < 0:
+            count = min(abs(exponent), abs(other))
+            sign = 1 if exponent > 0 else -1
+            exponents[(SIN, *its)] -= sign * count
+            exponents[partner] += sign * count
+            exponents[(DIVIDE, *its, SIN if sign > 0 else COS)] = count
+    return [item for item in exponents.items() if item[1]]
+
+
+@lru_cache(maxsize=20_000)
+def _own_scale(its: Sum) -> float:
+    """Return the factor that makes a bracket cheapest to write."""
+    sizes = dict.fromkeys((1.0, *(1.0 / abs(coefficient) for _, coefficient in its)))
+    costs = {cleaned(size): written(scaled(its, cleaned(size)))[0] for size in sizes if math.isfinite(size)}
+    return min(costs, key=lambda size: costs[size])
+
+
+def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float]) -> tuple[bool, int, Expression]:
+    """Return a term whose brackets are written `scales` times as large as they are."""
+    above: list[Written] = []
+    below: list[Written] = []
+    for atom, scale in scales.items():
+        coefficient = times(coefficient, raised_number(scale, -dict(monomial)[atom]))
+    coefficient = cleaned(coefficient)
+    for atom, exponent in sorted(_with_tangents(monomial), key=lambda item: _factor_place(item[0])):
+        flips, written_atom = _atom(atom, scales.get(atom, 1.0), wants_flip=coefficient < 0.0 and exponent % 2 == 1)
+        coefficient = -coefficient if flips else coefficient
+        cost, expression = _whole_power(written_atom, abs(exponent))
+        if exponent > 0:
+            above.append((cost, expression))
+        else:
+            has_quotient = atom[0] == ADD and any(count < 0 for inner, _ in atom[1] for _, count in inner)
+            below.append((cost + _INNER_QUOTIENT * has_quotient, expression))
+    size = abs(coefficient)
+    if size != 1.0:
+        above.insert(0, _number(size))
+    cost = sum(each[0] for each in (*above, *below)) + NODE * (len(above) + len(below) - 1)
+    if not above:
+        return coefficient < 0.0, cost + 2 * NODE, (INVERSE, _chained(below))
+    expression = _chained(above)
+    return coefficient < 0.0, cost, (DIVIDE, expression, _chained(below)) if below else expression
+
+
+def _chained(factors: list[Written]) -> Expression:
+    expression = factors[0][1]
+    for _, factor in factors[1:]:
+        expression = (MULTIPLY, expression, factor)
+    return expression
+
+
+def _whole_power(base: Written, exponent: int) -> Written:
+    if exponent == 1:
+        return base
+    expression = base[1]
+    for _ in range(exponent - 1):
+        expression = (MULTIPLY, expression, base[1])
+    return base[0] + 2 * NODE, expression
+
+
+def _factor_place(atom: Atom) -> tuple[object, ...]:
+    """Return what orders factors for reading: variables, functions, brackets."""
+    return (atom[0] != VARIABLE, atom[0] == ADD, atom)
+
+
+def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]:
+    """Return whether an atom is written as its negative, and how it is written."""
+    kind = atom[0]
+    if kind == VARIABLE:
+        return False, (NODE, (VARIABLE, atom[1]))
+    if kind == POW:
+        base, exponent = written(atom[1]), written(atom[2])
+        return False, (base[0] + exponent[0] + NODE + _FUNCTION, (POW, base[1], exponent[1]))
+    argument = scaled(atom[1], scale) if kind == ADD else atom[1]
+    flips = kind in (ADD, SIN, TANH, DIVIDE) and _flips(argument, wants_flip=wants_flip)
+    if kind == COS and _flips(argument, wants_flip=False):
+        flips, argument = False, scaled(argument, -1.0)
+    elif flips:
+        argument = scaled(argument, -1.0)
+    cost, expression = written(argument)
+    if kind == ADD:
+        return flips, (cost, expression)
+    if kind == DIVIDE:
+        other = COS if atom[2] == SIN else SIN
+        return flips, (cost + NODE + _FUNCTION, (DIVIDE, (atom[2], expression), (other, expression)))
+    return flips, (cost + NODE + _FUNCTION, (kind, expression))
+
+
+def _flips(its: Sum, *, wants_flip: bool) -> bool:
+    """Tell whether a sum is better written as its negative: when all of it is negative, or the sign is free."""
+    signs = {coefficient > 0.0 for _, coefficient in its}
+    return signs == {False} or (wants_flip and len(signs) == 2)

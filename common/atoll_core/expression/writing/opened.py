@@ -1,0 +1,300 @@
+"""An equation as a sum of terms, brackets opened, in which each constant has a meaning of its own.
+
+In ``x*(3 - 2*y)`` the factor of x*y is made of two numbers and of a sign; in ``3*x - 2*x*y`` it is one constant. The
+constants of the opened form are the *coefficients* of terms and the numbers *inside* terms: in divisors, powers and
+arguments of functions. A sum in a divisor, or a factor that cannot be opened, is divided by the factor of its first
+term with a variable, so that ``x/(4 + 2*y)`` is ``0.5*x/(2 + y)``.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Final, TypeAlias
+
+from atoll_core.expression.builder import ProgramBuilder
+from atoll_core.expression.operators import (
+    ADD,
+    CONSTANT,
+    DIVIDE,
+    INVERSE,
+    MULTIPLY,
+    NEGATE,
+    POW,
+    SUBTRACT,
+    VARIABLE,
+)
+from atoll_core.expression.program import MAX_NODES, Program
+from atoll_core.expression.writing.layout import in_order
+from atoll_core.expression.writing.shortest import sum_of
+from atoll_core.expression.writing.sums import (
+    ONE,
+    Atom,
+    Monomial,
+    Sum,
+    UndefinedError,
+    add,
+    contained,
+    distribute,
+    kept,
+    merged,
+)
+
+MOST_TERMS: Final = 40
+"""Sums of more terms are not opened."""
+
+Shape = Hashable
+"""What terms have in common that differ in numbers only."""
+Path: TypeAlias = tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True)
+class Role:
+    """What a constant of an opened program stands for.
+
+    `sign` times its value is the number that it stands for: the coefficient of the term of this `shape`, or where it
+    `is_inner`, a number inside the term. `path` tells where inside: the factor, the sum in it, the term there and so
+    on, each by its shape, whatever the order in which numbers put them; those of one shape are counted.
+    """
+
+    shape: Shape
+    sign: float
+    is_inner: bool
+    path: Path = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """The opened `program` and the role of each of its constants, in node order.
+
+    `units` are the numbers inside terms that are one or minus one and are not written, as their signs.
+    """
+
+    program: Program
+    roles: tuple[Role, ...]
+    units: tuple[Role, ...] = ()
+
+
+IsWritten = Callable[[Shape, float], bool]
+"""Tells whether a coefficient of one or minus one is written as a constant all the same."""
+
+
+def terms_of(program: Program) -> Sum:
+    """Return the terms of a program with their coefficients; raises UndefinedError when it cannot be opened."""
+    return opened_sum(sum_of(program))
+
+
+@contained
+def opened_sum(its: Sum) -> Sum:
+    """Return a sum whose terms have no bracket above the line; raises UndefinedError beyond `MOST_TERMS` terms."""
+    while True:
+        bracket = next((place for place, (monomial, _) in enumerate(its) if _bracket(monomial) is not None), None)
+        if bracket is None:
+            return its
+        monomial, coefficient = its[bracket]
+        atom, exponent = _bracket(monomial) or ((), 0)
+        rest = [(other, count) for other, count in monomial if other != atom]
+        rest += [(atom, exponent - 1)] * (exponent > 1)
+        product = distribute(((tuple(sorted(rest)), coefficient),), atom[1])
+        its = add((1.0, (*its[:bracket], *its[bracket + 1 :])), (1.0, product))
+        if len(its) > MOST_TERMS:
+            raise UndefinedError
+
+
+def _bracket(monomial: Monomial) -> tuple[Atom, int] | None:
+    """Return the first bracket above the line of a term, None without one."""
+    return next(((atom, count) for atom, count in monomial if atom[0] == ADD and count > 0), None)
+
+
+def shape_of(monomial: Monomial) -> Shape:
+    """Return what is left of a term without its numbers."""
+    return tuple(sorted(((_atom_shape(atom), count) for atom, count in monomial), key=repr))
+
+
+def _atom_shape(atom: Atom) -> Shape:
+    kind, *rest = atom
+    if kind == VARIABLE:
+        return atom
+    return (kind, *(tuple(sorted((shape_of(monomial) for monomial, _ in its), key=repr)) for its in rest))
+
+
+def inner_numbers(its: Sum) -> list[float]:
+    """Return the numbers inside the terms of a sum, but for those that are one by its form."""
+    return [number for monomial, _ in its for atom, _ in monomial for number in _numbers(atom)]
+
+
+def _numbers(atom: Atom) -> list[float]:
+    kind, *rest = atom
+    if kind == VARIABLE:
+        return []
+    found: list[float] = []
+    for its in rest:
+        lead = _lead(its) if kind == ADD else None
+        found += [
+            coefficient
+            for monomial, coefficient in its
+            if monomial != lead and (monomial == ONE or abs(coefficient) != 1.0)
+        ]
+        found += inner_numbers(its)
+    return found
+
+
+def _lead(its: Sum) -> Monomial | None:
+    """Return the term of a bracket whose factor is one by the form of brackets."""
+    return next((monomial for monomial, _ in its if monomial != ONE), None)
+
+
+def raised_quotients(its: Sum) -> Iterator[tuple[Shape, Sum]]:
+    """Yield for each n/(c + u) in a sum that has n, too, the shape of n*u/(c + u), and the sum with that instead.
+
+    It has no more terms: n/(c + u) is (n - n*u/(c + u))/c.
+    """
+    factors = dict(its)
+    for monomial, factor in its:
+        for atom, count in monomial:
+            below = dict(atom[1]) if atom[0] == ADD and count == -1 and len(atom[1]) == 2 else {}
+            constant = below.pop(ONE, 0.0)
+            rest = merged(each for each in monomial if each[0] != atom)
+            if constant and rest in factors:
+                ((lead, number),) = below.items()
+                others = tuple(term for term in its if term[0] != monomial)
+                with suppress(UndefinedError):
+                    raised = merged([*rest, *lead, (atom, -1)])
+                    instead = ((rest, kept(factor / constant)), (raised, kept(-factor * number / constant)))
+                    yield shape_of(raised), add((1.0, others), (1.0, instead))
+
+
+def open_terms(program: Program, is_written: IsWritten = lambda *_: False) -> Opened | None:
+    """Return the opened form of a program; None when there is none, or none that is small enough.
+
+    Args:
+        program: what is to be opened.
+        is_written: which coefficients of one or minus one become constants.
+    """
+    try:
+        return open_sum(terms_of(program), is_written)
+    except UndefinedError:
+        return None
+
+
+def open_sum(its: Sum, is_written: IsWritten = lambda *_: False) -> Opened | None:
+    """Return the program of an opened sum, as `open_terms` does."""
+    try:
+        return _built(its, is_written)
+    except UndefinedError:
+        return None
+
+
+@contained
+def _built(its: Sum, is_written: IsWritten) -> Opened | None:
+    builder = _Builder(is_written)
+    output = builder.sum_of_terms(its)
+    if len(builder.nodes) > MAX_NODES:
+        return None
+    return Opened(builder.program(output), tuple(builder.roles), tuple(builder.units))
+
+
+class _Builder(ProgramBuilder):
+    """Writes sums with each constant as a node of its own, and keeps what it stands for."""
+
+    def __init__(self, is_written: IsWritten) -> None:
+        super().__init__()
+        self._is_written = is_written
+        self.roles: list[Role] = []
+        self.units: list[Role] = []
+
+    def number(self, value: float, role: Role) -> int:
+        """Return the index of a new constant."""
+        self.roles.append(role)
+        return self.append(CONSTANT, value=value)
+
+    def sum_of_terms(self, its: Sum) -> int:
+        """Return the index of an opened sum, a positive term in front if there is one."""
+        if not its:
+            return self.number(0.0, Role(shape_of(ONE), 1.0, is_inner=False))
+        return self._added(its, inner=None)
+
+    def _added(self, its: Sum, inner: Shape | None, path: Path = ()) -> int:
+        terms = list(in_order(its))
+        first = next((place for place, (_, coefficient) in enumerate(terms) if coefficient > 0.0), 0)
+        terms.insert(0, terms.pop(first))
+        counts: Counter[str] = Counter()
+        top = -1
+        for place, (monomial, coefficient) in enumerate(terms):
+            within = () if inner is None else _extended(path, repr(shape_of(monomial)), counts)
+            term = self._term(monomial, coefficient, inner, within, is_first=place == 0)
+            top = self.operate(ADD if coefficient > 0.0 else SUBTRACT, top, term) if place else term
+        return top
+
+    def _term(self, monomial: Monomial, coefficient: float, inner: Shape | None, path: Path, *, is_first: bool) -> int:
+        """Return the index of a term; the sign stands before it, unless it is the first."""
+        shape = shape_of(monomial) if inner is None else inner
+        sign = 1.0 if is_first or coefficient > 0.0 else -1.0
+        role = Role(shape, sign, inner is not None, path)
+        if monomial == ONE:
+            return self.number(sign * coefficient, role)
+        is_plain = abs(coefficient) == 1.0 and (inner is not None or not self._is_written(shape, coefficient))
+        if is_plain and inner is not None:
+            self.units.append(replace(role, sign=coefficient))
+        factor = None if is_plain else self.number(sign * coefficient, role)
+        node = self._product(monomial, factor, shape, path)
+        return self.operate(NEGATE, node) if is_plain and sign * coefficient < 0.0 else node
+
+    def _product(self, monomial: Monomial, factor: int | None, shape: Shape, path: Path) -> int:
+        counts: Counter[str] = Counter()
+        above = [] if factor is None else [factor]
+        above += [self._atom(atom, shape, path, counts) for atom, count in monomial for _ in range(count)]
+        below = [self._atom(atom, shape, path, counts) for atom, count in monomial for _ in range(-count)]
+        if not below:
+            return self._chained(above)
+        divisor = self._chained(below)
+        return self.operate(DIVIDE, self._chained(above), divisor) if above else self.operate(INVERSE, divisor)
+
+    def _chained(self, factors: Sequence[int]) -> int:
+        node = factors[0]
+        for factor in factors[1:]:
+            node = self.operate(MULTIPLY, node, factor)
+        return node
+
+    def _atom(self, atom: Atom, shape: Shape, path: Path, counts: Counter[str]) -> int:
+        kind, *rest = atom
+        if kind == VARIABLE:
+            return self.add(VARIABLE, rest[0])
+        path = _extended(path, repr(_atom_shape(atom)), counts)
+        if kind == ADD:
+            return self._added(rest[0], shape, path)
+        if kind == POW:
+            if not rest[0]:
+                raise UndefinedError
+            base = self._added(rest[0], shape, (*path, ("base", 0)))
+            return self.operate(POW, base, self._added(rest[1], shape, (*path, ("exponent", 0))))
+        return self.operate(kind, self._added(rest[0], shape, path))
+
+
+def _extended(path: Path, name: str, counts: Counter[str]) -> Path:
+    """Return the path to the next part of this name among its neighbours, and count it."""
+    counts[name] += 1
+    return (*path, (name, counts[name]))
+
+
+def factored_forms(program: Program) -> Iterator[Program]:
+    """Yield ``a*(s + b*t + …)`` for each term s of the opened program, a being its coefficient; nothing of one term."""
+    try:
+        its = terms_of(program)
+    except UndefinedError:
+        return
+    for lead in range(len(its) if len(its) > 1 else 0):
+        with suppress(UndefinedError):
+            yield _factored(its, lead)
+
+
+@contained
+def _factored(its: Sum, lead: int) -> Program:
+    """Return a sum with the coefficient of one of its terms in front of a bracket."""
+    factor = its[lead][1]
+    builder = _Builder(lambda *_: False)
+    scale = builder.append(CONSTANT, value=factor)
+    inner = tuple(
+        (monomial, 1.0 if place == lead else kept(number / factor)) for place, (monomial, number) in enumerate(its)
+    )
+    return builder.program(builder.operate(MULTIPLY, scale, builder.sum_of_terms(inner)))

@@ -1,0 +1,136 @@
+"""The shortest writing of a program: a search among sums that equal its function."""
+
+import heapq
+from functools import lru_cache
+from typing import Final
+
+from atoll_core.expression.builder import ProgramBuilder
+from atoll_core.expression.operators import (
+    ADD,
+    ARITY,
+    CONSTANT,
+    DIVIDE,
+    INVERSE,
+    MULTIPLY,
+    NEGATE,
+    POW,
+    SQUARE,
+    SUBTRACT,
+    VARIABLE,
+)
+from atoll_core.expression.program import MAX_NODES, Program
+from atoll_core.expression.simplification import simplify_program
+from atoll_core.expression.text.infix import tree_size
+from atoll_core.expression.writing.identities import equal_sums
+from atoll_core.expression.writing.layout import NODE, written
+from atoll_core.expression.writing.sums import (
+    Sum,
+    UndefinedError,
+    add,
+    constant,
+    contained,
+    function,
+    multiply,
+    power,
+    raised,
+    variable,
+)
+
+_SLACK: Final = 8 * NODE
+"""How much longer than the best a writing may be that is followed."""
+_LARGEST: Final = 300
+"""Programs of more nodes, written as trees, stay as they are."""
+_SMALLEST: Final = 4 * NODE
+"""Nothing equal to a writing of fewer nodes is shorter."""
+_MOST_TRIED: Final = (0, 4, 30)
+"""How many sums are written to find the shortest, by the depth of the search."""
+
+
+@lru_cache(maxsize=8192)
+def _shortest_of(program: Program, depth: int) -> Program:
+    if tree_size(program) > _LARGEST:
+        return simplify_program(program)
+    try:
+        made = _rewritten(program, depth)
+    except UndefinedError:
+        return simplify_program(program)
+    return made if len(made) <= MAX_NODES else simplify_program(program)
+
+
+@contained
+def _rewritten(program: Program, depth: int) -> Program:
+    builder = ProgramBuilder()
+    return builder.program(builder.build(written(best_of(sum_of(program, depth), depth))[1]))
+
+
+def shortest(program: Program) -> Program:
+    """Return the shortest writing of the function of `program`."""
+    return _shortest_of(program, len(_MOST_TRIED) - 1)
+
+
+def collected(program: Program) -> Program:
+    """Return `program` as a sum of products, without a search."""
+    return _shortest_of(program, 0)
+
+
+@contained
+def sum_of(program: Program, depth: int = 0) -> Sum:
+    """Return the sum that a program is; brackets and arguments in their best form to that depth."""
+    sums: list[Sum] = []
+    for code, left, right, value in program.nodes():
+        if code == VARIABLE:
+            sums.append(variable(left))
+        elif code == CONSTANT:
+            sums.append(constant(value))
+        else:
+            sums.append(_operated(code, sums[left], sums[right] if ARITY[code] == 2 else (), depth))
+    return sums[-1]
+
+
+def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
+
+    def best(its: Sum) -> Sum:
+        return best_of(its, depth)
+
+    match code:
+        case c if c == ADD:
+            return add((1.0, left), (1.0, right))
+        case c if c == SUBTRACT:
+            return add((1.0, left), (-1.0, right))
+        case c if c == NEGATE:
+            return add((-1.0, left))
+        case c if c == MULTIPLY:
+            return power(best(left), 2) if left == right else multiply(*map(best, (left, right)))
+        case c if c == SQUARE:
+            return power(best(left), 2)
+        case c if c == DIVIDE:
+            return multiply(best(left), power(best(right), -1))
+        case c if c == INVERSE:
+            return power(best(left), -1)
+        case c if c == POW:
+            return raised(best(left), best(right))
+        case _:
+            return function(code, best(left))
+
+
+@lru_cache(maxsize=50_000)
+def best_of(its: Sum, depth: int) -> Sum:
+    """Return the sum of the shortest writing that is found; brackets on the way are searched one depth less."""
+    best = (written(its)[0], its)
+    if depth == 0 or best[0] < _SMALLEST:
+        return its
+    seen, waiting, tried = {its}, [best], 0
+    while waiting and tried < _MOST_TRIED[depth]:
+        cost, current = heapq.heappop(waiting)
+        if cost > best[0] + _SLACK:
+            break
+        for other in equal_sums(current, lambda inner: best_of(inner, depth - 1)):
+            if other not in seen:
+                seen.add(other)
+                tried += 1
+                found = (written(other)[0], other)
+                best = min(best, found)
+                heapq.heappush(waiting, found)
+            if tried >= _MOST_TRIED[depth]:
+                break
+    return best[1]

@@ -1,0 +1,457 @@
+"""Sums of products: expressions in which much of real algebra needs no rules.
+
+A `Sum` maps monomials to coefficients, a `Monomial` atoms to whole powers, both sorted; an `Atom` is a variable, a
+function of a sum, a power with any exponent, or a sum of several terms as a factor. So the order of terms and factors,
+like terms, quotients that cancel and products of constants have one form. The makers below bring each function to one
+form, too: a phase lies within an eighth of a turn of 0, arguments begin positive, there is one exponential in a
+product.
+
+Values may differ where the given expression has none: ``x/x`` is 1.
+"""
+
+import logging
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable
+from functools import wraps
+from typing import Any, Final, ParamSpec, TypeAlias, TypeVar
+
+from atoll_core.expression.evaluation import value_of
+from atoll_core.expression.operators import ABS, ADD, COS, EXP, LOG, POW, SIN, SQRT, TANH, VARIABLE
+
+Atom: TypeAlias = tuple[Any, ...]
+"""``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``."""
+Monomial: TypeAlias = tuple[tuple[Atom, int], ...]
+Sum: TypeAlias = tuple[tuple[Monomial, float], ...]
+
+ONE: Final[Monomial] = ()
+ZERO: Final[Sum] = ()
+LARGEST_POWER: Final = 16
+"""Largest whole power of a factor."""
+_ROUNDING: Final = 1e-13
+"""Share of what is added below which a sum is nothing but rounding errors."""
+_PHASE: Final = 1e-9
+"""Radians: a phase as near as this to a multiple of a quarter turn is that multiple."""
+_QUARTER: Final = math.pi / 2
+
+
+class UndefinedError(Exception):
+    """Raised where a part has no finite value, as in a division by zero, or a power is too large."""
+
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+FAILURES: Final[Counter[str]] = Counter()
+"""How often a rewriting failed in a way that nobody thought of, by function and kind: a mistake here, which is logged
+once of each."""
+
+
+def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Make any mistake in rewriting an `UndefinedError`, which leaves an expression as it was.
+
+    Writing decides how an equation is shown, and not what it is: no mistake in it may cost an island or a job. What
+    fails, fails at the same program always, so that the same seed still gives the same bits.
+    """
+
+    @wraps(function)
+    def guarded(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+        try:
+            return function(*arguments, **named)
+        except UndefinedError:
+            raise
+        except Exception as error:
+            kind = f"{function.__name__}: {type(error).__name__}"
+            FAILURES[kind] += 1
+            if FAILURES[kind] == 1:
+                logging.getLogger(__name__).warning("an expression stays as it was, rewriting failed: %s", kind)
+            raise UndefinedError from error
+
+    return guarded
+
+
+def constant(value: float) -> Sum:
+    """Return a number; raises UndefinedError when it is not finite."""
+    if not math.isfinite(value):
+        raise UndefinedError
+    return ((ONE, value),) if value else ZERO
+
+
+def variable(index: int) -> Sum:
+    """Return a variable."""
+    return (((((VARIABLE, index), 1),), 1.0),)
+
+
+def number_of(its: Sum) -> float | None:
+    """Return the number that a sum is, None when it is none."""
+    if not its:
+        return 0.0
+    return its[0][1] if len(its) == 1 and its[0][0] == ONE else None
+
+
+def cleaned(value: float) -> float:
+    """Return a number of at most twelve digits in place of one that lies within a few roundings of it."""
+    if not math.isfinite(value):
+        raise UndefinedError
+    if value.is_integer():
+        return value
+    short = float(f"{value:.12g}")
+    return short if abs(short - value) <= 4.0 * math.ulp(value) else value
+
+
+def kept(value: float) -> float:
+    """Return what numbers other than 0 make; raises UndefinedError when it is 0 or not finite.
+
+    A coefficient that doubles cannot hold may be one that variables would have made up for: (1e-170 x)(1e-170 y).
+    """
+    if not value or not math.isfinite(value):
+        raise UndefinedError
+    return value
+
+
+def times(one: float, other: float) -> float:
+    """Return the product; raises UndefinedError when it is not finite, or 0 without a factor that is."""
+    return kept(one * other) if one and other else 0.0
+
+
+def add(*parts: tuple[float, Sum]) -> Sum:
+    """Return the sum of multiples of sums."""
+    return collect((monomial, times(factor, coefficient)) for factor, its in parts for monomial, coefficient in its)
+
+
+def collect(terms: Iterable[tuple[Monomial, float]]) -> Sum:
+    """Return the sum of terms, like ones joined, lone brackets opened, what cancels left out.
+
+    Raises UndefinedError where what is added is too large: whether it cancels cannot be told.
+    """
+    total: dict[Monomial, float] = {}
+    size: dict[Monomial, float] = {}
+    waiting = list(terms)
+    while waiting:
+        monomial, coefficient = waiting.pop()
+        if len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == ADD:
+            waiting += [(inner, times(coefficient, factor)) for inner, factor in monomial[0][0][1]]
+        else:
+            total[monomial] = total.get(monomial, 0.0) + coefficient
+            size[monomial] = size.get(monomial, 0.0) + abs(coefficient)
+    if not all(map(math.isfinite, size.values())):
+        raise UndefinedError
+    left = [(monomial, cleaned(value)) for monomial, value in total.items() if abs(value) > _ROUNDING * size[monomial]]
+    return tuple(sorted(left))
+
+
+def multiply(left: Sum, right: Sum) -> Sum:
+    """Return the product; a factor of several terms stays a bracket."""
+    for one, other in ((left, right), (right, left)):
+        number = number_of(one)
+        if number is not None:
+            return scaled(other, number) if number else ZERO
+    return product([*_factors(left, 1), *_factors(right, 1)])
+
+
+def scaled(its: Sum, factor: float) -> Sum:
+    """Return a multiple of a sum; the factor is not 0. Raises UndefinedError where a term would vanish."""
+    if factor == 1.0:
+        return its
+    return tuple((monomial, cleaned(kept(factor * coefficient))) for monomial, coefficient in its)
+
+
+def raised_number(value: float, exponent: int) -> float:
+    """Return a whole power of a number; raises UndefinedError when it is not finite, or 0 as that of no zero."""
+    try:
+        found = float(value**exponent)
+        return kept(found) if value else found
+    except (OverflowError, ZeroDivisionError):
+        raise UndefinedError from None
+
+
+def power(base: Sum, exponent: int) -> Sum:
+    """Return a whole power; raises UndefinedError for zero to a negative power."""
+    if exponent == 0:
+        return constant(1.0)
+    if not base:
+        if exponent < 0:
+            raise UndefinedError
+        return ZERO
+    return base if exponent == 1 else product(_factors(base, exponent))
+
+
+def distribute(left: Sum, right: Sum) -> Sum:
+    """Return the product, every term times every term."""
+    parts: list[tuple[float, Sum]] = []
+    for monomial, coefficient in left:
+        for other, factor in right:
+            parts.append((times(coefficient, factor), product([*monomial, *other])))
+    return add(*parts)
+
+
+def _factors(its: Sum, exponent: int) -> list[tuple[Atom, int] | float]:
+    """Return the factors of a power of a sum: a number, and atoms with their exponents."""
+    coefficient, monomial = bracket_or_term(its)
+    return [raised_number(coefficient, exponent), *((atom, count * exponent) for atom, count in monomial)]
+
+
+def bracket(its: Sum) -> tuple[float, Monomial]:
+    """Return a sum of several terms as a number times a monomial: what all terms share stands before the bracket.
+
+    Without what they share, terms may cancel: x^2 - x (x - 1) is x.
+    """
+    shared = common([monomial for monomial, _ in its])
+    rest = collect((divided(monomial, shared), coefficient) for monomial, coefficient in its) if shared else its
+    if len(rest) < 2:
+        return (rest[0][1], merged([*shared, *rest[0][0]])) if rest else (0.0, ONE)
+    lead = next(coefficient for monomial, coefficient in rest if monomial != ONE)
+    unit = tuple((monomial, cleaned(kept(coefficient / lead))) for monomial, coefficient in rest)
+    return lead, merged([*shared, ((ADD, unit), 1)])
+
+
+def common(monomials: Iterable[Monomial]) -> Monomial:
+    """Return the largest monomial that divides all of these, powers below the line included."""
+    first, *others = (dict(monomial) for monomial in monomials)
+    shared: list[tuple[Atom, int]] = []
+    for atom, exponent in first.items():
+        exponents = [exponent, *(other.get(atom, 0) for other in others)]
+        count = min(exponents) if min(exponents) > 0 else max(exponents) if max(exponents) < 0 else 0
+        if count:
+            shared.append((atom, count))
+    return tuple(shared)
+
+
+def divided(monomial: Monomial, divisor: Monomial) -> Monomial:
+    """Return a monomial over another."""
+    return merged([*monomial, *((atom, -exponent) for atom, exponent in divisor)])
+
+
+def merged(factors: Iterable[tuple[Atom, int]]) -> Monomial:
+    """Return the product of powers of atoms, equal atoms joined."""
+    total: dict[Atom, int] = {}
+    for atom, exponent in factors:
+        total[atom] = total.get(atom, 0) + exponent
+    if any(abs(exponent) > LARGEST_POWER for exponent in total.values()):
+        raise UndefinedError
+    return tuple(sorted(item for item in total.items() if item[1]))
+
+
+def product(factors: Iterable[tuple[Atom, int] | float]) -> Sum:
+    """Return the product of numbers and powers of atoms, in which there is one exponential, and no root squared."""
+    coefficient, powers = 1.0, []
+    for factor in factors:
+        if isinstance(factor, float):
+            coefficient = times(coefficient, factor)
+        else:
+            powers.append(factor)
+    monomial = merged(powers)
+    if any(_is_reducible(atom, exponent) for atom, exponent in monomial):
+        return _reduced(coefficient, monomial)
+    if not coefficient:
+        return ZERO
+    return collect([(monomial, cleaned(coefficient))])
+
+
+def _is_reducible(atom: Atom, exponent: int) -> bool:
+    kind = atom[0]
+    if kind in (EXP, POW):
+        return True
+    return (kind == SQRT) or (kind == ABS and abs(exponent) > 1)
+
+
+def _reduced(coefficient: float, monomial: Monomial) -> Sum:
+    """Return a product whose exponentials, powers and roots are joined."""
+    known: dict[Atom, int] = {}
+    exponents: list[tuple[float, Sum]] = []
+    powers: dict[Sum, list[tuple[float, Sum]]] = {}
+    roots: list[tuple[Sum, int]] = []
+    for atom, count in monomial:
+        if atom[0] == EXP:
+            exponents.append((float(count), atom[1]))
+        elif atom[0] == POW:
+            powers.setdefault(atom[1], []).append((float(count), atom[2]))
+        elif atom[0] == SQRT:
+            roots.append((atom[1], count))
+        elif atom[0] == ABS:
+            odd = int(math.fmod(count, 2))
+            known[atom] = known.get(atom, 0) + odd
+            coefficient = times(coefficient, _multiplied(known, atom[1], count - odd))
+        else:
+            known[atom] = known.get(atom, 0) + count
+    for argument, count in roots:
+        if argument in powers:
+            powers[argument].append((float(count), constant(0.5)))
+            continue
+        halves = count + 2 * known.pop(_lone_atom(argument), 0)
+        odd = int(math.fmod(halves, 2))
+        known[(SQRT, argument)] = odd
+        coefficient = times(coefficient, _multiplied(known, argument, (halves - odd) // 2))
+    if exponents:
+        coefficient = times(coefficient, _multiplied(known, function(EXP, add(*exponents)), 1))
+    for base, parts in powers.items():
+        whole = float(known.pop(_lone_atom(base), 0))
+        coefficient = times(coefficient, _multiplied(known, raised(base, add(*parts, (whole, constant(1.0)))), 1))
+    return collect([(merged(known.items()), cleaned(coefficient))]) if coefficient else ZERO
+
+
+def _multiplied(factors: dict[Atom, int], its: Sum, exponent: int) -> float:
+    """Multiply factors by a power of a sum; return the number that remains of it."""
+    if not exponent:
+        return 1.0
+    if not its:
+        return 0.0
+    number, monomial = bracket_or_term(its)
+    for atom, count in monomial:
+        factors[atom] = factors.get(atom, 0) + count * exponent
+    return raised_number(number, exponent)
+
+
+def _lone_atom(its: Sum) -> Atom:
+    """Return the atom that a sum is, an empty one when it is none."""
+    number, monomial = bracket_or_term(its)
+    return monomial[0][0] if number == 1.0 and len(monomial) == 1 and monomial[0][1] == 1 else ()
+
+
+def bracket_or_term(its: Sum) -> tuple[float, Monomial]:
+    """Return a sum as a number times a monomial; raises UndefinedError of zero."""
+    if not its:
+        raise UndefinedError
+    return bracket(its) if len(its) > 1 else (its[0][1], its[0][0])
+
+
+# ------------------------------------------------------------------------------------------------------- functions
+
+
+def function(code: int, argument: Sum) -> Sum:
+    """Return a function of a sum, in its one form."""
+    number = number_of(argument)
+    if number is not None:
+        return constant(value_of(code, number, 0.0))
+    if code in (SIN, COS):
+        return _wave(code, argument)
+    if code == EXP:
+        return _exponential(argument)
+    if code == LOG:
+        return _logarithm(argument)
+    if code == SQRT:
+        return _root(argument)
+    if code == ABS:
+        return _magnitude(argument)
+    if code == TANH:
+        sign, positive = unsigned(argument)
+        return atom_sum((TANH, positive), sign)
+    return atom_sum((code, argument))
+
+
+def atom_sum(atom: Atom, coefficient: float = 1.0) -> Sum:
+    """Return a multiple of an atom."""
+    return ((((atom, 1),), coefficient),)
+
+
+def unsigned(its: Sum) -> tuple[float, Sum]:
+    """Return a sign and a sum whose first term with a variable is positive; their product is the given sum."""
+    lead = next(coefficient for monomial, coefficient in its if monomial != ONE)
+    return (1.0, its) if lead > 0.0 else (-1.0, scaled(its, -1.0))
+
+
+def split_constant(its: Sum) -> tuple[float, Sum]:
+    """Return the constant term of a sum, and the rest."""
+    return (its[0][1], its[1:]) if its and its[0][0] == ONE else (0.0, its)
+
+
+def _wave(code: int, argument: Sum) -> Sum:
+    phase, rest = split_constant(argument)
+    sign, rest = unsigned(rest)
+    # With r the rest and q the quarter turns that make a cosine a sine: sin(-r + p + q) = -sin(r - p - q).
+    quarters = round(phase / _QUARTER)
+    left = sign * (phase - quarters * _QUARTER)
+    quarters = int(sign) * (quarters + (code == COS)) % 4
+    inner = collect([(ONE, left), *rest]) if abs(left) > _PHASE else rest
+    return atom_sum((COS if quarters % 2 else SIN, inner), sign if quarters < 2 else -sign)
+
+
+def _exponential(argument: Sum) -> Sum:
+    shift, rest = split_constant(argument)
+    number = value_of(EXP, shift, 0.0) if shift else 1.0
+    if not 0.0 < number < math.inf:
+        raise UndefinedError
+    whole: list[tuple[Atom, int]] = []
+    left: list[tuple[Monomial, float]] = []
+    for monomial, coefficient in rest:
+        is_log = len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == LOG
+        if is_log and coefficient.is_integer() and abs(coefficient) <= LARGEST_POWER:
+            scale, its = bracket_or_term(monomial[0][0][1])
+            number = times(number, raised_number(scale, int(coefficient)))
+            whole += [(atom, exponent * int(coefficient)) for atom, exponent in its]
+        else:
+            left.append((monomial, coefficient))
+    if not left:
+        return product([number, *whole])
+    return product([number, *whole, ((EXP, tuple(left)), 1)]) if whole else atom_sum((EXP, tuple(left)), number)
+
+
+def _logarithm(argument: Sum) -> Sum:
+    if len(argument) > 1:
+        return atom_sum((LOG, argument))
+    ((monomial, coefficient),) = argument
+    if coefficient < 0.0:
+        return atom_sum((LOG, argument))
+    parts: list[tuple[float, Sum]] = [(1.0, constant(value_of(LOG, coefficient, 0.0)))]
+    rest: list[tuple[Atom, int]] = []
+    for atom, exponent in monomial:
+        if atom[0] == EXP:
+            parts.append((float(exponent), atom[1]))
+        else:
+            rest.append((atom, exponent))
+    if len(rest) == 1 and rest[0][0][0] == SQRT and rest[0][1] % 2:
+        parts.append((0.5 * rest[0][1], function(LOG, rest[0][0][1])))
+    elif len(rest) == 1 and rest[0][1] % 2:
+        its = ((((rest[0][0], 1),), 1.0),)
+        parts.append((float(rest[0][1]), atom_sum((LOG, collect(its)))))
+    elif rest:
+        parts.append((1.0, atom_sum((LOG, collect([(tuple(rest), 1.0)])))))
+    return add(*parts)
+
+
+def _root(argument: Sum) -> Sum:
+    if len(argument) > 1:
+        return atom_sum((SQRT, argument))
+    ((monomial, coefficient),) = argument
+    if coefficient < 0.0:
+        return atom_sum((SQRT, argument))
+    number = math.sqrt(coefficient)
+    if len(monomial) == 1:
+        ((atom, exponent),) = monomial
+        if atom[0] == EXP:
+            return multiply(constant(number), function(EXP, add((0.5, atom[1]))))
+        if exponent % 2 == 0:
+            inner = collect([(((atom, 1),), 1.0)])
+            return multiply(constant(number), power(function(ABS, inner), exponent // 2))
+        if exponent < 0:
+            return multiply(constant(number), power(function(SQRT, collect([(((atom, -exponent),), 1.0)])), -1))
+    return product([number, ((SQRT, collect([(monomial, 1.0)])), 1)])
+
+
+def _magnitude(argument: Sum) -> Sum:
+    if len(argument) > 1:
+        return atom_sum((ABS, unsigned(argument)[1]))
+    ((monomial, coefficient),) = argument
+    positive = [(atom, exponent) for atom, exponent in monomial if atom[0] in (EXP, SQRT, ABS) or exponent % 2 == 0]
+    rest = tuple(item for item in monomial if item not in positive)
+    parts: list[tuple[Atom, int] | float] = [abs(coefficient), *positive]
+    if rest:
+        parts.append(((ABS, collect([(rest, 1.0)])), 1))
+    return product(parts)
+
+
+def raised(base: Sum, exponent: Sum) -> Sum:
+    """Return a power with any exponent."""
+    number, basis = number_of(exponent), number_of(base)
+    if number is not None and basis is not None:
+        return constant(value_of(POW, basis, number))
+    if number is not None:
+        if number.is_integer() and abs(number) <= LARGEST_POWER:
+            return power(base, int(number))
+        if abs(number) == 0.5:
+            return power(function(SQRT, base), 1 if number > 0.0 else -1)
+        if len(base) == 1 and base[0][1] > 0.0 and base[0][1] != 1.0:
+            scale = kept(value_of(POW, base[0][1], number))
+            return multiply(constant(scale), atom_sum((POW, ((base[0][0], 1.0),), exponent)))
+    if basis == 1.0:
+        return constant(1.0)
+    return atom_sum((POW, base, exponent))

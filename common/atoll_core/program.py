@@ -1,0 +1,81 @@
+"""How both programs begin and end: standard streams, Ctrl-C at any moment, errors as sentences. Light to import."""
+
+import contextlib
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+from typing import Final, NoReturn
+
+INTERRUPTED: Final = 130
+"""Exit code after Ctrl-C."""
+
+
+def run_program(module: str) -> NoReturn:
+    """Import a module, call its `main` with the words of the command line and end the process with its exit code.
+
+    Until the module calls `raise_interrupts`, Ctrl-C ends the process at once: a KeyboardInterrupt in the middle of an
+    import may be lost or be printed as a traceback. At the end nothing is left to be closed, so the process does not
+    wait for the interpreter to take itself apart, which takes long once the libraries for numbers are loaded, nor for a
+    thread in the middle of compiling.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else a parent has it ignored
+        signal.signal(signal.SIGINT, _end_at_once)
+    reap_children()
+    open_closed_streams()
+    from atoll_core.machine.garbage import collect_rarely
+
+    collect_rarely()
+    code: int = importlib.import_module(module).main(sys.argv[1:])
+    flush_streams()
+    os._exit(code)
+
+
+def reap_children() -> None:
+    """Learn how child processes end, also where a parent has that ignored: the system would not tell how they did."""
+    if hasattr(signal, "SIGCHLD"):
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+
+
+def raise_interrupts() -> None:
+    """Have Ctrl-C raise KeyboardInterrupt from now on, if it has ended the process until now."""
+    if signal.getsignal(signal.SIGINT) is _end_at_once:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _end_at_once(number: int, frame: FrameType | None) -> NoReturn:
+    os._exit(INTERRUPTED)
+
+
+def exit_code_of(work: Callable[[], int], complain: Callable[[str], object]) -> int:
+    """Do `work` and return its exit code, or the one of an error, whose sentence `complain` is called with."""
+    from atoll_core.errors import AtollError
+
+    try:
+        return work()
+    except AtollError as error:
+        complain(error.on_command_line)
+        return error.exit_code
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except SystemExit as error:  # after --help
+        return error.code if isinstance(error.code, int) else 0
+
+
+def flush_streams() -> None:
+    """Write what is still to be written, if anybody is there to read it."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):
+            stream.flush()
+
+
+def open_closed_streams() -> None:
+    """Let standard streams that were closed before the start lead nowhere, so that no file takes their numbers."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    sys.stdin = sys.stdin or open(0, encoding="utf-8")  # noqa: SIM115  it is open as long as the process
+    sys.stdout = sys.stdout or open(1, "w", encoding="utf-8")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", encoding="utf-8")  # noqa: SIM115

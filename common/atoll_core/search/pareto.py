@@ -1,0 +1,97 @@
+"""Fronts of error against complexity and what comes next to them: total order, dominance, merging (docs/protocol.md).
+
+With noise the truth is often not the best of its complexity but one of the next. Hence *runners-up* are kept beside a
+front: the next best of each complexity, distinct in function. Whether two equations are one function is told from what
+was measured: two errors on all rows, each to four digits, seldom agree by chance, and then one of two equally good ones
+is lost. Comparisons of numbers alone, so the same on every machine.
+"""
+
+import math
+from bisect import bisect_left, insort
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+AGREEMENT: Final = 1e-4
+"""Equations of which both errors differ by no more than this share of the smaller one count as the same function."""
+
+
+Key = tuple[int, float, int, int, int, bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class FrontEntry:
+    """One equation as it was measured on all rows, tagged with where and when it was found.
+
+    `error` is the loss and `mse` the mean squared error, both in the target's units; `program` holds the canonical
+    bytes of `atoll_core.expression.program.Program`.
+    """
+
+    complexity: int
+    error: float
+    mse: float
+    epoch: int
+    generation: int
+    island: int
+    program: bytes
+
+    @property
+    def key(self) -> Key:
+        """The total order in which entries are compared and kept."""
+        return (self.complexity, self.error, self.epoch, self.generation, self.island, self.program)
+
+
+def merge(front: Iterable[FrontEntry], additions: Iterable[FrontEntry]) -> tuple[FrontEntry, ...]:
+    """Return the non-dominated entries of both, by rising complexity and falling error. Pure; order-independent."""
+    kept: list[FrontEntry] = []
+    for entry in sorted((*front, *additions), key=lambda each: each.key):
+        if math.isfinite(entry.error) and (not kept or entry.error < kept[-1].error):
+            kept.append(entry)
+    return tuple(kept)
+
+
+def runners_up(front: Iterable[FrontEntry], candidates: Iterable[FrontEntry], most: int) -> tuple[FrontEntry, ...]:
+    """Return the `most` next best of each complexity that are none of `front` in function, in the total order.
+
+    Equations of one structure count once however their constants were fitted, and so do those whose errors agree;
+    what is earlier in the total order stays: the simpler one, then the better one. Pure; independent of the order of
+    `candidates`, which may hold members of the front.
+    """
+    members = {entry.key for entry in front}
+    entries = {entry.key: entry for entry in (*front, *candidates)} if most > 0 else {}
+    return tuple(_next_best((entries[key] for key in sorted(entries)), members, most))
+
+
+def _next_best(ordered: Iterable[FrontEntry], members: set[Key], most: int) -> Iterator[FrontEntry]:
+    structures: set[bytes] = set()
+    errors: list[tuple[float, float]] = []
+    complexity, taken = 0, 0
+    for entry in ordered:
+        if entry.complexity != complexity:
+            complexity, taken = entry.complexity, 0
+        is_member = entry.key in members
+        if not is_member and (taken >= most or not _is_new(entry, structures, errors)):
+            continue
+        structures.add(structure_of(entry.program))
+        insort(errors, (entry.error, entry.mse))
+        if not is_member:
+            taken += 1
+            yield entry
+
+
+def _is_new(entry: FrontEntry, structures: set[bytes], errors: list[tuple[float, float]]) -> bool:
+    """Return whether an entry has finite errors and is no function that is there already."""
+    if not math.isfinite(entry.error) or structure_of(entry.program) in structures:
+        return False
+    low, high = entry.error * (1.0 - AGREEMENT), entry.error * (1.0 + AGREEMENT)
+    for error, mse in errors[bisect_left(errors, (low, -math.inf)) :]:
+        if error > high:
+            break
+        if abs(mse - entry.mse) <= AGREEMENT * min(mse, entry.mse):
+            return False
+    return True
+
+
+def structure_of(program: bytes) -> bytes:
+    """Return the canonical bytes of a program (`Program.to_bytes`) without its constants."""
+    return program[: 1 + 5 * program[0]] if program else program

@@ -1,0 +1,206 @@
+"""Addresses such as ``tcp/HOST:PORT``, ``tls/HOST:PORT`` or ``unixsock-stream/PATH``: reading them, and what is there.
+
+With credentials an address is a destination: where to listen or dial, and with which certificate.
+"""
+
+import contextlib
+import errno
+import os
+import socket
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from atoll_core.command_line import TLS_OPTIONS
+from atoll_core.errors import RefusedError, UsageError
+from atoll_core.wire.security.credentials import Credentials, check_welcome, speaks_tls
+
+_PROTOCOLS: Final = ("tcp", "tls", "quic")
+_SOCKET: Final = "unixsock-stream"
+_LONGEST_PATH: Final = 103
+"""Bytes of a socket's path, which fit everywhere (macOS has 104 with the zero at their end, Linux 108)."""
+_NOT_IN_PATHS: Final = "?#\0\n"
+"""What ends the path of an address, for zenoh."""
+_ENCRYPTED: Final = ("tls", "quic")
+_PROBE_LIMIT_S: Final = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where a router listens. Port 0 stands for any free port.
+
+    Of a socket of this machine, whose users are those who may use its folder, `host` is the path and `port` 0.
+    """
+
+    protocol: str
+    host: str
+    port: int
+
+    @property
+    def is_socket(self) -> bool:
+        """Whether it is a socket of this machine, not one of a network."""
+        return self.protocol == _SOCKET
+
+    def __str__(self) -> str:
+        if self.is_socket:
+            return f"{self.protocol}/{self.host}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.protocol}/{host}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True)
+class Destination:
+    """An address, and what we show there. Its text is the address alone."""
+
+    address: Address
+    credentials: Credentials | None = None
+
+    def __str__(self) -> str:
+        return str(self.address)
+
+
+def destination(text: str, credentials: Credentials | None = None) -> Destination:
+    """Return the address that `text` names, with the credentials to be shown there.
+
+    Raises:
+        UsageError: it is no address, or it is an encrypted one without credentials, or the other way round.
+    """
+    address = parse_address(text)
+    place = f"{address.host}:{address.port}"
+    if credentials is None and address.protocol in _ENCRYPTED:
+        names = ", ".join(f"{option} ({variable})" for option, (variable, _) in TLS_OPTIONS.items())
+        raise UsageError(f"{address} needs certificates; give {names}")
+    if credentials is not None and address.protocol not in _ENCRYPTED:
+        raise UsageError(
+            f"{address} is not encrypted, but TLS files were given; write tls/{place}, or leave out --tls-... "
+            "and ATOLL_TLS_..."
+        )
+    return Destination(address, credentials)
+
+
+def parse_address(text: str) -> Address:
+    """Return the address that `text` names; raises UsageError."""
+    protocol, _, place = text.strip().partition("/")
+    if protocol == _SOCKET:
+        return _socket_address(text, place)
+    host, _, port = place.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    good_port = port.isascii() and port.isdigit() and int(port) < 65536
+    if protocol not in _PROTOCOLS or not host or not good_port or any(c in host for c in "/?#, "):
+        raise UsageError(f"address {text!r} was found where tcp/HOST:PORT was expected, such as tcp/127.0.0.1:7447")
+    return Address(protocol, host, int(port))
+
+
+def _socket_address(text: str, path: str) -> Address:
+    if not path:
+        raise UsageError(f"address {text!r} was found where a path was expected, such as {_SOCKET}//tmp/mine/bus")
+    if any(c in path for c in _NOT_IN_PATHS):
+        raise UsageError(f"the path of {text!r} has one of ? # and line breaks; name a socket in another folder")
+    if len(os.fsencode(path)) > _LONGEST_PATH:
+        raise UsageError(f"the path of {text!r} is longer than {_LONGEST_PATH} bytes; name a socket in another folder")
+    return Address(_SOCKET, path, 0)
+
+
+@contextlib.contextmanager
+def own_address() -> Iterator[Address]:
+    """Yield an address that only this user can reach, on this machine, while the block lasts: a socket in a folder."""
+    with contextlib.ExitStack() as stack:
+        try:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="atoll-", ignore_cleanup_errors=True))
+            if len(os.fsencode(folder)) > _LONGEST_PATH - len("/bus") or any(c in folder for c in _NOT_IN_PATHS):
+                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="atoll-", dir="/tmp"))
+        except OSError as error:
+            raise UsageError(
+                f"no folder for what is temporary can be made ({error.strerror}); name another with TMPDIR"
+            ) from error
+        yield Address(_SOCKET, f"{folder}/bus", 0)
+
+
+def bindable(address: Address) -> Address:
+    """Return `address` with port 0 replaced by a free one, after checking that a router could listen there.
+
+    Raises:
+        UsageError: the port is in use or may not be used, or the host is not one of this machine's.
+    """
+    if address.is_socket:
+        return _bindable_socket(address)
+    kind = socket.SOCK_DGRAM if address.protocol == "quic" else socket.SOCK_STREAM
+    try:
+        family, _, _, _, place = socket.getaddrinfo(address.host, address.port, type=kind, flags=socket.AI_PASSIVE)[0]
+        with socket.socket(family, kind) as probe:
+            if kind == socket.SOCK_STREAM:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(place)
+            return Address(address.protocol, address.host, probe.getsockname()[1])
+    except OSError as error:
+        raise UsageError(_cannot_listen(address, error)) from error
+
+
+def _bindable_socket(address: Address) -> Address:
+    address = parse_address(f"{_SOCKET}/{Path(address.host).absolute()}")  # as others may dial it, wherever they are
+    folder = Path(address.host).parent
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise UsageError(f"cannot listen on {address}: the folder {folder} is not there or cannot be written")
+    if why_unreachable(address) is None:
+        raise UsageError(f"cannot listen on {address}: another program listens there; choose another with --listen")
+    return address
+
+
+def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | None:
+    """Return why nothing can be reached at `address` right now, or None when something accepts connections there."""
+    if address.protocol == "quic":
+        return None
+    try:
+        if address.is_socket:
+            with socket.socket(socket.AF_UNIX) as probe:
+                probe.settimeout(limit_s)
+                probe.connect(address.host)
+        else:
+            socket.create_connection((address.host, address.port), timeout=limit_s).close()
+    except socket.gaierror:
+        return f"the host {address.host!r} is not known"
+    except TimeoutError:
+        return "there was no answer"
+    except OSError as error:
+        return (error.strerror or str(error)).lower()
+    return None
+
+
+def check_certificates(to: Destination, listen_s: float) -> str | None:
+    """Return what is wrong with TLS at `to`, beyond certificates; None when nothing is, or that cannot be told.
+
+    Args:
+        to: where connections are accepted.
+        listen_s: how long to listen for what the other side thinks of our certificate, in seconds.
+
+    Raises:
+        RefusedError: certificates do not fit, or are asked for and not given.
+    """
+    address = to.address
+    if address.protocol == "quic" or address.is_socket:
+        return None
+    try:
+        if to.credentials is not None:
+            return check_welcome(address.host, address.port, to.credentials, listen_s)
+        if speaks_tls(address.host, address.port):
+            raise RefusedError(
+                f"it asks for TLS; write tls/{address.host}:{address.port} and give {', '.join(TLS_OPTIONS)}"
+            )
+    except RefusedError as error:
+        raise RefusedError(f"no connection to the coordinator at {address}: {error}") from error
+    return None
+
+
+def _cannot_listen(address: Address, error: OSError) -> str:
+    if isinstance(error, socket.gaierror):
+        return f"cannot listen on {address}: the host {address.host!r} is not known; try tcp/0.0.0.0:{address.port}"
+    if error.errno == errno.EADDRINUSE:
+        return (
+            f"cannot listen on {address}: the port is in use (is another coordinator running?); "
+            "choose another with --listen"
+        )
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"cannot listen on {address}: the host is not this machine; try tcp/0.0.0.0:{address.port}"
+    return f"cannot listen on {address}: {(error.strerror or str(error)).lower()}; choose another with --listen"

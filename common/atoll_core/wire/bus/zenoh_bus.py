@@ -1,0 +1,346 @@
+"""The bus over zenoh: an embedded router for the coordinator, clients for all others. Alone in knowing zenoh.
+
+What zenoh calls back only puts an event into one inbox; the owner thread takes it out. Callbacks run on zenoh's own
+threads (``indirect=False``), so no thread of ours can keep a process from ending. Never fork after opening a bus.
+
+Settings and their reasons: no discovery (one address to dial), no shared memory (it may drop silently and fills
+/dev/shm), BLOCK instead of the default that drops under load, queues large enough for bursts, a hung peer is waited
+for at most `_WAIT_FOR_PEER_US`, a lease short enough to notice a lost machine within seconds, and no message read that
+is larger than any of ours.
+"""
+
+import itertools
+import json
+import threading
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Final, Self
+
+import zenoh
+from zenoh.handlers import Callback
+
+from atoll_core.errors import LocalProtocolError, UnreachableError, UsageError
+from atoll_core.wire.addresses import Address, Destination, bindable, check_certificates, destination, why_unreachable
+from atoll_core.wire.bus.inbox import Inbox, Timers
+from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from atoll_core.wire.bus.keys import check_expression, check_key, check_payload
+from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.security.access_control import Roster, access_control
+from atoll_core.wire.topics import HELLO, ROOT
+
+_WAIT_FOR_PEER_US: Final = 1_000_000
+_LEASE_MS: Final = 4_000
+_ATTEMPT_MS: Final = 3_000
+_PAUSE_S: Final = 0.2
+_QUICK_S: Final = 0.1
+_SLOW_S: Final = 1.0
+_CLOSE_LIMIT_S: Final = 5.0
+_FREE_PORT_ATTEMPTS: Final = 20
+_OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
+
+Settings = Mapping[str, object]
+
+_SIZE_LIMITS: Final = {
+    64 * 1024: (HELLO, f"{HELLO}/*"),
+    1024 * 1024: (f"{ROOT}/*/worker/*/status",),
+    MAX_MESSAGE: (
+        f"{ROOT}/*/worker/*/report",
+        f"{ROOT}/*/worker/*/to/*",
+        f"{ROOT}/*/control/**",
+        f"{ROOT}/*/client/*/ask",
+    ),
+}
+"""Bytes that a put or a question may have, by its key; a router drops what is larger before anybody reads it."""
+
+
+def open_router(
+    listen: str | Destination, settings: Settings | None = None, roster: Roster | None = None
+) -> "ZenohBus":
+    """Start a router listening on `listen` (port 0: any free one, see `ZenohBus.endpoint`) and return a bus in it.
+
+    Args:
+        listen: such as ``tcp/0.0.0.0:7447``, or with credentials.
+        settings: further zenoh settings by path, such as ``{"transport/unicast/max_sessions": 100}``.
+        roster: who may say what, by the names in certificates; None: whoever can connect may say anything.
+
+    Raises:
+        UsageError: nobody can listen there, or a setting is unknown to zenoh.
+    """
+    wanted = listen if isinstance(listen, Destination) else destination(listen)
+    guards = {**_guards(wanted), **({"access_control": access_control(roster)} if roster is not None else {})}
+    for attempt in itertools.count(1):
+        address = bindable(wanted.address)
+        try:
+            session = zenoh.open(_config("router", [str(address)], [], {**guards, **(settings or {})}))
+            return ZenohBus(session, str(address), is_router=True)
+        except zenoh.ZError as error:  # between finding a free port and listening on it, somebody may have taken it
+            if wanted.address.port or wanted.address.is_socket or attempt == _FREE_PORT_ATTEMPTS:
+                raise UsageError(f"cannot listen on {address}: {_reason(error)}") from error
+    raise AssertionError
+
+
+def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Settings | None = None) -> "ZenohBus":
+    """Connect to the router at `connect`, trying again for `wait_s` seconds, and return a bus.
+
+    Once connected, the bus finds a router that went away again by itself; Link events tell of both.
+
+    Raises:
+        UnreachableError: no coordinator answered in time.
+        RefusedError: certificates do not fit, on our side or theirs; trying again would not help.
+        UsageError: `connect` is no address, or a setting is unknown to zenoh.
+    """
+    to = connect if isinstance(connect, Destination) else destination(connect)
+    address = to.address
+    config = _config("client", [], [str(address)], {**_guards(to), **(settings or {})})
+    end = time.monotonic() + wait_s
+    while True:
+        reason = why_unreachable(address)
+        if reason is None and to.credentials is not None:
+            reason = check_certificates(to, _QUICK_S)
+        if reason is None:
+            try:
+                return ZenohBus(zenoh.open(config), str(address), is_router=False)
+            except zenoh.ZError:
+                reason = check_certificates(to, _SLOW_S) or "what listens there did not answer as a coordinator does"
+        if time.monotonic() >= end:
+            raise UnreachableError(_unreachable(address, wait_s, reason))
+        time.sleep(min(_PAUSE_S, max(0.0, end - time.monotonic())))
+
+
+class ZenohBus:
+    """One zenoh session as an `atoll_core.wire.bus.interface.Bus`. `endpoint` is the address listened on or connected
+    to."""
+
+    def __init__(self, session: zenoh.Session, endpoint: str, is_router: bool) -> None:
+        self.endpoint: Final = endpoint
+        self._session = session
+        self._inbox = Inbox()
+        self._timers = Timers()
+        self._tokens = itertools.count(1)
+        self._kept: list[object] = []  # liveliness tokens vanish with their Python objects
+        if not is_router:
+            self._follow_link()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Send what is under way and leave the bus; gives up after some seconds rather than hang. Repeatable."""
+        closer = threading.Thread(target=self._session.close, name="closing the bus", daemon=True)
+        closer.start()
+        closer.join(_CLOSE_LIMIT_S)
+
+    def put(self, key: str, payload: bytes) -> None:
+        """See `Bus.put`."""
+        check_payload(key, payload)
+        self._call(lambda: self._session.put(check_key(key), payload, **_FIRMLY))
+
+    def subscribe(self, key_expression: str) -> None:
+        """See `Bus.subscribe`."""
+        check_expression(key_expression)
+        self._call(lambda: self._session.declare_subscriber(key_expression, _directly(self._on_sample)))
+
+    def serve(self, key_expression: str) -> None:
+        """See `Bus.serve`."""
+        check_expression(key_expression)
+        self._call(
+            lambda: self._session.declare_queryable(key_expression, _directly(self._on_query), complete=True),
+        )
+
+    def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int:
+        """See `Bus.get`."""
+        check_payload(key, payload)
+        check_key(key)
+        token = next(self._tokens)
+        answer = _Answer(token, self._inbox)
+        handler = Callback(answer.on_reply, answer.on_end, indirect=False)
+        options = {"payload": payload, "timeout": timeout_s, "consolidation": zenoh.ConsolidationMode.NONE, **_FIRMLY}
+        if not self._call(lambda: self._session.get(key, handler, **options)):
+            answer.on_end()
+        return token
+
+    def reply(self, query: Query, payload: bytes | None) -> None:
+        """See `Bus.reply`."""
+        handle = query.handle
+        if payload is not None:
+            check_payload(query.key, payload)
+            self._call(lambda: handle.reply(query.key, payload))
+        else:
+            self._call(lambda: handle.reply_err(b""))
+        self._call(handle.drop)
+
+    def announce(self, key: str) -> None:
+        """See `Bus.announce`."""
+        check_key(key)
+        self._call(lambda: self._kept.append(self._session.liveliness().declare_token(key)))
+
+    def watch(self, key_expression: str) -> None:
+        """See `Bus.watch`."""
+        check_expression(key_expression)
+        handler = _directly(self._on_presence)
+        self._call(lambda: self._session.liveliness().declare_subscriber(key_expression, handler, history=True))
+
+    @property
+    def dropped(self) -> int:
+        """See `Bus.dropped`."""
+        return self._inbox.dropped
+
+    def now(self) -> float:
+        """See `Bus.now`."""
+        return time.monotonic()
+
+    def call_later(self, delay_s: float, name: str) -> None:
+        """See `Bus.call_later`."""
+        self._timers.add(time.monotonic() + delay_s, name)
+
+    def post(self, item: object) -> None:
+        """See `Bus.post`."""
+        self._inbox.add(Posted(item))
+
+    def receive(self, timeout_s: float) -> Event | None:
+        """See `Bus.receive`. A signal (Ctrl-C) is served while waiting."""
+        end = time.monotonic() + timeout_s
+        while True:
+            name = self._timers.pop_due(time.monotonic())
+            if name is not None:
+                return Timer(name)
+            wake = min(end, self._timers.next_time())
+            event = self._inbox.take(wake - time.monotonic())
+            if event is not None or (wake == end and time.monotonic() >= end):
+                return event
+
+    def _call(self, act: Callable[[], object]) -> bool:
+        """Let zenoh `act`; return False when the session is closed: what is then sent is lost without a sign."""
+        try:
+            act()
+        except zenoh.ZError as error:
+            if not self._session.is_closed():
+                raise LocalProtocolError(f"zenoh refused a call: {_reason(error)}") from error
+            return False
+        return True
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._inbox.add(Message(str(sample.key_expr), sample.payload.to_bytes()))
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        payload = query.payload.to_bytes() if query.payload is not None else b""
+        self._inbox.add(Query(str(query.key_expr), payload, query))
+
+    def _on_presence(self, sample: zenoh.Sample) -> None:
+        self._inbox.add(Presence(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+    def _follow_link(self) -> None:
+        self._session.info.declare_transport_events_listener(_directly(self._on_transport))
+        if not self._session.info.routers_zid():  # lost between opening and listening
+            self._inbox.add(Link(False))
+
+    def _on_transport(self, event: zenoh.TransportEvent) -> None:
+        self._inbox.add(Link(event.kind == zenoh.SampleKind.PUT))
+
+
+class _Answer:
+    """Turns whatever becomes of one `get` into exactly one Reply."""
+
+    def __init__(self, token: int, inbox: Inbox) -> None:
+        self._token = token
+        self._inbox = inbox
+        self._open = threading.Semaphore(1)
+
+    def on_reply(self, reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            self._finish(reply.ok.payload.to_bytes())
+
+    def on_end(self) -> None:
+        self._finish(None)
+
+    def _finish(self, payload: bytes | None) -> None:
+        if self._open.acquire(blocking=False):
+            self._inbox.add(Reply(self._token, payload))
+
+
+_FIRMLY: Final[dict[str, Any]] = {
+    "congestion_control": zenoh.CongestionControl.BLOCK,
+    "priority": zenoh.Priority.DATA,
+}
+
+
+def _directly(callback: Callable[[Any], None]) -> Any:
+    return Callback(callback, indirect=False)
+
+
+def _config(mode: str, listen: list[str], connect: list[str], settings: Settings | None) -> zenoh.Config:
+    config = zenoh.Config.from_json5(json.dumps(_tree(mode, listen, connect)))
+    for path, value in (settings or {}).items():
+        try:
+            config.insert_json5(path, json.dumps(value))
+        except zenoh.ZError as error:
+            raise UsageError(f"zenoh does not accept the setting {path!r}: {_reason(error)}") from error
+    return config
+
+
+def _guards(to: Destination) -> dict[str, object]:
+    """Return the settings for TLS with certificates on both sides; no other protocol is spoken then."""
+    files = to.credentials
+    if files is None:
+        return {}
+    certificate, key = str(files.certificate), str(files.key)
+    tls = {
+        "root_ca_certificate": str(files.authority),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+        **{f"{side}_certificate": certificate for side in ("listen", "connect")},
+        **{f"{side}_private_key": key for side in ("listen", "connect")},
+    }
+    return {"transport/link/tls": tls, "transport/link/protocols": [to.address.protocol]}
+
+
+def _tree(mode: str, listen: list[str], connect: list[str]) -> dict[str, object]:
+    sizes = {"control": 2, "real_time": 2, "interactive_high": 2, "interactive_low": 2}
+    sizes |= {"data_high": 4, "data": 16, "data_low": 4, "background": 4}
+    patience = {"block": {"wait_before_close": _WAIT_FOR_PEER_US}, "drop": {"wait_before_drop": 20_000}}
+    link_tx = {"lease": _LEASE_MS, "queue": {"size": sizes, "congestion_control": patience}}
+    retry = {"period_init_ms": 100, "period_max_ms": 1_000, "period_increase_factor": 2}
+    filters = [
+        {
+            "id": f"at most {size}",
+            "flows": ["ingress"],
+            "messages": ["put", "query"],
+            "key_exprs": keys,
+            "size_limit": size,
+        }
+        for size, keys in _SIZE_LIMITS.items()
+    ]
+    return {
+        "mode": mode,
+        "low_pass_filter": filters if mode == "router" else [],
+        "listen": {"endpoints": listen},
+        "connect": {"endpoints": connect, "timeout_ms": _ATTEMPT_MS, "exit_on_failure": True, "retry": retry},
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "unicast": {"max_sessions": 10_000, "open_timeout": _ATTEMPT_MS, "accept_timeout": 10_000},
+            "link": {"tx": link_tx, "rx": {"max_message_size": MAX_PAYLOAD + _OVERHEAD}},
+        },
+    }
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """Return what zenoh says without its places in source code."""
+    text = str(error).split(" at /")[0].strip().splitlines()
+    return text[0][:200] if text else "no reason was given"
+
+
+def _unreachable(address: Address, wait_s: float, reason: str) -> str:
+    waited = f" within {wait_s:g} s" if wait_s > 0.0 else ""
+    return (
+        f"no coordinator answers at {address}{waited}: {reason}; "
+        "check the address, or start one with `coordinator serve`"
+    )

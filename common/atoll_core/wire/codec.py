@@ -1,0 +1,352 @@
+"""Bytes on the wire and in the store: msgpack for messages, a small header and raw columns for arrays.
+
+The only module that knows msgpack. What comes from a peer is not trusted: its structure is walked once before anything
+is allocated for it (size, lengths that fit the bytes there are), what is built is counted while it is built, then the
+model decides, which looks no further than the first wrong item of a sequence. Whatever is wrong, the caller meets a
+RemoteProtocolError with one sentence. Nothing that travels is code, and nothing is compressed.
+"""
+
+import math
+import struct
+from collections.abc import Mapping
+from typing import Any, Final, TypeVar, cast
+
+import msgpack
+import numpy as np
+import numpy.typing as npt
+from pydantic import TypeAdapter, ValidationError
+
+from atoll_core.config import Model
+from atoll_core.data.dataset import Dataset, FloatArray, Target
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.wire.bus.interface import MAX_PAYLOAD
+
+M = TypeVar("M")
+AnyArray = npt.NDArray[Any]
+
+MAX_NESTING: Final = 32
+MAX_ITEMS: Final = 2_000_000
+"""Most items in a message, keys and values each counted: eight bytes an item in the largest message there is."""
+
+MAX_MAP: Final = 4096
+"""Most entries of a map: no model has so many fields, no job so many variables."""
+
+MAX_ARRAYS_BYTES: Final = 2**31
+MAX_DIMENSIONS: Final = 4
+DTYPES: Final = ("f8", "i8", "i4", "i2", "i1", "u1", "u8")
+
+_SMALL: Final = 64 * 1024  # so many bytes cannot make enough items to be worth counting
+_MAGIC: Final = b"atollar1"
+_ALIGNMENT: Final = 64
+BROKEN: Final = (
+    ValueError,
+    TypeError,
+    KeyError,
+    OverflowError,
+    RecursionError,
+    MemoryError,
+    msgpack.exceptions.UnpackException,
+)
+"""What taking apart foreign bytes, or what was built of them, may raise."""
+
+
+def encode(model: Model) -> bytes:
+    """Return the msgpack bytes of a message. Keys of maps must be text.
+
+    Raises:
+        LocalProtocolError: the message holds something that cannot travel.
+    """
+    return _pack(model.model_dump(warnings="none"))
+
+
+def decode(data: bytes, kind: type[M] | TypeAdapter[M], max_bytes: int = MAX_PAYLOAD) -> M:
+    """Return the message in `data`, checked by the model (or, for a tagged union, by the type adapter) `kind`.
+
+    Raises:
+        RemoteProtocolError: `data` is oversized, malformed or not what `kind` describes.
+    """
+    tree = _unpack(data, max_bytes)
+    try:
+        return _validated(tree, kind)
+    except ValidationError as error:
+        raise RemoteProtocolError(f"a message does not fit {_name(kind)}: {_first(error)}") from error
+    except BROKEN as error:
+        raise RemoteProtocolError(f"a message does not fit {_name(kind)}: {_brief(error)}") from error
+
+
+def encode_arrays(header: Mapping[str, object], arrays: Mapping[str, AnyArray]) -> bytes:
+    """Return one block of bytes: magic, length of the head, the head (msgpack), then every array's bytes, aligned.
+
+    The same header and arrays give the same bytes on every machine (little endian, C order).
+
+    Raises:
+        LocalProtocolError: an array is not of a type in `DTYPES`, or the header cannot travel.
+    """
+    plain = {name: _little_endian(name, array) for name, array in arrays.items()}
+    head = _pack({"header": dict(header), "arrays": [[n, a.dtype.str[1:], list(a.shape)] for n, a in plain.items()]})
+    parts = [_MAGIC, struct.pack("<Q", len(head)), head]
+    place = len(_MAGIC) + 8 + len(head)
+    for array in plain.values():
+        gap = -place % _ALIGNMENT
+        parts += [bytes(gap), array.tobytes()]
+        place += gap + array.nbytes
+    return b"".join(parts)
+
+
+def decode_arrays(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> tuple[dict[str, Any], dict[str, AnyArray]]:
+    """Return header and arrays of `encode_arrays`. The arrays are read-only views of `data`.
+
+    Raises:
+        RemoteProtocolError: the block is oversized, malformed, or its shapes do not fit its bytes.
+    """
+    if len(data) > max_bytes:
+        raise RemoteProtocolError(f"a block of arrays has {len(data)} bytes, more than the {max_bytes} allowed")
+    try:
+        return _decode_arrays(data)
+    except BROKEN as error:
+        raise RemoteProtocolError(f"a block of arrays is malformed: {_brief(error)}") from error
+
+
+def dataset_to_bytes(dataset: Dataset) -> bytes:
+    """Return the bytes under which a prepared dataset is stored and fetched."""
+    header = {
+        "names": list(dataset.names),
+        "symbols": [list(pair) for pair in dataset.symbols.items()],
+        "warnings": list(dataset.warnings),
+        "targets": [
+            [t.variable, t.lhs, float(t.uncertainty), float(t.standard_deviation), float(t.noise)]
+            for t in dataset.targets
+        ],
+    }
+    arrays: dict[str, AnyArray] = {"inputs": dataset.inputs}
+    arrays |= {f"target {index}": target.values for index, target in enumerate(dataset.targets)}
+    if dataset.groups is not None:
+        arrays["groups"] = dataset.groups
+    return encode_arrays(header, arrays)
+
+
+def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Dataset:
+    """Return the dataset in `data`: finite, shapes checked, arrays aligned and writable as compiled kernels expect.
+
+    Raises:
+        RemoteProtocolError: the bytes are not those of a dataset.
+    """
+    header, arrays = decode_arrays(data, max_bytes)
+    try:
+        names = _texts(header["names"])
+        inputs = _finite("inputs", arrays["inputs"], (len(names), -1))
+        return Dataset(
+            names=names,
+            inputs=inputs,
+            targets=tuple(_target(arrays, inputs, *each) for each in enumerate(header["targets"])),
+            symbols=dict(map(_pair, header["symbols"])),
+            warnings=_texts(header["warnings"]),
+            groups=_groups(arrays["groups"], inputs) if "groups" in arrays else None,
+        )
+    except BROKEN as error:
+        raise RemoteProtocolError(f"a dataset is malformed: {_brief(error)}") from error
+
+
+def _pack(tree: object) -> bytes:
+    try:
+        _check_tree(tree)
+        data = cast(bytes, msgpack.packb(tree, default=_plain))
+    except BROKEN as error:
+        raise LocalProtocolError(f"a message cannot be encoded: {_brief(error)}") from error
+    return data
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} cannot travel")
+
+
+def _unpack(data: bytes, max_bytes: int) -> object:
+    if len(data) > max_bytes:
+        raise RemoteProtocolError(f"a message has {len(data)} bytes, more than the {max_bytes} allowed")
+    try:
+        _walk(data)
+        tree = _built(data)
+        _check_tree(tree)
+    except BROKEN as error:
+        raise RemoteProtocolError(f"a message is not well-formed msgpack: {_brief(error)}") from error
+    return tree
+
+
+def _built(data: bytes) -> object:
+    """Return what well-formed msgpack bytes hold; raises ValueError as soon as it is too much.
+
+    A container costs up to ninety times the one byte that it takes in a message.
+    """
+    limits: dict[str, Any] = {"raw": False, "strict_map_key": True, "max_map_len": MAX_MAP}
+    if len(data) > _SMALL:
+        count = _Count()
+        limits |= {"max_array_len": MAX_ITEMS, "list_hook": count.items, "object_hook": count.entries}
+    return msgpack.unpackb(data, **limits)
+
+
+class _Count:
+    """Counts items while they are built."""
+
+    def __init__(self) -> None:
+        self._left = MAX_ITEMS
+
+    def items(self, built: list[object]) -> list[object]:
+        """Count a list and what it holds."""
+        self._left -= 1 + len(built)
+        if self._left < 0:
+            raise ValueError(_TOO_MANY)
+        return built
+
+    def entries(self, built: dict[str, object]) -> dict[str, object]:
+        """Count a map and what it holds."""
+        self._left -= 1 + 2 * len(built)
+        if self._left < 0:
+            raise ValueError(_TOO_MANY)
+        return built
+
+
+def _walk(data: bytes) -> None:
+    """Check the structure of msgpack bytes without building it: one item, which ends where the bytes end.
+
+    Every item takes at least one byte, so an announced length beyond the bytes that are left is a lie; this bounds the
+    memory that unpacking takes by a small multiple of `len(data)`.
+    """
+    unpacker = msgpack.Unpacker(max_buffer_size=max(1, len(data)))
+    unpacker.feed(data)
+    try:
+        unpacker.skip()
+    except msgpack.OutOfData:
+        raise ValueError("it ends too early, or announces more items than it has bytes") from None
+    except msgpack.StackError:
+        raise ValueError(_TOO_DEEP) from None
+    except msgpack.FormatError:
+        raise ValueError("it holds an unused type") from None
+    if unpacker.tell() != len(data):
+        raise ValueError(f"{len(data) - unpacker.tell()} bytes follow its end")
+
+
+def _check_tree(tree: object) -> None:
+    """Check that what is in a message is plain, has text as keys, and is nested no deeper than `MAX_NESTING` levels.
+
+    Level by level, since one look at all of a level is much faster than one at each of its containers.
+    """
+    level: list[Any] = [[tree]]
+    for _ in range(MAX_NESTING + 1):
+        items: list[object] = []
+        for container in level:
+            if type(container) is dict:
+                if not _TEXT.issuperset(map(type, container)):
+                    raise ValueError("the key of a map is not text")
+                items.extend(container.values())
+            else:
+                items.extend(container)
+        kinds = set(map(type, items))
+        if not kinds.isdisjoint(_REFUSED):
+            raise ValueError("it holds an extension type")
+        if kinds.isdisjoint(_CONTAINERS):
+            return
+        level = [item for item in items if type(item) in _CONTAINERS]
+    raise ValueError(_TOO_DEEP)
+
+
+_TEXT: Final = frozenset({str})
+_CONTAINERS: Final = frozenset({list, tuple, dict})
+_REFUSED: Final = frozenset({msgpack.ExtType, msgpack.Timestamp})
+_TOO_MANY: Final = f"it holds more than {MAX_ITEMS} items"
+_TOO_DEEP: Final = f"it is nested deeper than {MAX_NESTING} levels"
+
+
+def _validated(tree: object, kind: type[M] | TypeAdapter[M]) -> M:
+    if isinstance(kind, TypeAdapter):
+        return kind.validate_python(tree)
+    return cast(M, cast(type[Model], kind).model_validate(tree))
+
+
+def _name(kind: object) -> str:
+    return kind.__name__ if isinstance(kind, type) else "any known kind of message"
+
+
+def _first(error: ValidationError) -> str:
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    return f"field {'.'.join(map(str, first['loc'])) or '(whole)'}: {first['msg']}"[:300]
+
+
+def _brief(error: BaseException) -> str:
+    return f"{error}"[:300] or type(error).__name__
+
+
+def _little_endian(name: str, array: AnyArray) -> AnyArray:
+    if array.dtype.str[1:] not in DTYPES or array.ndim > MAX_DIMENSIONS:
+        raise LocalProtocolError(f"array {name!r} of type {array.dtype} and {array.ndim} dimensions cannot travel")
+    return np.asarray(array, dtype=array.dtype.newbyteorder("<"), order="C")
+
+
+def _decode_arrays(data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:
+    start = len(_MAGIC) + 8
+    if data[: len(_MAGIC)] != _MAGIC or len(data) < start:
+        raise ValueError("it does not begin as one")
+    (head_bytes,) = struct.unpack_from("<Q", data, len(_MAGIC))
+    head = _unpack(bytes(data[start : start + head_bytes]), min(len(data) - start, MAX_PAYLOAD))
+    if not isinstance(head, dict) or head.keys() != {"header", "arrays"} or not isinstance(head["header"], dict):
+        raise ValueError("its head is not a header and a list of arrays")
+    place = start + head_bytes
+    arrays: dict[str, AnyArray] = {}
+    for name, dtype, shape in head["arrays"]:
+        count = _count(name, dtype, shape)
+        place += -place % _ALIGNMENT
+        _require(name not in arrays, f"array {name!r} is there twice")
+        _require(place + count * int(dtype[1]) <= len(data), f"array {name!r} is longer than the block")
+        arrays[name] = np.frombuffer(data, "<" + dtype, count, place).reshape(shape)
+        place += count * int(dtype[1])
+    _require(place == len(data), f"{len(data)} bytes were found and {place} expected")
+    return head["header"], arrays
+
+
+def _count(name: object, dtype: object, shape: object) -> int:
+    _require(isinstance(name, str), "an array has no name")
+    _require(isinstance(dtype, str) and dtype in DTYPES, f"array {name!r} is of a type that is not allowed")
+    _require(isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS, f"array {name!r} has no proper shape")
+    sizes = cast(list[object], shape)
+    _require(all(type(size) is int and size >= 0 for size in sizes), f"array {name!r} has no proper shape")
+    return math.prod(cast(list[int], sizes))
+
+
+def _require(condition: bool, sentence: str) -> None:
+    if not condition:
+        raise ValueError(sentence)
+
+
+def _texts(value: object) -> tuple[str, ...]:
+    _require(isinstance(value, list) and all(isinstance(each, str) for each in value), "a list of texts is missing")
+    return tuple(cast(list[str], value))
+
+
+def _pair(value: object) -> tuple[str, str]:
+    key, text = _texts(value)
+    return key, text
+
+
+def _finite(name: str, array: AnyArray, shape: tuple[int, ...]) -> FloatArray:
+    _require(array.dtype == np.float64 and array.ndim == len(shape), f"{name} are not numbers of the right shape")
+    fits = all(wanted in (-1, found) for found, wanted in zip(array.shape, shape, strict=True))
+    _require(fits, f"{name} have shape {array.shape} instead of {shape}")
+    _require(bool(np.isfinite(array).all()), f"{name} hold NaN or infinity")
+    return np.array(array, dtype=np.float64, order="C")
+
+
+def _groups(array: AnyArray, inputs: FloatArray) -> npt.NDArray[np.int64]:
+    fits = array.dtype == np.int64 and array.shape == inputs.shape[1:] and (array >= 0).all()
+    _require(bool(fits), "the groups of rows are not numbers from 0, one for each row")
+    return np.array(array, dtype=np.int64, order="C")
+
+
+def _target(arrays: Mapping[str, AnyArray], inputs: FloatArray, index: int, fields: object) -> Target:
+    _require(isinstance(fields, list) and len(fields) == 5, "a target does not have five fields")
+    variable, lhs, *numbers = cast(list[Any], fields)
+    _texts([variable, lhs])
+    good = all(type(number) is float and math.isfinite(number) and number >= 0.0 for number in numbers)
+    _require(good, f"uncertainty, standard deviation or noise of target {variable!r} is not a number of at least 0")
+    values = _finite(f"values of target {variable!r}", arrays[f"target {index}"], (inputs.shape[1],))
+    return Target(variable, lhs, values, *numbers)

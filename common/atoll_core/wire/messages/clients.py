@@ -1,0 +1,189 @@
+"""The messages of clients: what they ask a coordinator, and what it answers."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from atoll_core.config import JobConfig, Model
+from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_PAGE_JOBS, MAX_UPLOAD, Count, Digest, Id, Priority, Sentence
+from atoll_core.wire.messages.views import CoordinatorView, EventView, JobView, WorkerView
+
+
+class Upload(Model):
+    """One chunk of a table, or, with `data` None, the question which chunks are missing.
+
+    `blob` is the SHA-256 of all `size` bytes; chunk `index` holds bytes from ``index * CHUNK_SIZE``; `sha256` is the
+    chunk's own. Idempotent.
+    """
+
+    kind: Literal["upload"] = "upload"
+    blob: Digest
+    size: Annotated[int, Field(ge=1, le=MAX_UPLOAD)]
+    index: Count = 0
+    sha256: Digest | None = None
+    data: Annotated[bytes, Field(max_length=CHUNK_SIZE)] | None = None
+
+
+class Submit(Model):
+    """A job under an id that the client made. The same id with the same contents again is the same job."""
+
+    kind: Literal["submit"] = "submit"
+    job: Id
+    name: Annotated[str, Field(max_length=200)]
+    config: JobConfig
+    table: Digest
+    priority: Priority = 0
+
+
+class Jobs(Model):
+    """List jobs whose ids begin with `prefix`, and with `is_open` only those that have not ended: the last that came.
+
+    `before` is the cursor that the list of those behind them gave; at most `limit` are listed.
+    """
+
+    kind: Literal["jobs"] = "jobs"
+    prefix: Id | Literal[""] = ""
+    is_open: bool = False
+    before: Count | None = None
+    limit: Annotated[int, Field(ge=1, le=MAX_PAGE_JOBS)] = MAX_PAGE_JOBS
+
+
+class FindJob(Model):
+    """Tell the id of the one job whose id is `prefix` or begins with it."""
+
+    kind: Literal["find-job"] = "find-job"
+    prefix: Id
+
+
+class Status(Model):
+    """Tell how a job is getting on."""
+
+    kind: Literal["job-status"] = "job-status"
+    job: Id
+
+
+class Workers(Model):
+    """List all workers."""
+
+    kind: Literal["workers"] = "workers"
+
+
+class GetResult(Model):
+    """Give a job's result; while it runs, the best so far."""
+
+    kind: Literal["get-result"] = "get-result"
+    job: Id
+
+
+class Cancel(Model):
+    """End a job and keep the best models; without effect on a job that has ended."""
+
+    kind: Literal["cancel"] = "cancel"
+    job: Id
+
+
+class Delete(Model):
+    """Forget a job that has ended, with its result, its events and the data that no other job uses. Idempotent."""
+
+    kind: Literal["delete"] = "delete"
+    job: Id
+
+
+class GetEvents(Model):
+    """Tell what happened to a job, or at all (`job` None), after the event of number `after`: `limit` of it at most.
+
+    With `after` 0 these are the last ones.
+    """
+
+    kind: Literal["get-events"] = "get-events"
+    job: Id | None = None
+    after: Count = 0
+    limit: Annotated[int, Field(ge=1, le=1000)] = 200
+
+
+class Ask(Model):
+    """Question of a client."""
+
+    body: Annotated[
+        Upload | Submit | Jobs | FindJob | Status | Workers | GetResult | Cancel | Delete | GetEvents,
+        Field(discriminator="kind"),
+    ]
+
+
+class Uploaded(Model):
+    """Chunks of an upload that are still missing; none: the table is stored."""
+
+    kind: Literal["uploaded"] = "uploaded"
+    blob: Digest
+    missing: tuple[Count, ...]
+
+
+class JobList(Model):
+    """Jobs, newest last; `before` is the cursor for those that came before them, None when there are none."""
+
+    kind: Literal["job-list"] = "job-list"
+    jobs: tuple[JobView, ...]
+    before: Count | None = None
+
+
+class JobFound(Model):
+    """The id that was asked for."""
+
+    kind: Literal["job-found"] = "job-found"
+    job: Id
+
+
+class JobStatus(Model):
+    """One job; the answer to Submit, Status and Cancel."""
+
+    kind: Literal["job-view"] = "job-view"
+    job: JobView
+
+
+class WorkerList(Model):
+    """All workers seen since the coordinator started, and the coordinator itself."""
+
+    kind: Literal["worker-list"] = "worker-list"
+    workers: tuple[WorkerView, ...]
+    coordinator: CoordinatorView | None = None
+
+
+class EventList(Model):
+    """What happened, in order."""
+
+    kind: Literal["event-list"] = "event-list"
+    events: tuple[EventView, ...]
+
+
+class Result(Model):
+    """The contents of result.json, as JSON text."""
+
+    kind: Literal["result"] = "result"
+    json_text: str
+
+
+class Deleted(Model):
+    """There is no job of this id any more."""
+
+    kind: Literal["deleted"] = "deleted"
+    job: Id
+
+
+FailureKind = Literal["unknown-job", "no-table", "refused", "data", "too-early", "protocol", "internal"]
+
+
+class Failure(Model):
+    """The question cannot be answered; `sentence` is for the person who asked."""
+
+    kind: Literal["failure"] = "failure"
+    failure: FailureKind
+    sentence: Sentence
+
+
+class Answer(Model):
+    """Answer to a client."""
+
+    body: Annotated[
+        Uploaded | JobList | JobFound | JobStatus | WorkerList | Result | Deleted | EventList | Failure,
+        Field(discriminator="kind"),
+    ]

@@ -1,0 +1,67 @@
+"""The messages with which a worker or a client introduces itself, and the answers. Other versions can read them."""
+
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field
+
+from atoll_core.config import Model
+from atoll_core.wire.messages.limits import Count, Id, Sentence
+
+
+class Tolerant(Model):
+    """A message whose shape other versions must be able to read: fields they do not know are ignored."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class Hello(Tolerant):
+    """The first words of a worker or a client. `instance` is drawn anew by each process.
+
+    `fingerprint` names what the bits of a worker's islands depend on ("" while its kernels are not ready, and for a
+    client, which computes nothing).
+    """
+
+    kind: Literal["hello"] = "hello"
+    role: Literal["worker", "client"]
+    name: Id
+    instance: Id
+    protocol: Count
+    version: Annotated[str, Field(max_length=64)]
+    engine: Count
+    fingerprint: Annotated[str, Field(max_length=128)] = ""
+    host: Annotated[str, Field(max_length=256)] = ""
+    pid: Count = 0
+
+
+class Welcome(Tolerant):
+    """The coordinator accepts; all further keys lie under `realm`. `clock` is its time of day as ISO text, if told."""
+
+    kind: Literal["welcome"] = "welcome"
+    realm: Id
+    incarnation: Count
+    protocol: Count
+    version: Annotated[str, Field(max_length=64)]
+    engine: Count
+    clock: Annotated[str, Field(max_length=64)] = ""
+
+
+class Refusal(Tolerant):
+    """The coordinator does not accept; `sentence` says why and names both sides' versions where they differ."""
+
+    kind: Literal["refusal"] = "refusal"
+    protocol: Count
+    version: Annotated[str, Field(max_length=64)]
+    engine: Count
+    sentence: Sentence
+
+
+class Greeting(Tolerant):
+    """Question on the hello key."""
+
+    body: Hello
+
+
+class GreetingAnswer(Tolerant):
+    """Answer on the hello key."""
+
+    body: Annotated[Welcome | Refusal, Field(discriminator="kind")]

@@ -1,0 +1,166 @@
+"""What the coordinator tells its clients about jobs and workers; the shapes behind `status`, `jobs` and `workers`."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from atoll_core.config import Model
+
+JobState = Literal["queued", "preparing", "running", "refining", "done", "failed", "cancelled"]
+FINAL_STATES: frozenset[JobState] = frozenset({"done", "failed", "cancelled"})
+WorkerState = Literal["compiling", "ready", "computing", "waiting", "leaving", "hung", "lost"]
+EventKind = Literal[
+    "submitted", "prepared", "placed", "unplaced", "isolated", "pardoned", "commit", "cut", "refining",
+    "done", "failed", "cancelled", "stalled", "moving", "worker-joined", "worker-lost", "worker-back",
+    "refused", "started", "deleted", "broken",
+]  # fmt: skip
+
+
+class Traffic(Model):
+    """Messages of one kind that a process received and sent, and the bytes of their payloads."""
+
+    kind: Annotated[str, Field(max_length=16)]
+    messages_in: Annotated[int, Field(ge=0)] = 0
+    bytes_in: Annotated[int, Field(ge=0)] = 0
+    messages_out: Annotated[int, Field(ge=0)] = 0
+    bytes_out: Annotated[int, Field(ge=0)] = 0
+
+
+class Counters(Model):
+    """What a process has done since its start, and what it takes.
+
+    `dropped`: messages lost because they came faster than they were taken; `refused`: malformed or foreign ones;
+    `broken`: events over which something of ours broke; `duplicates`: what came again and changed nothing; `waited_s`:
+    seconds that islands waited for migrants, summed over islands; `memory_bytes`: memory occupied now; `cpu_s`:
+    processor time taken.
+    """
+
+    traffic: Annotated[tuple[Traffic, ...], Field(max_length=32)] = ()
+    dropped: Annotated[int, Field(ge=0)] = 0
+    refused: Annotated[int, Field(ge=0)] = 0
+    broken: Annotated[int, Field(ge=0)] = 0
+    duplicates: Annotated[int, Field(ge=0)] = 0
+    waited_s: Annotated[float, Field(ge=0.0)] = 0.0
+    memory_bytes: Annotated[int, Field(ge=0)] = 0
+    cpu_s: Annotated[float, Field(ge=0.0)] = 0.0
+
+
+class StoreView(Model):
+    """Transactions of the coordinator's store since its start, and the seconds that they took."""
+
+    transactions: int = 0
+    total_s: float = 0.0
+    worst_s: float = 0.0
+
+
+class CoordinatorView(Model):
+    """The coordinator itself as `workers` shows it; `seconds` since its start."""
+
+    version: str
+    incarnation: int
+    seconds: float
+    counters: Counters
+    store: StoreView
+
+
+class JobCounters(Model):
+    """What a job has cost beside its point evaluations, in this coordinator's life.
+
+    `placements` counts terms, `deaths` those that ended by the death of a worker, `stalls` the times that it stood
+    still; the others are as in `Counters`.
+    """
+
+    reports: int = 0
+    duplicates: int = 0
+    commits: int = 0
+    placements: int = 0
+    deaths: int = 0
+    stalls: int = 0
+    waited_s: float = 0.0
+
+
+class EventView(Model):
+    """One thing that happened, as `logs` shows it; `number` rises. What does not apply is None.
+
+    `details` are further numbers and words by name.
+    """
+
+    number: int
+    time: str
+    event: EventKind
+    text: str
+    job: str | None = None
+    variable: str | None = None
+    island: int | None = None
+    epoch: int | None = None
+    term: int | None = None
+    worker: str | None = None
+    details: dict[str, str | int | float] = Field(default_factory=dict)
+
+
+class VariableView(Model):
+    """Progress of one equation. `epoch` counts completely reported epochs; `why` says how its search ended.
+
+    A known equation is not searched: `why` is "known" from the beginning. `verdict` is given when the job has ended:
+    how far the equation can be trusted.
+    """
+
+    variable: str
+    lhs: str
+    epoch: int
+    error: float | None = None
+    normalized_error: float | None = None
+    complexity: int | None = None
+    expression: str | None = None
+    point_evaluations: int = 0
+    converged: bool = False
+    finished: bool = False
+    why: Literal["target", "law", "stagnation", "max-epochs", "max-time", "cancelled", "known"] | None = None
+    verdict: Literal["exact", "good", "doubtful", "no model"] | None = None
+
+
+class JobView(Model):
+    """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or what it waits for.
+
+    `fault` of a failed job: the data could not be used, two workers diverged, its islands killed their workers, or
+    something of ours broke. `stalls` says where it stands still, and why; `ahead` counts jobs before it in the line.
+    """
+
+    job: str
+    name: str
+    state: JobState
+    seed: int
+    preset: str
+    reason: str | None = None
+    fault: Literal["data", "diverged", "poison", "internal"] | None = None
+    warnings: tuple[str, ...] = ()
+    submitted: str
+    elapsed: float
+    workers: int
+    point_evaluations: int
+    point_evaluations_per_second: float | None = None
+    variables: tuple[VariableView, ...] = ()
+    priority: int = 0
+    ahead: int | None = None
+    stalls: tuple[str, ...] = ()
+    target_error: float | None = None
+    counters: JobCounters = JobCounters()
+
+
+class WorkerView(Model):
+    """One worker as `workers` shows it; `silent` is seconds since it was last heard of, `detail` for a person.
+
+    `doing` is what it last said that it computes; `standing` is for how many seconds that has not got on.
+    """
+
+    worker: str
+    host: str
+    pid: int
+    state: WorkerState
+    islands: int
+    silent: float
+    version: str
+    detail: str = ""
+    doing: str = ""
+    standing: float = 0.0
+    counters: Counters = Counters()

@@ -1,0 +1,186 @@
+"""Who may say what on the bus: the roster of names and roles, and the access rules that the router makes of it.
+
+A name is the common name of a certificate. Its bearer speaks under that name or, with several processes, under names
+that begin with it and a hyphen: ``lab1``, ``lab1-0``, ``lab1-gpu-3``. So no two names of a roster may be such that one
+is the other with a hyphen and more behind it. Everything is denied that no rule allows. Pure but for reading the file.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Literal, cast, get_args
+
+from atoll_core.errors import UsageError
+from atoll_core.wire.topics import HELLO, ROOT, is_id
+
+Role = Literal["coordinator", "router", "worker", "submitter", "admin"]
+Flow = Literal["ingress", "egress"]
+
+MAX_NAME: Final = 48
+"""Longest name in a certificate, in characters: those of its processes are this with more behind it."""
+
+MAX_NAMES: Final = 10_000
+
+_ANYBODY: Final = "(anybody)"
+_SPEAKING: Final = ("put",)
+_SERVING: Final = ("declare_queryable", "reply")
+_PRESENCE: Final = ("liveliness_token",)
+_ALL: Final = (
+    *("put", "delete", "query", "reply", "declare_subscriber", "declare_queryable"),
+    *("liveliness_token", "liveliness_query", "declare_liveliness_subscriber"),
+)
+
+
+@dataclass(frozen=True)
+class Roster:
+    """Roles by name, as the file has them."""
+
+    roles: Mapping[str, Role] = field(default_factory=dict)
+
+    def bearer(self, name: str) -> str | None:
+        """Return the name of the roster under which `name` falls: itself, or what stands before one of its hyphens."""
+        parts = name.split("-")
+        candidates = ("-".join(parts[:count]) for count in range(len(parts), 0, -1))
+        return next((each for each in candidates if each in self.roles), None)
+
+    def role(self, name: str) -> Role | None:
+        """Return what the bearer of `name` may do; None for a stranger."""
+        bearer = self.bearer(name)
+        return self.roles[bearer] if bearer is not None else None
+
+
+@dataclass(frozen=True, slots=True)
+class Permission:
+    """Messages of these kinds may pass on these keys: `ingress` from the bearer of the name, `egress` towards it."""
+
+    flow: Flow
+    messages: tuple[str, ...]
+    keys: tuple[str, ...]
+
+
+_OF_ANYBODY: Final = (Permission("ingress", ("query",), (HELLO,)), Permission("egress", _SERVING, (HELLO,)))
+"""Whoever has a certificate may ask whether there is a place for its name; that changes nothing."""
+
+_TRUSTED: Final = tuple(Permission(flow, _ALL, (f"{ROOT}/**",)) for flow in get_args(Flow))
+"""A coordinator beyond the router commands all others, and another router passes on what all of its site say."""
+
+
+def read_roster(path: Path) -> Roster:
+    """Return the roster in the TOML file `path`: one line ``name = "role"`` each.
+
+    Raises:
+        UsageError: it cannot be read, or a name or role is not as it must be.
+    """
+    try:
+        entries = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        reason = (error.strerror or "unknown").lower()
+        raise UsageError(
+            f"the roster {path} cannot be read ({reason}); make one with deploy/tls/make-authority"
+        ) from error
+    except ValueError as error:
+        raise UsageError(
+            f'the roster {path} is not as expected ({error}); each line should be: name = "role"'
+        ) from error
+    return checked_roster(entries, str(path))
+
+
+def checked_roster(entries: Mapping[str, object], source: str) -> Roster:
+    """Return the roster of these entries, read from `source`; raises UsageError."""
+    if not 1 <= len(entries) <= MAX_NAMES:
+        raise UsageError(f"the roster {source} has {len(entries)} names, but 1 to {MAX_NAMES} were expected")
+    for name, role in entries.items():
+        if not is_id(name) or len(name) > MAX_NAME:
+            raise UsageError(
+                f"the roster {source} has the name {name[:80]!r}, but 1 to {MAX_NAME} letters, digits, - and _ were "
+                "expected"
+            )
+        if role not in get_args(Role):
+            expected = ", ".join(get_args(Role))
+            raise UsageError(f"the roster {source} gives {name} the role {role!r}, but one of {expected} was expected")
+    roster = Roster(cast(Mapping[str, Role], dict(entries)))
+    for name in roster.roles:
+        _check_alone(name, roster, source)
+    return roster
+
+
+def _check_alone(name: str, roster: Roster, source: str) -> None:
+    bearer = roster.bearer(name.rpartition("-")[0])
+    if bearer is not None:
+        raise UsageError(
+            f"the roster {source} has {bearer} and {name}, but names that begin with {bearer}- are those of the "
+            f"processes of {bearer}; give one of them another name and certificate"
+        )
+
+
+def permissions(name: str, role: Role) -> tuple[Permission, ...]:
+    """Return what the bearer of `name` may send and receive; everything else is denied."""
+    if role in ("coordinator", "router"):
+        return _TRUSTED
+    if role == "worker":
+        return _of_worker(name)
+    return _of_client(name)
+
+
+def access_control(roster: Roster) -> dict[str, object]:
+    """Return the router's setting ``access_control``: a rule set and a subject for each name, all else denied."""
+    rules: list[dict[str, object]] = []
+    subjects: list[dict[str, object]] = []
+    policies: list[dict[str, object]] = []
+    for name, role in roster.roles.items():
+        ids = []
+        for number, each in enumerate(permissions(name, role)):
+            ids.append(f"{name}/{number}")
+            rules.append(_rule(ids[-1], each))
+        subjects.append({"id": name, "cert_common_names": [name]})
+        policies.append({"rules": ids, "subjects": [name]})
+    for number, each in enumerate(_OF_ANYBODY):
+        rules.append(_rule(f"{_ANYBODY}/{number}", each))
+    subjects.append({"id": _ANYBODY})  # without any condition
+    policies.append({"rules": [f"{_ANYBODY}/{number}" for number in range(len(_OF_ANYBODY))], "subjects": [_ANYBODY]})
+    return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
+
+
+def _rule(name: str, permission: Permission) -> dict[str, object]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": [permission.flow],
+        "messages": list(permission.messages),
+        "key_exprs": list(permission.keys),
+    }
+
+
+def _of_worker(name: str) -> tuple[Permission, ...]:
+    heard = _keys("control") + _own(name, "control/{}", "worker/*/to/{}")
+    pulls = _own(name, "worker/{}/pull")
+    asked = _keys("job/**", "blob/**", "worker/*/pull") + _hello(name)
+    return (
+        Permission("ingress", _SPEAKING, _own(name, "worker/{}/status", "worker/{}/report", "worker/{}/to/*")),
+        Permission("ingress", _PRESENCE, _own(name, "worker/{}/alive")),
+        Permission("ingress", _SERVING, pulls),
+        Permission("egress", ("query",), pulls),
+        Permission("ingress", ("declare_subscriber",), heard),
+        Permission("egress", _SPEAKING, heard),
+        Permission("ingress", ("query",), asked),
+        Permission("egress", _SERVING, asked),
+    )
+
+
+def _of_client(name: str) -> tuple[Permission, ...]:
+    asked = _own(name, "client/{}/ask") + _hello(name)
+    return (Permission("ingress", ("query",), asked), Permission("egress", _SERVING, asked))
+
+
+def _keys(*parts: str) -> tuple[str, ...]:
+    return tuple(f"{ROOT}/*/{part}" for part in parts)
+
+
+def _own(name: str, *parts: str) -> tuple[str, ...]:
+    """Return keys with the name, and with those of its processes, in place of ``{}``."""
+    return _keys(*(part.format(each) for part in parts for each in (name, f"{name}-$*")))
+
+
+def _hello(name: str) -> tuple[str, ...]:
+    return (f"{HELLO}/{name}", f"{HELLO}/{name}-$*")

@@ -1,0 +1,295 @@
+"""Certificates: the three files of a program, whether they can work at all, and why the other side was not content.
+
+What can be known before dialling is found out by a handshake in memory: our certificate is shown to a verifier that
+trusts our authority alone. What the network says is found out by a handshake of our own with the same files, since the
+bus only says that it could not connect. Contents of keys are never read into a message or a log.
+"""
+
+import contextlib
+import ipaddress
+import socket
+import ssl
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from atoll_core.command_line import TLS_OPTIONS
+from atoll_core.errors import RefusedError, UsageError
+from atoll_core.wire.security.access_control import MAX_NAME
+from atoll_core.wire.topics import is_id
+
+Use = Literal["serve", "connect"]
+
+_PROBE_LIMIT_S: Final = 2.0
+_NO_CHECK_TIME: Final = 0x200000  # X509_V_FLAG_NO_CHECK_TIME of OpenSSL, which Python does not name
+
+# X509_V_ERR_* of OpenSSL: self-signed, or an issuer that cannot be found; dates; purpose; names.
+_FOREIGN: Final = (18, 19, 20, 21)
+_UNTIMELY: Final = (9, 10)
+_PURPOSE: Final = 26
+_NAMES: Final = (62, 64)
+
+_ALERTS: Final = {
+    "CERTIFICATE_REQUIRED": "it asks for a certificate and got none",
+    "UNKNOWN_CA": "it trusts another authority than the one that issued our certificate {certificate}",
+    "CERTIFICATE_EXPIRED": "it finds our certificate {certificate} expired, or its clock is wrong",
+    "UNSUPPORTED_CERTIFICATE": "our certificate {certificate} is not meant for workers and clients",
+    "BAD_CERTIFICATE": "it does not accept our certificate {certificate}",
+    "CERTIFICATE_UNKNOWN": "it does not accept our certificate {certificate}",
+    "CERTIFICATE_REVOKED": "our certificate {certificate} has been revoked",
+    "DECRYPT_ERROR": "it trusts another authority than the one that issued our certificate {certificate}",
+}
+"""What a TLS alert from the other side means, by the end of OpenSSL's name for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Credentials:
+    """Three files that fit each other. `name` is the certificate's common name, `hosts` whom else it speaks for.
+
+    It expires at `expires`, in seconds of Unix time, if that is known.
+    """
+
+    authority: Path
+    certificate: Path
+    key: Path
+    name: str
+    hosts: tuple[str, ...] = ()
+    expires: float | None = None
+
+
+def credentials_of(options: Mapping[str, Any], environ: Mapping[str, str], use: Use) -> Credentials | None:
+    """Return what the options ``tls_ca``, ``tls_cert``, ``tls_key``, or the environment, name; None without any.
+
+    Raises:
+        UsageError: one is missing, or they cannot work.
+    """
+    files = {}
+    for option, (variable, _) in TLS_OPTIONS.items():
+        files[option] = options.get(option.lstrip("-").replace("-", "_")) or environ.get(variable)
+    missing = [f"{option} (or {TLS_OPTIONS[option][0]})" for option, file in files.items() if not file]
+    if len(missing) == len(files):
+        return None
+    if missing:
+        raise UsageError(f"TLS needs three files, but {' and '.join(missing)} is not given")
+    authority, certificate, key = (Path(str(file)).absolute() for file in files.values())
+    return load(authority, certificate, key, use)
+
+
+def load(authority: Path, certificate: Path, key: Path, use: Use) -> Credentials:
+    """Return the credentials in these files, after checking all that can be checked before dialling.
+
+    Args:
+        authority: certificate of the authority, PEM; `certificate` and `key` ours.
+        certificate: with those between it and the authority behind it, if there are any.
+        key: unencrypted.
+        use: whether it is shown by the side that listens or the one that dials.
+
+    Raises:
+        UsageError: a file cannot be read or holds something else; key and certificate do not fit; the certificate was
+            issued by somebody else, has expired, is for the other side, or names nobody.
+    """
+    _check_files(authority, certificate, key)
+    shown = _shown(authority, certificate, key, use)
+    _check_dates(certificate, shown)
+    hosts = tuple(_plain(kind, name) for kind, name in shown.get("subjectAltName", ()))
+    names = [value for part in shown.get("subject", ()) for kind, value in part if kind == "commonName"]
+    if use == "serve" and not hosts:
+        raise UsageError(
+            f"the certificate {certificate} has no subject alternative name, so nobody could dial it by name or "
+            "address; make one with deploy/tls/make-authority DIR --coordinator HOST,..."
+        )
+    if len(names) != 1 or not is_id(names[0]) or len(names[0]) > MAX_NAME:
+        raise UsageError(
+            f"the certificate {certificate} has the common name {', '.join(names)[:100]!r}, but one of 1 to {MAX_NAME} "
+            "letters, digits, - and _ was expected"
+        )
+    last = shown.get("notAfter")
+    expires = None if last is None else float(ssl.cert_time_to_seconds(last))
+    return Credentials(authority, certificate, key, names[0], hosts, expires)
+
+
+def check_welcome(host: str, port: int, credentials: Credentials, listen_s: float) -> str | None:
+    """Try a TLS connection with these credentials; return what else is wrong, None when both sides are content.
+
+    Args:
+        host: with `port` where to dial.
+        port: see `host`.
+        credentials: what to show there.
+        listen_s: how long to listen for what the other side thinks of us, in seconds.
+
+    Raises:
+        RefusedError: one side does not accept the other's certificate, so that trying again would not help.
+    """
+    context = _context(ssl.PROTOCOL_TLS_CLIENT, credentials.certificate, credentials.key)
+    context.load_verify_locations(credentials.authority)
+    try:
+        with _connected(context, host, port) as connection:
+            connection.settimeout(listen_s)
+            with contextlib.suppress(TimeoutError):  # with TLS 1.3 a server says so after the handshake
+                connection.recv(1)
+    except ssl.SSLCertVerificationError as error:
+        raise RefusedError(_distrust(error, host, port, credentials)) from error
+    except ssl.SSLError as error:
+        sentence = _alert(error, credentials)
+        if sentence is None:
+            return "what listens there does not speak TLS as a coordinator does"
+        raise RefusedError(sentence) from error
+    except OSError as error:
+        return "what listens there does not speak TLS" if isinstance(error, TimeoutError) else str(error).lower()
+    return None
+
+
+def speaks_tls(host: str, port: int) -> bool:
+    """Tell whether whoever listens there begins a TLS handshake."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    try:
+        _connected(context, host, port).close()
+    except ssl.SSLError as error:
+        return "ALERT" in (error.reason or "")
+    except OSError:
+        return False
+    return True
+
+
+def _connected(context: ssl.SSLContext, host: str, port: int) -> ssl.SSLSocket:
+    plain = socket.create_connection((host, port), timeout=_PROBE_LIMIT_S)
+    try:
+        return context.wrap_socket(plain, server_hostname=host)
+    except BaseException:
+        plain.close()
+        raise
+
+
+def _distrust(error: ssl.SSLCertVerificationError, host: str, port: int, credentials: Credentials) -> str:
+    if error.verify_code in _NAMES:
+        names = _names_there(host, port, credentials)
+        return f"its certificate is not for {host!r} but for {names}; dial it by one of these"
+    if error.verify_code in _FOREIGN:
+        return f"its certificate was not issued by the authority in {credentials.authority}"
+    if error.verify_code in _UNTIMELY:
+        return "its certificate has expired or is not valid yet, or this machine's clock is wrong"
+    if error.verify_code == _PURPOSE:
+        return "its certificate is not one for a coordinator"
+    return f"its certificate was not accepted ({error.verify_message})"
+
+
+def _names_there(host: str, port: int, credentials: Credentials) -> str:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.load_verify_locations(credentials.authority)
+    try:
+        with _connected(context, host, port) as connection:
+            shown = connection.getpeercert() or {}
+    except OSError:
+        return "other names"
+    names: Any = shown.get("subjectAltName", ())
+    return ", ".join(_plain(kind, name) for kind, name in names)[:300] or "no name at all"
+
+
+def _alert(error: ssl.SSLError, credentials: Credentials) -> str | None:
+    reason = error.reason or ""
+    for ending, sentence in _ALERTS.items():
+        if reason.endswith(ending):
+            return sentence.format(certificate=credentials.certificate)
+    return None
+
+
+def _check_files(authority: Path, certificate: Path, key: Path) -> None:
+    _check_contents(authority, "--tls-ca", "CERTIFICATE-----", "the certificate of an authority")
+    _check_contents(certificate, "--tls-cert", "CERTIFICATE-----", "a certificate")
+    text = _check_contents(key, "--tls-key", "PRIVATE KEY-----", "a private key")
+    if "ENCRYPTED" in text:
+        raise UsageError(f"the key {key} is encrypted; give --tls-key one that is not, readable by its owner only")
+
+
+def _check_contents(file: Path, option: str, mark: str, expected: str) -> str:
+    try:
+        text = file.read_text("ascii", "replace")
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read ({(error.strerror or str(error)).lower()}); check {option}") from error
+    if mark not in text:
+        raise UsageError(f"{file} does not hold {expected} in PEM form; check {option}")
+    return text
+
+
+def _shown(authority: Path, certificate: Path, key: Path, use: Use) -> dict[str, Any]:
+    """Return what a verifier that trusts `authority` reads in our certificate; raises UsageError."""
+    try:
+        try:
+            return _handshake(authority, certificate, key, use, 0)
+        except ssl.SSLCertVerificationError as error:
+            if error.verify_code not in _UNTIMELY:
+                raise
+            return _handshake(authority, certificate, key, use, _NO_CHECK_TIME)
+    except ssl.SSLCertVerificationError as error:
+        raise UsageError(_unfit(error, authority, certificate, use)) from error
+    except ssl.SSLError as error:
+        raise UsageError(f"{certificate} cannot be used for TLS ({error.reason or error}); make a new one") from error
+
+
+def _handshake(authority: Path, certificate: Path, key: Path, use: Use, flags: int) -> dict[str, Any]:
+    """Let a verifier in memory look at our certificate, and return what it sees. Raises ssl.SSLError."""
+    server = _context(ssl.PROTOCOL_TLS_SERVER, certificate, key)
+    client = _context(ssl.PROTOCOL_TLS_CLIENT, certificate, key)
+    client.check_hostname, client.verify_mode = False, ssl.CERT_NONE
+    verifier = client if use == "serve" else server
+    try:
+        verifier.load_verify_locations(authority)
+    except ssl.SSLError as error:
+        raise UsageError(f"{authority} does not hold the certificate of an authority; check --tls-ca") from error
+    verifier.verify_mode = ssl.CERT_REQUIRED
+    verifier.verify_flags = ssl.VerifyFlags(verifier.verify_flags | flags)
+    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = (client.wrap_bio(to_client, to_server), server.wrap_bio(to_server, to_client, server_side=True))
+    for _ in range(4):  # TLS 1.3 needs two turns of each side
+        for end in ends:
+            with contextlib.suppress(ssl.SSLWantReadError):
+                end.do_handshake()
+    return dict(ends[0 if use == "serve" else 1].getpeercert() or {})
+
+
+def _context(protocol: int, certificate: Path, key: Path) -> ssl.SSLContext:
+    context = ssl.SSLContext(protocol)
+    try:
+        context.load_cert_chain(certificate, key, password=_no_password())
+    except ssl.SSLError as error:
+        if error.reason == "KEY_VALUES_MISMATCH":
+            raise UsageError(f"the key {key} does not belong to the certificate {certificate}") from error
+        raise UsageError(
+            f"{certificate} and {key} are damaged or of an unknown kind ({error.reason or error})"
+        ) from error
+    return context
+
+
+def _no_password() -> Callable[[], str]:
+    """Return what answers OpenSSL's question for a password, so that nobody is asked."""
+    return lambda: ""
+
+
+def _check_dates(certificate: Path, shown: Mapping[str, Any]) -> None:
+    now, first, last = time.time(), shown.get("notBefore"), shown.get("notAfter")
+    if last is not None and now > ssl.cert_time_to_seconds(last):
+        raise UsageError(f"the certificate {certificate} has expired ({last}); renew it with deploy/tls/make-authority")
+    if first is not None and now < ssl.cert_time_to_seconds(first):
+        raise UsageError(f"the certificate {certificate} is not valid before {first}; check this machine's clock")
+
+
+def _plain(kind: str, name: str) -> str:
+    """Return a subject alternative name as people write it: OpenSSL writes IPv6 addresses at full length."""
+    with contextlib.suppress(ValueError):
+        return str(ipaddress.ip_address(name)) if kind == "IP Address" else name
+    return name
+
+
+def _unfit(error: ssl.SSLCertVerificationError, authority: Path, certificate: Path, use: Use) -> str:
+    if error.verify_code in _FOREIGN:
+        return f"the certificate {certificate} was not issued by the authority in {authority}; take one folder's files"
+    if error.verify_code in _UNTIMELY:
+        return f"the authority in {authority} has expired or is not valid yet; make a new one, or check the clock"
+    if error.verify_code == _PURPOSE:
+        whom = "a coordinator" if use == "serve" else "workers and clients"
+        return f"the certificate {certificate} is not one for {whom} (its extended key usage says so); use another"
+    return f"the certificate {certificate} does not hold ({error.verify_message}); make a new one"

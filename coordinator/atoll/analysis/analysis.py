@@ -1,0 +1,217 @@
+"""Everything that is found of a model's dynamics, in one object."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.analysis.basins import Attractor, Basins, basins
+from atoll.analysis.box import Box
+from atoll.analysis.conserved import ConservedQuantity, conserved_quantities, is_volume_preserving
+from atoll.analysis.continuation import Branch, continuation
+from atoll.analysis.cycle_continuation import CycleBranch, cycle_continuation
+from atoll.analysis.dynamics import Comparison, Measured, compared, measured_trajectories
+from atoll.analysis.fixed_points import FixedPoints, fixed_points
+from atoll.analysis.flow import Flow
+from atoll.analysis.limit_cycles import LimitCycle, LimitCycles, limit_cycles
+from atoll.analysis.lyapunov import LyapunovSpectrum, lyapunov_spectrum
+from atoll.analysis.nullclines import nullclines
+from atoll.analysis.varied import Coefficients, Varied
+from atoll.model.scales import measured_ranges
+from atoll.model.vector_field import VectorField
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+
+MOST_STATES: Final = 12
+"""Lorenz's model of 1996 with so many takes 8 s of one core, near the 10 s that an analysis may take."""
+
+_MARGIN: Final = 0.5
+"""Widths of the measured range that the box reaches beyond it unless a user gives a box: it decides where is looked,
+which is stated, and not what is found there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """The dynamics of `field` in `box`.
+
+    `inputs` (U,) were held. `nullclines` has the polylines (n, 2) of each of two states, and is empty for others.
+    `lyapunov` is of courses that no fixed point or cycle explains, None where there are none. `comparisons` stand
+    beside the measured trajectories, but not beside those `not_compared`, whose inputs are not known. `branches` (of
+    fixed points) and `cycle_branches` are those along what was `varied`; `coefficients` name what can be.
+    `caveat` says of which equations the verdict is `no model`, "" where of none.
+    """
+
+    field: VectorField
+    box: Box
+    inputs: FloatArray
+    fixed_points: FixedPoints
+    nullclines: tuple[tuple[FloatArray, ...], ...]
+    cycles: LimitCycles
+    lyapunov: LyapunovSpectrum | None
+    basins: Basins
+    conserved: tuple[ConservedQuantity, ...]
+    is_volume_preserving: bool
+    comparisons: tuple[Comparison, ...]
+    coefficients: Coefficients
+    varied: Varied | None = None
+    branches: tuple[Branch, ...] = ()
+    cycle_branches: tuple[CycleBranch, ...] = ()
+    not_compared: tuple[str, ...] = ()
+    caveat: str = ""
+
+    def __str__(self) -> str:
+        from atoll.analysis.rendering import as_text
+
+        return as_text(self)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of it as plain data, as ``coordinator analyse --json`` prints it."""
+        from atoll.analysis.rendering import as_data
+
+        return as_data(self)
+
+    @property
+    def attractors(self) -> tuple[Attractor, ...]:
+        """The stable fixed points and limit cycles."""
+        return self.basins.attractors
+
+
+def analyse(
+    field: VectorField,
+    box: Box,
+    *,
+    inputs: FloatArray | None = None,
+    measured: Sequence[Measured] = (),
+    vary: tuple[str, tuple[float, float]] | None = None,
+) -> Analysis:
+    """Return the dynamics of `field` in `box`; every part is bounded in steps and says what was searched.
+
+    Args:
+        field: the model, of at most `MOST_STATES` states.
+        box: what is looked at.
+        inputs: values (U,) at which inputs are held; zeros unless given.
+        measured: trajectories that the model is compared with.
+        vary: what to vary, as `Coefficients.find` takes it, and over which range.
+
+    Raises:
+        UsageError: there are too many states, or nothing to vary has that name.
+    """
+    if len(field.states) > MOST_STATES:
+        raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
+    flow, coefficients = Flow.of(field, inputs), Coefficients.of(field)
+    along = None if vary is None else (*coefficients.find(flow, vary[0]), vary[1])
+    with np.errstate(all="ignore"):  # a box may reach to where rates overflow
+        return _analysed(coefficients, box, flow, measured, along)
+
+
+def _analysed(
+    coefficients: Coefficients,
+    box: Box,
+    flow: Flow,
+    measured: Sequence[Measured],
+    along: tuple[Flow, Varied, tuple[float, float]] | None,
+) -> Analysis:
+    fixed = fixed_points(flow, box)
+    cycles = limit_cycles(flow, box, fixed.points)
+    stable: list[Attractor] = [each for each in (*fixed.points, *cycles.resting) if each.is_stable]
+    stable += [each for each in cycles.cycles if each.is_stable]
+    reached = basins(flow, box, stable)
+    is_open = flow.size > 2 and len(cycles.unsettled) > 0
+    branches, cycle_branches = ((), ()) if along is None else _followed(box, *along, cycles.cycles)
+    return Analysis(
+        flow.field,
+        box,
+        flow.inputs,
+        fixed,
+        nullclines(flow, box) if flow.size == 2 else (),
+        cycles,
+        lyapunov_spectrum(flow, box, cycles.unsettled) if is_open else None,
+        reached,
+        conserved_quantities(flow, box),
+        is_volume_preserving(flow, box),
+        compared(flow, box, stable, measured, reached.duration, has_family=cycles.has_family),
+        coefficients,
+        None if along is None else along[1],
+        branches,
+        cycle_branches,
+        tuple(each.name for each in measured if flow.field.inputs and each.inputs is None),
+    )
+
+
+def _followed(
+    box: Box, flow: Flow, varied: Varied, bounds: tuple[float, float], cycles: Sequence[LimitCycle]
+) -> tuple[tuple[Branch, ...], tuple[CycleBranch, ...]]:
+    """Return the branches of fixed points and of limit cycles; `cycles` are those of the model as it is."""
+    branches = continuation(flow, box, varied, bounds)
+    value = varied.value
+    if not bounds[0] <= value <= bounds[1]:
+        value = 0.5 * (bounds[0] + bounds[1])
+        there = varied.at(flow, value)
+        cycles = limit_cycles(there, box, fixed_points(there, box).points).cycles
+    known = [(value, each) for each in cycles]
+    return branches, cycle_continuation(flow, box, varied, bounds, branches=branches, known=known)
+
+
+def analyse_result(
+    found: Mapping[str, Any],
+    bounds: Mapping[str, tuple[float, float]],
+    *,
+    inputs: Mapping[str, float] | None = None,
+    vary: tuple[str, tuple[float, float]] | None = None,
+) -> Analysis:
+    """Return the dynamics of the model that a result (the content of result.json) shows.
+
+    Args:
+        found: the result.
+        bounds: of states, by name; see `box_of` for the others.
+        inputs: values at which inputs are held, by name; zeros unless given.
+        vary: what to vary, and over which range: constants (c1, or c1,c2 in their ratio), the coefficient of a term
+            (y:x*y for that of x*y in dy/dt), or an input.
+
+    Raises:
+        UsageError: a name is unknown, or a range is none.
+    """
+    field = VectorField.from_result(found)
+    for name in inputs or {}:
+        if name not in field.inputs:
+            raise UsageError(f"there is no input '{name}' to hold; inputs: {', '.join(field.inputs) or 'none'}")
+    held = np.array([float((inputs or {}).get(name, 0.0)) for name in field.inputs])
+    box, measured = box_of(found, field, bounds)
+    varied = None if vary is None else (vary[0], _range(*vary[1]))
+    return replace(analyse(field, box, inputs=held, measured=measured, vary=varied), caveat=_caveat(found))
+
+
+def _caveat(found: Mapping[str, Any]) -> str:
+    sides = [str(each["lhs"]) for each in found["equations"] if each.get("verdict") == "no model"]
+    if not sides:
+        return ""
+    return f"The verdict on {', '.join(sides)} is no model: these are dynamics of equations that do not fit the data."
+
+
+def _range(lower: float, upper: float) -> tuple[float, float]:
+    if not (np.isfinite([lower, upper]).all() and lower < upper):
+        raise UsageError(f"the range from {lower:g} to {upper:g} is no interval; give a lower bound, then an upper one")
+    return lower, upper
+
+
+def box_of(
+    found: Mapping[str, Any], field: VectorField, bounds: Mapping[str, tuple[float, float]]
+) -> tuple[Box, tuple[Measured, ...]]:
+    """Return the box to look at and the measured trajectories of a result.
+
+    Where `bounds` leave a state out its measured range is taken, wider by half on either side, but not below 0 where
+    nothing below 0 was measured. Raises UsageError where a state has neither.
+    """
+    measured = measured_trajectories(found, field)
+    ranges = measured_ranges(found, field.states)
+    if measured:
+        states = np.vstack([each.states for each in measured])
+        ends = zip(states.min(axis=0).tolist(), states.max(axis=0).tolist(), strict=True)
+        ranges |= dict(zip(field.states, ends, strict=True))
+    known: dict[str, tuple[float, float]] = {}
+    for name, (low, high) in ranges.items():
+        # what was measured at one value has its own size, and what was never anything but 0 has none
+        beyond = _MARGIN * (high - low) or _MARGIN * abs(high) or 1.0
+        known[name] = (max(low - beyond, 0.0) if low >= 0.0 else low - beyond, high + beyond)
+    return Box.of(field.states, {**known, **bounds}), measured

@@ -1,0 +1,277 @@
+"""Hints at conserved quantities: combinations of simple functions that do not change along the flow.
+
+The Lie derivatives of the functions are taken at points all over the box, and boxes 1e6 and 1e12 times as small and
+as large: within one narrow box every course keeps some polynomial to any accuracy, as it keeps every combination that
+hardly changes there, but a law of the formulas holds wherever they do. A combination whose derivative along the flow
+vanishes at every point is a vector of their null space (singular values); it is a law where its derivative along the
+flow vanishes beside its gradient, in every one of these boxes. It is a hint: constants that are
+estimates make no exact combination vanish, and functions outside the dictionary are not seen. Letters: D states, F
+functions, N points.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+from typing import Final
+
+import numpy as np
+
+from atoll.analysis.box import Box
+from atoll.analysis.flow import Flow
+from atoll_coordinator.stochastic.jets import jet_of
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.builder import live_nodes
+from atoll_core.expression.operators import COS, SIN
+from atoll_core.expression.program import Program
+
+DEGREE: Final = 4
+"""Of the largest powers: energies of oscillators with cubic forces have it."""
+
+MOST_FUNCTIONS: Final = 150
+"""More are not looked at together: the points are four times as many, so that no null vector is one of chance."""
+
+TOLERANCE: Final = 1e-9
+"""Largest singular value of a null vector, as a share of the largest, and largest share of a gradient along the flow:
+what rounding leaves of texts with ten digits."""
+
+_POINTS: Final = 4 * MOST_FUNCTIONS
+
+_ANGLE_POINTS: Final = 16
+"""At which the slopes of an angle are compared."""
+
+_FACTORS: Final = (2.0**-40, 2.0**-20, 1.0, 2.0**20, 2.0**40)
+"""By which the states of further boxes differ: a term that is a millionth of another one in one of them is its equal in
+the next one, and `TOLERANCE` is far less."""
+
+_LEAST_SHARE: Final = 1e-7
+"""Of a term beside the largest one, over the box: less is what elimination leaves of 0."""
+
+
+@dataclass(frozen=True)
+class ConservedQuantity:
+    """A sum of functions, as (coefficient, text), that is constant along every course; the largest coefficient is 1."""
+
+    terms: tuple[tuple[float, str], ...]
+
+    @property
+    def text(self) -> str:
+        """The sum as infix text."""
+        signs = {1.0: "", -1.0: "-"}
+        texts = [signs.get(value, f"{value:.10g}*") + name for value, name in self.terms]
+        return " + ".join(texts).replace("+ -", "- ")
+
+
+@dataclass(frozen=True, eq=False)
+class _Function:
+    text: str
+    gradient: Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points (N, D) of one box with the `rates` there (N, D)."""
+
+    points: FloatArray
+    rates: FloatArray
+
+
+def conserved_quantities(flow: Flow, box: Box) -> tuple[ConservedQuantity, ...]:
+    """Return the conserved quantities of the simplest dictionary that has any: degree 2, functions, degrees 3 and 4.
+
+    Of several within one dictionary each is given with as few terms as elimination leaves.
+    """
+    boxes = _looked_at(flow, box)
+    functions: list[_Function] = []
+    for more in _dictionaries(flow, box):
+        functions = [*functions, *more]
+        if not more or len(functions) > min(MOST_FUNCTIONS, len(boxes[0].points) // 2):
+            continue
+        found = _laws(functions, boxes)
+        if found:
+            return tuple(found)
+    return ()
+
+
+def _looked_at(flow: Flow, box: Box) -> list[_Points]:
+    """Return points of the box, and of others on the same side of 0, smaller and larger, where there are rates."""
+    around = Box(np.minimum(box.lower, 0.0), np.maximum(box.upper, 0.0))
+    spread = [box.points(_POINTS), *(factor * around.points(_POINTS // 4, 1) for factor in _FACTORS)]
+    found = []
+    with np.errstate(all="ignore"):
+        for points in spread:
+            rates = flow.rates(points)
+            known = np.isfinite(rates).all(axis=1)
+            found.append(_Points(points[known], rates[known]))
+    return found
+
+
+def is_volume_preserving(flow: Flow, box: Box) -> bool:
+    """Tell whether the divergence of the flow vanishes all over the box, up to rounding of its terms if it has any."""
+    jacobians = flow.jacobian(box.points(_POINTS))
+    diagonals = np.einsum("nii->ni", jacobians[np.isfinite(jacobians).all(axis=(1, 2))])
+    if not len(diagonals):
+        return False
+    return bool(np.abs(diagonals.sum(axis=1)).max() <= 1e-10 * np.abs(diagonals).sum(axis=1).max())
+
+
+def _dictionaries(flow: Flow, box: Box) -> list[list[_Function]]:
+    """Return what is added to the dictionary, step by step.
+
+    Sines and cosines are those of what the model has a sine or cosine of: those of a state alone have no meaning where
+    it is no angle.
+    """
+    states = flow.field.states
+    degrees = [[_monomial(each, states) for each in combinations_with_replacement(range(len(states)), degree)]
+               for degree in range(1, DEGREE + 1) if len(states) ** degree <= 4 * MOST_FUNCTIONS]  # fmt: skip
+    elementary = [function for each in _angles(flow, box) for function in _waves(each, states)]
+    for index, name in enumerate(states):
+        if box.lower[index] >= 0.0:
+            elementary.append(_logarithm(index, f"log({name})"))
+    return [*degrees[:2], elementary, *degrees[2:]]
+
+
+def _angles(flow: Flow, box: Box) -> list[FloatArray]:
+    """Return the slopes (D,) of what sines and cosines of the model are of, where these are linear in the states."""
+    points = box.points(_ANGLE_POINTS)
+    columns = np.vstack([points.T, np.repeat(flow.inputs[:, None], len(points), axis=1)])
+    found: list[FloatArray] = []
+    for program in flow.field.programs:
+        nodes = program.nodes()
+        for argument in [left for code, left, *_ in nodes if code in (SIN, COS)]:
+            with np.errstate(all="ignore"):
+                its = jet_of(Program.of(live_nodes(nodes, argument)), columns, flow.size).gradient
+            slopes = np.broadcast_to(its, (flow.size, len(points))) * box.widths[:, None]
+            middle = slopes.mean(axis=1)
+            is_linear = np.abs(slopes - middle[:, None]).max() <= TOLERANCE * np.abs(middle).max()
+            if is_linear and middle.any():  # the sine of an input has no slopes at all
+                middle = middle / box.widths * np.sign(middle[np.flatnonzero(middle)[0]])
+                if not any(np.allclose(each * box.widths, middle * box.widths, TOLERANCE, 0.0) for each in found):
+                    found.append(middle)
+    return found
+
+
+def _waves(slopes: FloatArray, states: tuple[str, ...]) -> list[_Function]:
+    """Return cosine and sine of the sum of states times `slopes` (D,)."""
+    terms = [name if slope == 1.0 else f"{slope:.10g}*{name}" for slope, name in zip(slopes, states, strict=True)
+             if slope]  # fmt: skip
+    angle = " + ".join(terms).replace("+ -", "- ")
+    return [
+        _Function(f"cos({angle})", lambda x: -np.sin(x @ slopes)[:, None] * slopes),
+        _Function(f"sin({angle})", lambda x: np.cos(x @ slopes)[:, None] * slopes),
+    ]
+
+
+def _monomial(factors: tuple[int, ...], states: tuple[str, ...]) -> _Function:
+    powers = np.bincount(np.array(factors), minlength=len(states))
+    text = "*".join(
+        name if power == 1 else f"{name}**{power}" for name, power in zip(states, powers.tolist(), strict=True) if power
+    )
+
+    def gradient(points: FloatArray) -> FloatArray:
+        found = np.zeros_like(points)
+        for index in np.flatnonzero(powers):
+            lower = powers.copy()
+            lower[index] -= 1
+            found[:, index] = powers[index] * np.prod(points**lower, axis=1)
+        return found
+
+    return _Function(text, gradient)
+
+
+def _logarithm(index: int, text: str) -> _Function:
+    def gradient(points: FloatArray) -> FloatArray:
+        found = np.zeros_like(points)
+        found[:, index] = 1.0 / points[:, index]
+        return found
+
+    return _Function(text, gradient)
+
+
+@dataclass(frozen=True, eq=False)
+class _Derivatives:
+    """Of F functions at the points of one box: `along` the flow (N, F), and the `sizes` of the terms of that (N, F)."""
+
+    along: FloatArray
+    sizes: FloatArray
+    gradients: FloatArray
+    rates: FloatArray
+
+    @classmethod
+    def of(cls, functions: Sequence[_Function], at: _Points) -> "_Derivatives":
+        with np.errstate(all="ignore"):
+            gradients = np.array([each.gradient(at.points) for each in functions]).transpose(1, 2, 0)  # (N, D, F)
+            products = gradients * at.rates[:, :, None]
+            sizes = np.abs(products).sum(axis=1)
+        known = np.isfinite(sizes).all(axis=1)
+        return cls(products.sum(axis=1)[known], sizes[known], gradients[known], at.rates[known])
+
+    def is_kept(self, vector: FloatArray) -> bool:
+        """Tell whether the gradient (D,) of a combination (F,) has no part along the flow."""
+        along, most = np.abs(self.along @ vector), (np.abs(self.gradients @ vector) * np.abs(self.rates)).sum(axis=1)
+        unit = float(most.max(initial=0.0)) or 1.0  # squares of rates may be too large or too small for numbers
+        return float(((along / unit) ** 2).sum()) <= TOLERANCE**2 * float(((most / unit) ** 2).sum())
+
+
+def _laws(functions: Sequence[_Function], boxes: Sequence[_Points]) -> list[ConservedQuantity]:
+    """Return the combinations of functions that are conserved in all boxes, the first of which gives their sizes."""
+    derivatives = [_Derivatives.of(functions, each) for each in boxes]
+    sizes = derivatives[0].sizes.max(axis=0, initial=0.0)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    found = []
+    for row in _reduced(_null_space(derivatives, 1.0 / sizes)):
+        kept = np.abs(row) > _LEAST_SHARE * np.abs(row).max()
+        vector = _refined(derivatives, np.where(kept, row / sizes, 0.0))
+        if all(each.is_kept(vector) for each in derivatives):
+            found.append(_quantity(vector, functions))
+    return found
+
+
+def _null_space(derivatives: Sequence[_Derivatives], units: FloatArray) -> FloatArray:
+    """Return the combinations (n, F), of functions times `units` (F,), that no box sees change along the flow."""
+    with np.errstate(all="ignore"):
+        along = np.vstack([each.along for each in derivatives]) * units
+        largest = (np.vstack([each.sizes for each in derivatives]) * units).max(axis=1, initial=0.0)
+    known = (largest > 0.0) & np.isfinite(largest)
+    rows = along[known] / largest[known, None]
+    if not rows.any():
+        return np.eye(len(units))
+    _, values, vectors = np.linalg.svd(rows, full_matrices=len(rows) < len(units))
+    values = np.append(values, np.zeros(len(vectors) - len(values)))
+    return np.asarray(vectors[values <= TOLERANCE * values[0]])
+
+
+def _refined(derivatives: Sequence[_Derivatives], vector: FloatArray) -> FloatArray:
+    """Return a combination whose small coefficients are known as well as large ones: they matter in other boxes."""
+    terms = np.flatnonzero(vector)
+    parts = [replace(each, along=each.along[:, terms], sizes=each.sizes[:, terms]) for each in derivatives]
+    null = _null_space(parts, np.abs(vector[terms]))
+    if len(null) != 1:
+        return vector
+    found = np.zeros_like(vector)
+    found[terms] = null[0] * np.abs(vector[terms])
+    return found
+
+
+def _reduced(rows: FloatArray) -> FloatArray:
+    """Return the reduced echelon form of `rows`, eliminating from the last column back: the simplest functions stay."""
+    rows = rows.copy()
+    done = 0
+    for column in range(rows.shape[1] - 1, -1, -1):
+        if done == len(rows):
+            break
+        best = done + int(np.argmax(np.abs(rows[done:, column])))
+        if abs(rows[best, column]) < _LEAST_SHARE:
+            continue
+        rows[[done, best]] = rows[[best, done]]
+        rows[done] /= rows[done, column]
+        for other in range(len(rows)):
+            if other != done:
+                rows[other] -= rows[other, column] * rows[done]
+        done += 1
+    return rows[::-1]
+
+
+def _quantity(vector: FloatArray, functions: Sequence[_Function]) -> ConservedQuantity:
+    shares = vector / vector[int(np.argmax(np.abs(vector)))]
+    pairs = zip(shares, functions, strict=True)
+    return ConservedQuantity(tuple((float(f"{share:.10g}"), each.text) for share, each in pairs if share))

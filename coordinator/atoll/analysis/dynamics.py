@@ -1,0 +1,248 @@
+"""How the model moves beside how the data move: bounds, period, amplitudes, order of phases, and what it reaches.
+
+The model is simulated freely from where each measured trajectory begins, and as long. Letters: D states, n rows.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.analysis.basins import UNDECIDED, Attractor, destinations
+from atoll.analysis.box import Box
+from atoll.analysis.flow import UNBOUNDED, Flow, follow, follow_rates
+from atoll.model.simulation import Inputs, interpolated
+from atoll.model.vector_field import VectorField
+from atoll_core.data.dataset import FloatArray
+
+ROWS: Final = 2000
+"""Of a simulation beside a measured trajectory."""
+
+_TURNS: Final = 3
+"""Rises through the mean that make a period: two gaps, whose spread can be seen."""
+
+_LONGER: Final = 8.0
+"""How much longer than a trajectory the model is simulated to see the period of its orbit: of half a turn, four."""
+
+_REGULAR: Final = 0.2
+"""Spread of the gaps, as a share of their mean, up to which a course has one period: twice `_SAME`."""
+
+_SAME: Final = 0.1
+"""Share by which period and amplitudes may differ and still be called the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A measured trajectory: `times` (n,) from 0 and `states` (n, D).
+
+    `inputs` are those that were recorded, (U,) as a function of these times; None where they are not known.
+    """
+
+    name: str
+    times: FloatArray
+    states: FloatArray
+    inputs: Inputs | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What is seen of a course: `amplitudes` (D,) are half the extents of its second half.
+
+    `period` is the median time between rises through the mean, `phases` (D,) are the shares of a period by which each
+    state comes after the first one; None where the course does not oscillate regularly.
+    """
+
+    amplitudes: FloatArray
+    period: float | None
+    phases: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The model beside one measured trajectory; `reaches` is the index of an attractor or a code of `basins`.
+
+    `orbit_period` is that of the closed orbit on which the model goes round, where such orbits are not isolated.
+    """
+
+    name: str
+    is_bounded: bool
+    measured: Motion
+    simulated: Motion
+    reaches: int
+    orbit_period: float | None = None
+
+    @property
+    def has_same_period(self) -> bool | None:
+        """Whether the periods agree to 10 %; None where neither has one."""
+        first, second = self.measured.period, self.simulated.period
+        if first is None and second is None:
+            return None
+        return first is not None and second is not None and abs(second / first - 1.0) <= _SAME
+
+    @property
+    def has_same_amplitudes(self) -> bool:
+        """Whether the amplitudes of all states agree to 10 % of the largest extent of the state."""
+        first, second = self.measured.amplitudes, self.simulated.amplitudes
+        with np.errstate(invalid="ignore"):
+            return bool((np.abs(second - first) <= _SAME * np.maximum(first, second)).all())
+
+    @property
+    def has_same_order(self) -> bool | None:
+        """Whether the phases of all states agree to a tenth of a period; None where there are none to compare."""
+        first, second = self.measured.phases, self.simulated.phases
+        if first is None or second is None:
+            return None
+        apart = (second - first + 0.5) % 1.0 - 0.5
+        return bool((np.abs(apart) <= _SAME).all())
+
+
+def measured_trajectories(found: Mapping[str, Any], field: VectorField) -> tuple[Measured, ...]:
+    """Return the measured courses that a result holds: smoothed measurements, else the simulation fitted to them.
+
+    Velocities of equations of second order are differences of the positions.
+    """
+    columns = {symbol: column for column, symbol in found["symbols"].items()}
+    smoothed = {each["name"]: each for each in (found.get("smoothing") or {}).get("trajectories", ())}
+    trajectories = []
+    for each in (found.get("simulation") or {}).get("trajectories", ()):
+        source, values = each, each.get("values") or {}
+        its = smoothed.get(each["name"])
+        if its is not None and all(
+            columns[name] in its["smoothed"] for name in field.states if columns[name] in values
+        ):
+            source, values = its, its["smoothed"]
+        times = np.array(source["times"], dtype=np.float64)
+        curves = [_curve(field, index, values, columns, times) for index in range(len(field.states))]
+        if len(times) > 3 and all(its is not None for its in curves):
+            states = np.array(curves, dtype=np.float64).T
+            start = each.get("start") or {}
+            if all(start.get(columns[name]) is not None for name in field.states):  # knows velocities, too
+                states[0] = [float(start[columns[name]]) for name in field.states]
+            rows = np.isfinite(states).all(axis=1)
+            if rows.sum() > 3:
+                begin, name = float(times[rows][0]), str(each["name"])
+                inputs = _recorded(found, field, name, begin)
+                trajectories.append(Measured(name, times[rows] - begin, states[rows], inputs))
+    return tuple(trajectories)
+
+
+def _recorded(found: Mapping[str, Any], field: VectorField, name: str, begin: float) -> Inputs | None:
+    """Return the inputs recorded along a trajectory, from `begin` on; None where one of them was not."""
+    listed = (found.get("data") or {}).get("trajectories") or ()
+    its = next((each for each in listed if str(each["name"]) == name), None)
+    if its is None or not field.inputs:
+        return None
+    named, clock = found["symbols"], (found.get("system") or {}).get("time")
+    columns = {named.get(column, column): values for column, values in its["inputs"].items()}
+    columns |= {named[clock]: its["times"]} if clock in named else {}
+    if not all(symbol in columns for symbol in field.inputs):
+        return None
+    times = np.array(its["times"], dtype=np.float64)
+    values = np.array([columns[symbol] for symbol in field.inputs], dtype=np.float64).T
+    known = np.isfinite(values).all(axis=1)
+    return interpolated(times[known] - begin, values[known]) if known.any() else None
+
+
+def _curve(
+    field: VectorField, index: int, values: Mapping[str, Any], columns: Mapping[str, str], times: FloatArray
+) -> FloatArray | None:
+    name, half = field.states[index], len(field.states) // 2
+    if columns[name] in values:
+        return np.array(values[columns[name]], dtype=np.float64)
+    position = columns[field.states[index - half]] if index >= half > 0 else None
+    if position is None or position not in values:
+        return None
+    return np.asarray(np.gradient(np.array(values[position], dtype=np.float64), times))
+
+
+def compared(
+    flow: Flow,
+    box: Box,
+    attractors: Sequence[Attractor],
+    trajectories: Sequence[Measured],
+    duration: float,
+    *,
+    has_family: bool = False,
+) -> tuple[Comparison, ...]:
+    """Return the model beside each measured trajectory; `duration` is how long courses have to reach an attractor.
+
+    `has_family`: there are closed orbits that are not isolated.
+
+    A model with inputs is driven by those that were recorded; trajectories without any are left out. What it reaches is
+    with the inputs held.
+    """
+    trajectories = [each for each in trajectories if not flow.field.inputs or each.inputs is not None]
+    if not trajectories:
+        return ()
+    starts = np.array([each.states[0] for each in trajectories])
+    reached = destinations(flow, box, attractors, starts, duration)
+    found = []
+    for each, reaches in zip(trajectories, reached.tolist(), strict=True):
+        times = np.linspace(0.0, each.times[-1], ROWS)
+        course = _course(flow, each, times, box)
+        with np.errstate(invalid="ignore"):
+            inside = np.abs((course - box.middle) / box.widths).max(axis=1) < UNBOUNDED
+        known = np.isfinite(course).all(axis=1)
+        simulated = motion(times[known], course[known])
+        orbit = _orbit_period(flow, each, box) if has_family and reaches == UNDECIDED else None
+        measured = motion(each.times, each.states)
+        found.append(Comparison(each.name, bool(inside.all()), measured, simulated, reaches, orbit))
+    return tuple(found)
+
+
+def _orbit_period(flow: Flow, its: Measured, box: Box) -> float | None:
+    """Return the period of the model from where a trajectory begins, which may be too short to show one itself."""
+    times = np.linspace(0.0, _LONGER * its.times[-1], ROWS)
+    course = follow(flow, its.states[0], times, box.widths)
+    return motion(times, course).period if np.isfinite(course).all() else None
+
+
+def _course(flow: Flow, its: Measured, times: FloatArray, box: Box) -> FloatArray:
+    """Return the states (n, D) from where a measured trajectory begins, driven by its inputs where it has some."""
+    recorded = its.inputs
+    if recorded is None:
+        return follow(flow, its.states[0], times, box.widths)
+
+    def rates(x: FloatArray) -> FloatArray:  # the last state is the time
+        return np.append(flow.field.values(x[:-1], recorded(float(x[-1])), flow.parameters), 1.0)
+
+    sizes = np.append(box.widths, times[-1])
+    return follow_rates(rates, np.append(its.states[0], 0.0), times, sizes)[:, :-1]
+
+
+def motion(times: FloatArray, states: FloatArray) -> Motion:
+    """Return amplitudes, period and phases of a course of n rows (n, D) at rising times (n,)."""
+    if len(times) < 4:
+        return Motion(np.full(states.shape[1], np.nan), None, None)
+    late = states[times >= 0.5 * (times[0] + times[-1])]
+    amplitudes = 0.5 * (late.max(axis=0) - late.min(axis=0))
+    extents = 0.5 * (states.max(axis=0) - states.min(axis=0))
+    leading = int(np.argmax(amplitudes / np.maximum(extents, 1e-300)))
+    period = _period(times, states[:, leading])
+    return Motion(amplitudes, period, None if period is None else _phases(times, states, period))
+
+
+def _period(times: FloatArray, values: FloatArray) -> float | None:
+    """Return the median time between rises through the mean, each after a fall well below; None: irregular, few."""
+    mean, spread = float(values.mean()), 0.3 * float(values.std())
+    rises, is_low = [], False
+    for row in range(1, len(values)):
+        is_low = is_low or values[row - 1] < mean - spread
+        if is_low and values[row] >= mean > values[row - 1]:
+            share = (mean - values[row - 1]) / (values[row] - values[row - 1])
+            rises.append(times[row - 1] + share * (times[row] - times[row - 1]))
+            is_low = False
+    gaps = np.diff(rises)
+    if len(gaps) < _TURNS - 1 or gaps.std() > _REGULAR * gaps.mean():
+        return None
+    return float(np.median(gaps))
+
+
+def _phases(times: FloatArray, states: FloatArray, period: float) -> FloatArray:
+    """Return by which share of a period each state comes after the first, from the component of that period (D,)."""
+    rows = times >= times[-1] - period * np.floor((times[-1] - times[0]) / period)
+    its, wave = states[rows], np.exp(-2j * np.pi * times[rows] / period)
+    steps = np.gradient(times[rows])
+    components = ((its - its.mean(axis=0)) * (wave * steps)[:, None]).sum(axis=0)
+    return np.asarray((np.angle(components[0]) - np.angle(components)) / (2.0 * np.pi) % 1.0)

@@ -1,0 +1,101 @@
+"""The spectrum of Lyapunov exponents: variational equations with repeated orthogonalisation (Benettin et al. 1980).
+
+Many starts go on together; the spread of their exponents gives the standard error. Letters: D states, N starts.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll.analysis.box import Box
+from atoll.analysis.fixed_points import jacobian_in_widths
+from atoll.analysis.flow import SETTLING, UNBOUNDED, Ensemble, Flow
+from atoll.analysis.limit_cycles import time_scale
+from atoll_core.data.dataset import FloatArray
+
+STARTS: Final = 128
+"""Courses: their spread gives the exponents a standard error that is itself known to 6 %, 1/sqrt(2 * 127)."""
+
+INTERVALS: Final = 400
+"""Orthogonalisations that count; a quarter as many before them let the vectors settle."""
+
+_SETTLING_SHARE: Final = 4
+"""Orthogonalisations that count over those before them."""
+
+
+@dataclass(frozen=True, eq=False)
+class LyapunovSpectrum:
+    """Exponents (D,) by falling size with their standard errors (D,), of `starts` courses of length `duration` each."""
+
+    exponents: FloatArray
+    standard_errors: FloatArray
+    starts: int
+    duration: float
+
+    @property
+    def is_chaotic(self) -> bool:
+        """Whether the largest exponent is positive by more than three standard errors and 1 % of the spectrum.
+
+        Errors have to grow by more than as the highest power of time that they do without chaos, one below the number
+        of states: on tori they grow like time itself.
+        """
+        largest = float(np.abs(self.exponents).max())
+        by_power = (len(self.exponents) - 1) * np.log(1.0 + _SETTLING_SHARE) / self.duration
+        return bool(self.exponents[0] > max(3.0 * self.standard_errors[0], 0.01 * largest, by_power))
+
+
+def lyapunov_spectrum(
+    flow: Flow, box: Box, seeds: FloatArray | None = None, *, starts: int = STARTS, intervals: int = INTERVALS
+) -> LyapunovSpectrum | None:
+    """Return the exponents of what courses from `seeds` (n, D), or from the box, settle on; None where none is bounded.
+
+    Args:
+        flow: the system.
+        box: its widths scale the states.
+        seeds: starts on or near the attractor; each is followed from several points beside it.
+        starts: how many courses.
+        intervals: how many orthogonalisations, each after about the time in which a vector doubles.
+    """
+    scale, size = time_scale(flow, box), flow.size
+    first = box.points(starts) if seeds is None or not len(seeds) else _beside(seeds, box, starts)
+    settled = Ensemble.of(first, 1e-3 * scale)
+    settled.advance(flow.rates, SETTLING * scale, 1e-3 * box.widths, rtol=1e-5, most_steps=5000)
+    states = settled.states[~settled.is_lost & _is_inside(settled.states, box)]
+    if not len(states):
+        return None
+    norms = np.sqrt((jacobian_in_widths(flow, states, box) ** 2).sum(axis=(1, 2)))
+    interval = min(scale, 2.0 / max(float(np.median(norms[np.isfinite(norms)])), 1e-300))
+
+    def rates(y: FloatArray) -> FloatArray:
+        vectors = jacobian_in_widths(flow, y[:, :size], box) @ y[:, size:].reshape(-1, size, size)
+        return np.concatenate([flow.rates(y[:, :size]), vectors.reshape(len(y), -1)], axis=1)
+
+    count = len(states)
+    ensemble = Ensemble.of(np.hstack([states, np.tile(np.eye(size).ravel(), (count, 1))]), 0.1 * interval)
+    weights = np.concatenate([1e-2 * box.widths, np.full(size * size, 1.0)])
+    growth, skipped = np.zeros((count, size)), intervals // _SETTLING_SHARE
+    for number in range(1, intervals + skipped + 1):
+        ensemble.advance(rates, number * interval, weights, rtol=1e-5)
+        vectors, sizes = np.linalg.qr(np.nan_to_num(ensemble.states[:, size:].reshape(count, size, size)))
+        ensemble.states[:, size:] = vectors.reshape(count, -1)
+        if number > skipped:
+            with np.errstate(divide="ignore"):
+                growth += np.log(np.abs(np.einsum("nii->ni", sizes)))
+    kept = growth[~ensemble.is_lost & _is_inside(ensemble.states[:, :size], box) & np.isfinite(growth).all(axis=1)]
+    if not len(kept):
+        return None
+    duration = intervals * interval
+    exponents = kept.mean(axis=0) / duration
+    errors = kept.std(axis=0, ddof=1) / duration / np.sqrt(len(kept)) if len(kept) > 1 else np.full(size, np.nan)
+    falling = np.argsort(-exponents, kind="stable")
+    return LyapunovSpectrum(exponents[falling], errors[falling], len(kept), duration)
+
+
+def _beside(seeds: FloatArray, box: Box, starts: int) -> FloatArray:
+    whole = Box(box.lower, box.upper).points(starts) - box.middle
+    return seeds[np.arange(starts) % len(seeds)] + 1e-3 * whole
+
+
+def _is_inside(states: FloatArray, box: Box) -> np.ndarray:
+    return np.asarray((np.abs(states - box.middle) / box.widths).max(axis=1) < UNBOUNDED)

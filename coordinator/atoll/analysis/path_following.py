@@ -1,0 +1,166 @@
+"""Curves of solutions as one parameter varies: steps along the tangent, Newton steps across it (Keller 1977).
+
+A curve says what it is a curve of: it corrects a guess, and tells of a place its tangent and tests, numbers that change
+their signs where the character of the solutions does. Letters: n coordinates, all of about the same scale, the
+parameter last.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from atoll_core.data.dataset import FloatArray
+
+SHORTEST: Final = 1e-6
+"""Shortest step along a curve."""
+
+END_OF_RANGE: Final = "end of the range"
+FOLD: Final = "fold"
+BRANCH_POINT: Final = "branch point"
+
+_STRAIGHT: Final = 0.95
+"""Cosine of the largest angle between tangents one step apart: larger angles may hide a second curve close by."""
+
+_EVALUATIONS: Final = 60
+"""Regula falsi takes about ten; bisection to `_LOCATED` would take 43."""
+
+_LOCATED: Final = 1e-13
+"""Share of the last step within which a special point is located: what rounding leaves."""
+
+_BESIDE: Final = 0.01
+"""Share of the bracket by which a singular point is avoided."""
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A point `z` (n,) of a curve with its unit `tangent` (n,), and its `tests` by kind of special point."""
+
+    z: FloatArray
+    tangent: FloatArray
+    tests: Mapping[str, float]
+
+
+Its = TypeVar("Its", bound=Place)
+
+
+class Curve(Protocol[Its]):
+    """What a curve knows of its places; all return None where a rate has no finite value, or nothing is near."""
+
+    longest: float
+    """Longest step."""
+
+    most: int
+    """Places on each side of the first one."""
+
+    limits: tuple[float, float]
+    """Between which values of its last coordinate it is followed; its last place is at one of these."""
+
+    def corrected(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
+        """Return the point of the curve in the plane through `z` across `tangent`."""
+
+    def place(self, z: FloatArray, before: FloatArray) -> Its | None:
+        """Return the place at a point of the curve; its tangent goes on in the direction of `before`."""
+
+    def end(self, last: Its, after: Its) -> str | None:
+        """Return why the curve is not followed to `after`; None where it is."""
+
+    def renewed(self, place: Its) -> Its:
+        """Return a place in the coordinates in which the curve is followed from there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Side(Generic[Its]):
+    """One side of a curve: its `places` from the first one, the special ones by kind in this order, and its end."""
+
+    places: list[Its]
+    special: list[tuple[str, Its]]
+    end: str
+
+
+def followed(curve: Curve[Its], start: FloatArray, direction: FloatArray) -> Side[Its]:
+    """Return the places of `curve` from the point `start` (n,) in a direction (n,)."""
+    first = curve.place(start, direction)
+    if first is None:
+        return Side([], [], "no rates")
+    places, length = [first], 0.25 * curve.longest
+    special: list[tuple[str, Its]] = []
+    while len(places) < curve.most:
+        last = places[-1]
+        z = curve.corrected(last.z + length * last.tangent, last.tangent)
+        after = None if z is None else curve.place(z, last.tangent)
+        if after is None or after.tangent @ last.tangent < _STRAIGHT or _far(after.z - last.z) > 2.0 * length:
+            length *= 0.5
+            if length < SHORTEST:
+                return Side(places, special, "steps have become too short")
+            continue
+        end = curve.end(last, after)
+        if end is not None:
+            return Side(places, special, end)
+        if not curve.limits[0] <= after.z[-1] <= curve.limits[1]:
+            final = _at_limit(curve, last, after)
+            more = [] if final is None else changes(curve, last, final)
+            return Side([*places, *([] if final is None else [final])], [*special, *more], END_OF_RANGE)
+        special += changes(curve, last, after)
+        places.append(curve.renewed(after))
+        if len(places) > 10 and len(after.z) == len(start) and _far(after.z - start) < 0.5 * length:
+            return Side(places, special, "closed")
+        length = min(1.5 * length, curve.longest)
+    return Side(places, special, f"{curve.most} points")
+
+
+def _at_limit(curve: Curve[Its], last: Its, after: Its) -> Its | None:
+    """Return the place between two at which the last coordinate is at its limit."""
+    limit = curve.limits[0] if after.z[-1] < curve.limits[0] else curve.limits[1]
+    share = (limit - last.z[-1]) / (after.z[-1] - last.z[-1])
+    across = np.append(np.zeros(len(last.z) - 1), 1.0)
+    z = curve.corrected(last.z + share * (after.z - last.z), across)
+    return None if z is None else curve.place(z, last.tangent)
+
+
+def _far(step: FloatArray) -> float:
+    return float(np.sqrt(step @ step))
+
+
+def changes(curve: Curve[Its], first: Its, second: Its) -> list[tuple[str, Its]]:
+    """Return the places between two at which a test changes its sign, each with its kind.
+
+    At a branch point the tangent of the curve may turn as well: that is no fold.
+    """
+    kinds = [kind for kind in first.tests if first.tests[kind] * second.tests[kind] < 0.0]
+    if BRANCH_POINT in kinds and FOLD in kinds:
+        kinds.remove(FOLD)
+    return [(kind, located(curve, first, second, kind)) for kind in kinds]
+
+
+def located(curve: Curve[Its], first: Its, second: Its, kind: str) -> Its:
+    """Return the place between two where a test vanishes, by regula falsi (the Illinois variant)."""
+    best = min((first, second), key=lambda each: abs(each.tests[kind]))
+    low, high = 0.0, 1.0
+    low_value, high_value = first.tests[kind], second.tests[kind]
+    for _ in range(_EVALUATIONS):
+        share = (low * high_value - high * low_value) / (high_value - low_value)
+        place = _between(curve, first, second, share)
+        if place is None:  # at a branch point itself Newton steps have no matrix to go by: go beside it
+            share += _BESIDE * (high - share)
+            place = _between(curve, first, second, share)
+        if place is None or not np.isfinite(place.tests[kind]):
+            break
+        value = place.tests[kind]
+        best = place if abs(value) <= abs(best.tests[kind]) else best
+        if value * high_value < 0.0:
+            low, low_value = high, high_value
+        else:
+            low_value *= 0.5
+        is_done = abs(high - share) < _LOCATED or value == 0.0
+        high, high_value = share, value
+        if is_done:
+            break
+    return best
+
+
+def _between(curve: Curve[Its], first: Its, second: Its, share: float) -> Its | None:
+    """Return the place of the curve in the plane that lies at a share of the way between two."""
+    z = curve.corrected(first.z + share * (second.z - first.z), first.tangent)
+    return None if z is None else curve.place(z, first.tangent)

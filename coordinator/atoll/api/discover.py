@@ -1,0 +1,251 @@
+"""`discover` and `submit`: from data to a model, by a service on this machine or elsewhere."""
+
+import contextlib
+import os
+import uuid
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, Self
+
+from atoll.api.notebook import NotebookDisplay, is_notebook
+from atoll.api.session import check_service, local_address
+from atoll.api.tables import NAME, table_of
+from atoll.api.wording import in_python, python_words
+from atoll.cli.options.job_config import job_config
+from atoll.cli.options.parser import parse
+from atoll.cli.terminal.follow import Follower, ending
+from atoll.cli.terminal.progress import Display, is_screen, open_display
+from atoll.client import Client, connected
+from atoll.model.arguments import shown
+from atoll.model.model import Model
+from atoll_core.config import JobConfig
+from atoll_core.errors import AtollError, DataError, RefusedError, UsageError
+from atoll_core.wire.addresses import Destination, destination
+from atoll_core.wire.messages.views import FINAL_STATES, JobView
+from atoll_core.wire.security.credentials import credentials_of
+
+CONNECT_LIMIT_S: Final = 20.0
+CANCEL_LIMIT_S: Final = 10.0
+_REPEATABLE: Final = ("angle", "operators", "allow", "guess", "known", "require", "bound", "unit")
+_TLS: Final = ("ca", "cert", "key")
+_NOT_OURS: Final = ("json", "out", "workers", "help", "id", "name", "dry_run", "report")
+_INSTEAD: Final = {"report": "write the page of the model that comes back with model.report(path)"}
+_PRIORITIES: Final = range(-10, 11)
+
+
+class Job:
+    """A job that was submitted. Every call opens a connection of its own and closes it: nothing of it stays behind."""
+
+    def __init__(self, id: str, address: str | Destination) -> None:
+        """`id` of a job of the coordinator at `address`; `is_interrupted`: a Ctrl-C ended it."""
+        self.id = id
+        self.is_interrupted = False
+        self._address = address
+
+    def progress(self) -> JobView:
+        """Return how far it has come: state, epoch and best equation of each variable."""
+        with connected(self._address, CONNECT_LIMIT_S) as client:
+            return client.status(self.id)
+
+    def wait(self, timeout: float | None = None, *, progress: bool | None = None) -> Self:
+        """Wait until it has ended, showing its progress.
+
+        A Ctrl-C ends the job and keeps its best equations.
+
+        Args:
+            timeout: seconds after which TimeoutError is raised; the job goes on.
+            progress: whether to show it on stderr; None: on a terminal and in a notebook.
+        """
+        with connected(self._address, CONNECT_LIMIT_S) as client, _display(progress) as display:
+            end = None if timeout is None else client.now() + timeout
+
+            def check() -> tuple[str, ...]:
+                if end is not None and client.now() > end:
+                    raise TimeoutError(f"job {self.id} has not ended within {timeout:g} s; it goes on")
+                check_service(str(self._address))
+                return ()
+
+            try:
+                Follower(client, self.id, display, check).follow()
+            except KeyboardInterrupt:
+                display.print_note("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
+                self.is_interrupted = True
+                _cancel(client, self.id)
+        return self
+
+    def cancel(self) -> None:
+        """End it and keep its best equations."""
+        with connected(self._address, CONNECT_LIMIT_S) as client:
+            _cancel(client, self.id)
+
+    def result(self) -> Model:
+        """Return its model, of a job that still runs the best so far.
+
+        Raises:
+            RefusedError: it has not found an equation yet.
+            AtollError: it failed; the sentence says why.
+        """
+        with connected(self._address, CONNECT_LIMIT_S) as client:
+            view = client.status(self.id)
+            if view.state == "failed":
+                raise _failure(view)
+            try:
+                return Model(client.result(self.id))
+            except UsageError as error:
+                raise RefusedError(f"job {self.id} is {view.state}; {error}") from None
+
+
+def discover(
+    data: Any,
+    *,
+    connect: str | None = None,
+    tls: Mapping[str, str | Path] | None = None,
+    workers: int | None = None,
+    progress: bool | None = None,
+    priority: int = 0,
+    **options: Any,
+) -> Model:
+    """Find the equations behind `data` and return them as a model.
+
+    Args:
+        data: a file, a frame of pandas or polars, arrays by column name, or a list of these, one for each trajectory.
+        connect: the coordinator, such as ``tcp/host:7447``; None: one on this machine, started at the first call.
+        tls: files by ``ca``, ``cert`` and ``key``, for an address ``tls/…``.
+        workers: processes on this machine; None: one for each core.
+        progress: whether to show it on stderr; None: on a terminal and in a notebook.
+        priority: -10 to 10; each step doubles the job's share of the workers, and it is taken up sooner.
+        options: as of ``coordinator run``, such as ``time="year"``, ``seed=3``, ``known={"dy": "-x"}``; a value may
+            be a number, a list, or True for a switch.
+
+    Returns:
+        The model, after a Ctrl-C that of the best equations so far.
+
+    Raises:
+        UsageError: an option is wrong.
+        DataError: the data cannot be used as they are.
+        AtollError: the job failed.
+    """
+    job = submit(data, connect=connect, tls=tls, workers=workers, priority=priority, **options)
+    job.wait(progress=progress)
+    try:
+        return job.result()
+    except RefusedError:
+        if job.is_interrupted:  # before there was anything to keep
+            raise KeyboardInterrupt from None
+        raise
+
+
+def submit(
+    data: Any,
+    *,
+    connect: str | None = None,
+    tls: Mapping[str, str | Path] | None = None,
+    workers: int | None = None,
+    priority: int = 0,
+    **options: Any,
+) -> Job:
+    """Submit `data` as a job and return it at once; arguments are those of `discover`."""
+    if isinstance(priority, bool) or not isinstance(priority, int) or priority not in _PRIORITIES:
+        raise UsageError(f"priority must be a whole number from -10 to 10, but {shown(priority)} was given")
+    config = config_of(options)
+    with python_words():
+        table = table_of(data, config.data)
+        address = _address(connect, tls, workers)
+    job = Job(f"py-{uuid.uuid4().hex[:12]}", address)
+    with python_words(), connected(address, CONNECT_LIMIT_S) as client:
+        try:
+            client.hand_in(job.id, table.files[0] if table.files else NAME, config, table.to_bytes(), priority)
+        except KeyboardInterrupt as error:
+            if connect is not None:  # one on this machine ends with this interpreter
+                error.add_note(f"job {job.id} may have been taken in: coordinator status {job.id} --connect {address}")
+            raise
+    return job
+
+
+def config_of(options: Mapping[str, Any]) -> JobConfig:
+    """Return the configuration that keyword arguments describe, as the options of ``run`` do; raises UsageError."""
+    unknown = next((name for name in options if name in _NOT_OURS), None)
+    if unknown is not None:
+        raise UsageError(f"{unknown} is no option here; {_INSTEAD.get(unknown, 'see help(atoll.discover)')}")
+    words = ["run", NAME]
+    for name, value in options.items():
+        words += _words(f"--{name.replace('_', '-')}", value, is_repeatable=name in _REPEATABLE)
+    with python_words():
+        return job_config(parse(words))
+
+
+def _words(flag: str, value: Any, *, is_repeatable: bool) -> list[str]:
+    if value is None or value is False:
+        return []
+    if value is True:
+        return [flag]
+    if isinstance(value, Mapping) and flag == "--bound":
+        value = [f"{key}: {each}" for key, those in value.items() for each in _several(those)]
+    elif isinstance(value, Mapping):
+        value = [f"{key}={_text(each)}" for key, each in value.items()]
+    elif isinstance(value, (list, tuple)) and flag != "--operators":
+        value = [_text(each) for each in value]
+    else:
+        value = [_text(value)]
+    values = value if is_repeatable else [",".join(value)]
+    return [f"{flag}={each}" for each in values]
+
+
+def _several(value: Any) -> list[Any]:
+    return [*value] if isinstance(value, (list, tuple)) else [value]
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+
+
+def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers: int | None) -> str | Destination:
+    if connect is None:
+        return local_address(workers)
+    if not isinstance(connect, str):
+        raise UsageError(f"connect must be an address such as 'tcp/HOST:7447', but {shown(connect)} was given")
+    if tls is not None and not (isinstance(tls, Mapping) and set(tls) <= set(_TLS)):
+        raise UsageError(f"tls must have the files {', '.join(_TLS)} by these names, but {shown(tls)} was given")
+    files = {f"tls_{name}": str(file) for name, file in (tls or {}).items()}
+    return destination(connect, credentials_of(files, os.environ, "connect"))
+
+
+def _cancel(client: Client, job: str) -> None:
+    """Cancel a job and wait, within limits, until it has ended."""
+    view, end = client.cancel(job), client.now() + CANCEL_LIMIT_S
+    while view.state not in FINAL_STATES and client.now() < end:
+        client.pause(0.1)
+        view = client.status(job)
+
+
+def _failure(view: JobView) -> AtollError:
+    kind = DataError if view.fault == "data" else AtollError
+    return kind(in_python(ending(view, None) or f"job {view.job} failed"))
+
+
+@contextlib.contextmanager
+def _display(progress: bool | None) -> Iterator[Display]:
+    with _opened(progress) as display:
+        yield display
+
+
+def _opened(progress: bool | None) -> Display:
+    if progress is False or (progress is None and not is_screen() and not is_notebook()):
+        return _Silence()
+    return NotebookDisplay() if is_notebook() else open_display("")
+
+
+class _Silence:
+    """Shows nothing."""
+
+    def __enter__(self) -> "_Silence":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def show(self, view: object, workers: object, now: float) -> None:
+        """Take notice."""
+
+    def print_note(self, sentence: str) -> None:
+        """Take notice."""

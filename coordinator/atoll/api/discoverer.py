@@ -1,0 +1,216 @@
+"""`Discoverer`: dx/dt = f(x, u) with PySINDy's conventions for arguments and names.
+
+Letters: N rows, D states, U inputs.
+"""
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
+
+import numpy as np
+
+from atoll.api.discover import discover
+from atoll.api.tables import numbers_of
+from atoll.model.arguments import numbers
+from atoll.model.model import DIGITS, Model
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import DataError, UsageError
+
+_TIME = "t"
+
+
+class Discoverer:
+    """Finds the equations of motion of measured states. Options are those of `atoll.discover`.
+
+    After `fit`: `model_` is the `atoll.Model`, `equations_` its right-hand sides by state, `front_` by state the best
+    expressions of each size with their errors, `feature_names_in_` the names of states and inputs, `n_features_in_` how
+    many states there are.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        """Take the options of `atoll.discover`, such as ``seed``, ``operators``, ``connect``, ``progress``."""
+        self._options = dict(options)
+        self.model_: Model | None = None
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the options, as scikit-learn's tools ask for them."""
+        del deep
+        return dict(self._options)
+
+    def set_params(self, **options: Any) -> Self:
+        """Change options."""
+        self._options |= options
+        return self
+
+    def __repr__(self) -> str:
+        return f"Discoverer({', '.join(f'{name}={value!r}' for name, value in self._options.items())})"
+
+    def fit(
+        self, x: Any, t: Any = 1.0, u: Any = None, x_dot: Any = None, feature_names: Sequence[str] | None = None
+    ) -> Self:
+        """Find the equations.
+
+        Args:
+            x: states (N, D), or a list of such arrays, one for each trajectory; frames name their columns.
+            t: times (N,), the time between rows, or a list like `x`.
+            u: inputs (N, U), or a list like `x`.
+            x_dot: derivatives like `x`, where they were measured.
+            feature_names: names of states, then inputs; None: those of frames, else x0, x1, … and u0, u1, ….
+
+        Raises:
+            DataError: arrays do not fit together, or cannot be used.
+            UsageError: an option is wrong.
+        """
+        states = _parts(x)
+        number = _rows(states[0]).shape[1]
+        controls = None if u is None else _parts(u)
+        names, inputs = _names(states[0], None if controls is None else controls[0], feature_names)
+        trajectories = []
+        for index, part in enumerate(states):
+            rows = _rows(part)
+            columns = {_TIME: _times(_of(t, index, len(states)), len(rows))}
+            columns |= dict(zip(names, _matching(rows, len(rows), number, "x"), strict=True))
+            if controls is not None:
+                columns |= dict(
+                    zip(inputs, _matching(_rows(controls[index]), len(rows), len(inputs), "u"), strict=True)
+                )
+            if x_dot is not None:
+                slopes = _rows(_parts(x_dot)[index])
+                columns |= dict(zip(_dots(names), _matching(slopes, len(rows), number, "x_dot"), strict=True))
+            trajectories.append(columns)
+        roles: dict[str, Any] = {"time": _TIME, "states": names, "inputs": inputs or None}
+        if x_dot is not None:
+            roles["derivatives"] = _dots(names)
+        self.model_ = discover(trajectories, **{**roles, **self._options})
+        self.n_features_in_ = number
+        self.feature_names_in_ = np.array([*names, *inputs], dtype=object)
+        return self
+
+    @property
+    def equations_(self) -> dict[str, str]:
+        """The right-hand side of each state, constants rounded."""
+        return {each.variable: each.expression for each in self._model.equations}
+
+    @property
+    def front_(self) -> dict[str, list[Mapping[str, Any]]]:
+        """By state, the best expression of each complexity with its errors."""
+        return {each["variable"]: list(each["front"]) for each in self._model.result["equations"]}
+
+    def equations(self, precision: int = DIGITS) -> list[str]:
+        """Return the right-hand sides, constants rounded to so many significant digits."""
+        from atoll_core.expression.text.infix import to_infix
+        from atoll_core.expression.text.parsing import from_infix
+
+        names = list(self._model.result["symbols"].values())
+        return [to_infix(from_infix(each.exact, names), names, digits=precision) for each in self._model.equations]
+
+    def print(self, precision: int = DIGITS) -> None:
+        """Print the equations."""
+        for each, text in zip(self._model.equations, self.equations(precision), strict=True):
+            sys.stdout.write(f"{each.lhs} = {text}\n")
+
+    def predict(self, x: Any, u: Any = None, *, group: object = None) -> Any:
+        """Return the derivatives (N, D) at states, of a list a list.
+
+        `group`: whose constants are taken, with ``per_trajectory=True`` the number of a trajectory from 1.
+        """
+        if isinstance(x, (list, tuple)) and np.ndim(x[0]) == 2:
+            return [self.predict(part, None if u is None else u[index], group=group) for index, part in enumerate(x)]
+        return self._of(group).predict(_rows(x), None if u is None else _rows(u))
+
+    def simulate(self, x0: Any, t: Any, u: Any = None, *, group: object = None) -> FloatArray:
+        """Return the states (N, D) at the times `t` from `x0`; NaN after an early end (see `model_.simulate`).
+
+        `group` is as of `predict`.
+        """
+        times = np.atleast_1d(numbers(t, "times"))
+        found = self._of(group).simulate(numbers(x0, "an initial state"), times, u, has_bands=False)
+        states = np.full((len(times), found.x.shape[1]), np.nan)
+        states[: len(found.x)] = found.x
+        return states
+
+    def score(self, x: Any, t: Any = 1.0, u: Any = None, x_dot: Any = None, *, group: object = None) -> float:
+        """Return the mean R2 of the derivatives; without `x_dot` they are differences of `x`.
+
+        `group` is as of `predict`.
+        """
+        measured, found = [], []
+        for index, part in enumerate(_parts(x)):
+            rows = _rows(part)
+            times = _times(_of(t, index, len(_parts(x))), len(rows))
+            slopes = np.gradient(rows, times, axis=0) if x_dot is None else _rows(_parts(x_dot)[index])
+            measured.append(slopes)
+            found.append(self.predict(rows, None if u is None else _parts(u)[index], group=group))
+        all_measured, all_found = np.concatenate(measured), np.concatenate(found)
+        left = ((all_measured - all_found) ** 2).sum(axis=0)
+        spread = ((all_measured - all_measured.mean(axis=0)) ** 2).sum(axis=0)
+        return float(np.mean(1.0 - left / np.where(spread > 0.0, spread, np.inf)))
+
+    def _of(self, group: object) -> Model:
+        return self._model if group is None else self._model.of_group(group)
+
+    @property
+    def _model(self) -> Model:
+        if self.model_ is None:
+            raise UsageError("this Discoverer has no model yet; call fit first")
+        return self.model_
+
+
+def _parts(x: Any) -> list[Any]:
+    """Return the trajectories: those of a list of arrays; a list of rows of numbers is one."""
+    if not isinstance(x, (list, tuple)):
+        return [x]
+    if not x:
+        raise DataError("the list of trajectories is empty; give one array for each")
+    return (
+        [x] if all(np.ndim(row) == 0 or (isinstance(row, (list, tuple)) and np.ndim(row) == 1) for row in x) else [*x]
+    )
+
+
+def _of(t: Any, index: int, count: int) -> Any:
+    """Return the times of one trajectory: from a list of as many, or what holds for all."""
+    return t[index] if isinstance(t, (list, tuple)) and len(t) == count and np.ndim(t[0]) == 1 else t
+
+
+def _rows(part: Any) -> FloatArray:
+    rows = numbers_of(part, "an array")
+    if rows is None:
+        raise DataError("an array holds text; numbers are expected")
+    rows = rows[:, np.newaxis] if rows.ndim == 1 else rows
+    if rows.ndim != 2:
+        raise DataError(f"an array has the shape {rows.shape}; rows by columns are expected")
+    return rows
+
+
+def _times(t: Any, rows: int) -> FloatArray:
+    times = numbers(t, "times")
+    if times.ndim == 0:
+        return np.asarray(float(times) * np.arange(rows), dtype=np.float64)
+    if times.shape != (rows,):
+        raise DataError(f"there are {times.size} times for {rows} rows; give one for each, or the time between rows")
+    return times
+
+
+def _matching(values: FloatArray, rows: int, columns: int, name: str) -> list[FloatArray]:
+    if values.shape != (rows, columns):
+        raise DataError(f"{name} has the shape {values.shape}, but ({rows}, {columns}) is expected")
+    return [*values.T]
+
+
+def _names(x: Any, u: Any, given: Sequence[str] | None) -> tuple[list[str], list[str]]:
+    """Return the names of states and of inputs."""
+    states, inputs = _rows(x).shape[1], 0 if u is None else _rows(u).shape[1]
+    if given is not None:
+        if len(given) != states + inputs:
+            raise UsageError(f"feature_names has {len(given)} names for {states} states and {inputs} inputs")
+        return list(given[:states]), list(given[states:])
+    return _own(x, "x", states), _own(u, "u", inputs)
+
+
+def _own(part: Any, letter: str, count: int) -> list[str]:
+    columns = getattr(part, "columns", None)
+    return [f"{letter}{index}" for index in range(count)] if columns is None else [str(each) for each in columns]
+
+
+def _dots(names: Sequence[str]) -> list[str]:
+    return [f"{name}_dot" for name in names]

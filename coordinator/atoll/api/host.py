@@ -1,0 +1,79 @@
+"""The program of a local service: what ``coordinator run`` starts, kept for many jobs of one interpreter.
+
+It says on stdout where it listens, as one line of JSON, and ends when its stdin is closed or its parent has ended, by
+whatever signal. Its log is a file without a name, which is gone with it.
+"""
+
+import contextlib
+import json
+import logging
+import os
+import sys
+import tempfile
+import threading
+from pathlib import Path
+from typing import Final
+
+from atoll.cli.local.workers import LocalWorkers
+from atoll_coordinator.service.background.child_main import load_preparation, load_refinement
+from atoll_coordinator.service.background.process_pool import ProcessPool
+from atoll_core.errors import AtollError
+from atoll_core.logs import configure
+from atoll_core.program import INTERRUPTED, reap_children
+from atoll_core.wire.addresses import own_address
+
+CHECK_S: Final = 0.3
+"""Seconds from one look at the parent and the workers to the next."""
+
+
+def main(workers: int, parent: int) -> int:
+    """Serve with so many workers until the process `parent` is gone or closes our stdin; return the exit code."""
+    reap_children()
+    stop = threading.Event()
+    threading.Thread(target=_wait_for_end, args=(stop,), name="reading stdin", daemon=True).start()
+    try:
+        with tempfile.TemporaryFile() as log:
+            configure(handler=logging.StreamHandler(os.fdopen(os.dup(log.fileno()), "w", encoding="utf-8")))
+            _serve(workers, parent, Path(f"/dev/fd/{log.fileno()}"), stop)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except AtollError as error:
+        _say({"error": str(error)})
+        return error.exit_code
+    return 0
+
+
+def _serve(number: int, parent: int, log: Path, stop: threading.Event) -> None:
+    with (
+        own_address() as address,
+        LocalWorkers(str(address), number, log) as workers,
+        contextlib.closing(ProcessPool()) as pool,
+    ):
+        pool.preload(load_preparation)
+        pool.preload(load_refinement)
+        from atoll.cli.local.coordinator import LocalCoordinator
+
+        with LocalCoordinator(str(address), number, pool) as coordinator:
+            coordinator.wait()
+            _say({"endpoint": str(address)})
+            while not stop.wait(CHECK_S) and os.getppid() == parent:
+                coordinator.check()
+                workers.check()
+            workers.dismiss()
+
+
+def _wait_for_end(stop: threading.Event) -> None:
+    with contextlib.suppress(OSError, ValueError):
+        while os.read(0, 1024):  # of the file itself: a buffered reader would hold a lock that our end waits for
+            pass
+    stop.set()
+
+
+def _say(what: dict[str, str]) -> None:
+    with contextlib.suppress(OSError):
+        sys.stdout.write(json.dumps(what) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2])))

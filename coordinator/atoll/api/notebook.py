@@ -1,0 +1,45 @@
+"""Progress in a notebook: one output that is written anew. IPython is there where there is a notebook."""
+
+import html
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from atoll.cli.terminal.output import note
+from atoll.cli.terminal.progress import plain_lines
+from atoll_core.wire.messages.views import JobView, WorkerView
+
+
+def is_notebook() -> bool:
+    """Tell whether this interpreter is the kernel of a notebook."""
+    return "ipykernel" in sys.modules
+
+
+class NotebookDisplay:
+    """The lines of the plain display, in their place. A context manager, like all displays."""
+
+    def __init__(self) -> None:
+        import IPython.display
+
+        ipython: Any = IPython.display
+        self._html = ipython.HTML
+        self._handle = ipython.display(ipython.HTML(""), display_id=True)
+        self._shown: list[str] = []
+
+    def __enter__(self) -> "NotebookDisplay":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+        """Write the lines anew when they have changed."""
+        del now
+        lines = plain_lines(view, workers, "")
+        if lines != self._shown and self._handle is not None:
+            self._shown = lines
+            self._handle.update(self._html(f"<pre>{html.escape(chr(10).join(lines))}</pre>"))
+
+    def print_note(self, sentence: str) -> None:
+        """Write the sentence on stderr, which a notebook shows."""
+        note(sentence)

@@ -1,0 +1,88 @@
+"""`Regressor`: y = f(X) by scikit-learn's rules. scikit-learn is an extra: ``pip install 'atoll[sklearn]'``.
+
+Letters: N rows, K features.
+"""
+
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+
+from atoll.api.discover import discover
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+
+if TYPE_CHECKING:
+    from atoll.model.model import Model
+
+try:
+    from sklearn.base import BaseEstimator, RegressorMixin
+    from sklearn.utils.validation import check_is_fitted, validate_data
+except ImportError:
+    raise ImportError("atoll.Regressor needs scikit-learn 1.6 or newer; run: pip install 'atoll[sklearn]'") from None
+
+TARGET: Final = "y"
+
+
+class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
+    """Finds y = f(X) as an expression.
+
+    After `fit`: `model_` is the `atoll.Model`, `equation_` its right-hand side, `n_features_in_`, and for frames
+    `feature_names_in_`. Features are called x0, x1, … in expressions, those of frames by their names; the target is y.
+    `bound`, `require` and `unit` say what is known: ``bound="c > 0"``, ``require={"y": ["x0"]}``, ``unit={"x0": "m"}``.
+    """
+
+    def __init__(  # noqa: PLR0913  scikit-learn wants every parameter by name
+        self,
+        *,
+        operators: Any = None,
+        seed: int = 0,
+        max_size: int | None = None,
+        bound: Any = None,
+        require: Any = None,
+        unit: Any = None,
+        max_epochs: int | None = None,
+        max_time: Any = None,
+        target_error: float | None = None,
+        workers: int | None = None,
+        connect: str | None = None,
+        progress: bool | None = None,
+    ) -> None:
+        """Take options of `atoll.discover`; None: its default."""
+        self.operators = operators
+        self.seed = seed
+        self.max_size = max_size
+        self.bound = bound
+        self.require = require
+        self.unit = unit
+        self.max_epochs = max_epochs
+        self.max_time = max_time
+        self.target_error = target_error
+        self.workers = workers
+        self.connect = connect
+        self.progress = progress
+
+    def fit(self, X: Any, y: Any) -> Self:
+        """Find the expression of `y` (N,) from the features `X` (N, K)."""
+        rows, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2)
+        if float(np.ptp(target)) == 0.0:
+            raise UsageError("y is the same number in all rows; there is nothing to be found")
+        names = getattr(self, "feature_names_in_", None)
+        columns = [f"x{index}" for index in range(rows.shape[1])] if names is None else [str(name) for name in names]
+        label = TARGET
+        while label in columns:
+            label += "_"
+        table = {**dict(zip(columns, rows.T, strict=True)), label: np.asarray(target, dtype=np.float64)}
+        self.model_: Model = discover(table, target=label, **self.get_params())
+        return self
+
+    @property
+    def equation_(self) -> str:
+        """The right-hand side, constants rounded."""
+        check_is_fitted(self, "model_")
+        return self.model_.equations[0].expression
+
+    def predict(self, X: Any) -> FloatArray:
+        """Return f(X) (N,) of the features (N, K)."""
+        check_is_fitted(self, "model_")
+        rows = validate_data(self, X, dtype=np.float64, reset=False)
+        return self.model_.predict(rows)

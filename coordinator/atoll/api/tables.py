@@ -1,0 +1,209 @@
+"""Tables from what Python users hold: files, frames of pandas or polars, data sets of xarray, arrays by name, lists."""
+
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from atoll_coordinator.data.reading.columns import TIME
+from atoll_coordinator.data.reading.files import read_table
+from atoll_coordinator.data.reading.instants import Instants, of_array, times_of
+from atoll_coordinator.data.roles.options import find_trajectory_column, named_columns, split_unit
+from atoll_coordinator.data.roles.roles import TIME_NAMES
+from atoll_core.config import DataConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.errors import DataError
+
+NAME = "data"
+"""What messages call a table that was not read from a file."""
+
+
+def table_of(data: Any, config: DataConfig) -> Table:
+    """Return the table of files, of columns by name, or of a list of these, one for each trajectory.
+
+    Raises:
+        DataError: it is none of these, or its columns do not fit together.
+    """
+    if isinstance(data, Table):
+        return data
+    parts = [*data] if isinstance(data, (list, tuple)) else [data]
+    if parts and all(isinstance(part, (str, Path)) for part in parts):
+        return read_table([Path(part) for part in parts], config)
+    if not parts or not all(_has_columns(part) for part in parts):
+        raise DataError(
+            "data must be a file, a frame of pandas or polars, a data set of xarray, arrays by column name, or a list; "
+            f"found {type(data).__name__}"
+        )
+    labels: dict[str, dict[str, float]] = {}
+    its = _joined([_columns_of(part, config, labels) for part in parts])
+    return replace(its, labels={name: tuple(texts) for name, texts in labels.items()})
+
+
+def _has_columns(part: Any) -> bool:
+    return isinstance(part, Mapping) or (hasattr(part, "columns") and hasattr(part, "__getitem__"))
+
+
+def _columns_of(part: Any, config: DataConfig, labels: dict[str, dict[str, float]]) -> dict[str, FloatArray | Instants]:
+    """Return the columns of numbers (N,) by name.
+
+    As in files, the columns of trajectories and of groups alone may hold text, which is numbered by first appearance
+    (that of groups over all parts, its texts being kept in `labels`); other columns that hold nothing else are left out
+    unless options name them. Dates are the time, and so is an index of a pandas frame
+    that has a name or holds dates.
+    """
+    named = _named_arrays(part)
+    plain = [split_unit(name)[0] for name in named]
+    trajectory, needed = find_trajectory_column(plain, config), named_columns(config)
+    found: dict[str, FloatArray | Instants] = {}
+    for (name, values), its in zip(named.items(), plain, strict=True):
+        if values.ndim != 1:
+            raise DataError(f"column '{name}' has the shape {values.shape}; one number for each row is expected")
+        instants = _instants_of(values)
+        numbers = None if instants is not None else numbers_of(values, f"column '{name}'")
+        if instants is not None:
+            found[_time_name(its, plain, config)] = instants
+        elif numbers is not None:
+            found[f"{name} [s]" if values.dtype.kind == "m" and its == name else name] = numbers
+        elif its == trajectory:
+            found[name] = _numbered(values, {})
+        elif its == config.group:
+            found[name] = _numbered(values, labels.setdefault(its, {}))
+        elif its in needed:
+            raise DataError(f"column '{name}' holds text; numbers are expected")
+    if named and not found:
+        raise DataError("all columns hold text; numbers are expected")
+    lengths = {_length(values) for values in found.values()}
+    if len(lengths) != 1 or lengths == {0}:
+        raise DataError(f"columns have {sorted(lengths)} rows; one number of rows, above 0, is expected")
+    return found
+
+
+def _named_arrays(part: Any) -> dict[str, Any]:
+    """Return the columns of a mapping, a frame or an xarray data set, and the index of a pandas frame if it says more
+    than which row it is."""
+    if hasattr(part, "data_vars") and hasattr(part, "coords"):  # xarray
+        sources = {**part.coords, **part.data_vars}
+    else:
+        sources = {name: part[name] for name in ([*part] if isinstance(part, Mapping) else part.columns)}
+    named = {str(name): _array(values, str(name)) for name, values in sources.items()}
+    index = getattr(part, "index", None)
+    if index is None or callable(index):
+        return named
+    values, name = _array(index, "index"), getattr(index, "name", None)
+    says_when = values.dtype.kind == "m" or _instants_of(values) is not None
+    if (name is not None or says_when) and str(name or TIME) not in named:
+        return {str(name or TIME): values, **named}
+    return named
+
+
+def _array(values: Any, name: str) -> Any:
+    try:
+        return np.asarray(values)
+    except ValueError:
+        raise DataError(f"column '{name}' holds rows of different lengths; one number for each is expected") from None
+
+
+def _instants_of(values: Any) -> Instants | None:
+    """Return dates (N,) in nanoseconds; None where there are none."""
+    if values.dtype.kind == "M":
+        return of_array(values)
+    cells = values.tolist() if values.dtype.kind == "O" else []
+    if not cells or not all(isinstance(cell, datetime.datetime) for cell in cells):
+        return None
+    return Instants(tuple(_nanoseconds(cell) for cell in cells), "dates", has_date=True)
+
+
+def _nanoseconds(cell: datetime.datetime) -> int:
+    """Return the nanoseconds since 1970, which are ``value`` of pandas' own instants."""
+    value = getattr(cell, "value", None)
+    if isinstance(value, int):
+        return value
+    since = cell - datetime.datetime(1970, 1, 1, tzinfo=None if cell.tzinfo is None else datetime.UTC)
+    return (since // datetime.timedelta(microseconds=1)) * 1000
+
+
+def _time_name(name: str, names: Sequence[str], config: DataConfig) -> str:
+    """Return what a column of dates is called: as it is where that makes it the time, else ``time``.
+
+    Raises:
+        DataError: there is another time.
+    """
+    if name == config.time or (config.time is None and name in TIME_NAMES):
+        return name
+    other = config.time or next((each for each in TIME_NAMES if each in names), None)
+    if other is not None:
+        raise DataError(f"column '{name}' holds dates or times beside the time '{other}'; leave out one of them")
+    return TIME
+
+
+def _length(values: FloatArray | Instants) -> int:
+    return len(values.nanoseconds if isinstance(values, Instants) else values)
+
+
+def numbers_of(values: Any, name: str) -> FloatArray | None:
+    """Return an array as numbers, durations in seconds; None where it holds text alone. `name` is for messages.
+
+    Raises:
+        DataError: it holds dates, complex numbers, or text among numbers.
+    """
+    values = np.asarray(values)
+    if values.dtype.kind == "m":
+        return np.asarray(values / np.timedelta64(1, "s"), dtype=np.float64)
+    if values.dtype.kind == "M":
+        raise DataError(f"{name} holds dates or times; convert it to numbers first")
+    if values.dtype.kind == "c":
+        raise DataError(f"{name} holds complex numbers; real ones are expected")
+    try:
+        return np.ascontiguousarray(values, dtype=np.float64).reshape(values.shape)
+    except (TypeError, ValueError):
+        cells = values.ravel().tolist()
+    text = [not _is_number(cell) for cell in cells]
+    if all(text) and all(isinstance(cell, str) for cell in cells):
+        return None
+    row = text.index(True) if True in text else 0
+    raise DataError(f"{name} holds {str(cells[row])!r} in row {row + 1}, which is no number; correct it")
+
+
+def _is_number(cell: Any) -> bool:
+    try:
+        float(cell)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def _numbered(values: Any, kinds: dict[str, float]) -> FloatArray:
+    """Number texts by first appearance, going on with the `kinds` there are."""
+    return np.array([kinds.setdefault(str(value), float(len(kinds) + 1)) for value in values.tolist()])
+
+
+def _joined(parts: Sequence[Mapping[str, FloatArray | Instants]]) -> Table:
+    first = tuple(parts[0])
+    for part in parts:
+        if set(part) != set(first):
+            different = ", ".join(sorted(set(part) ^ set(first)))
+            raise DataError(f"trajectories differ in the columns {different}; all need the same ones")
+    starts = (0, *accumulate(_length(part[first[0]]) for part in parts[:-1]))
+    read = [_column([part[name] for part in parts], name, starts) for name in first]
+    units = [(split_unit(name)[0], unit or split_unit(name)[1]) for name, (_, unit, _) in zip(first, read, strict=True)]
+    columns = np.ascontiguousarray([values for values, *_ in read])
+    nowhere = np.zeros(columns.shape[1], dtype=np.int64)
+    names = tuple(name for name, _ in units)
+    remarks = "; ".join(f"{name}: {remark}" for name, (*_, remark) in zip(names, read, strict=True) if remark)
+    its = tuple(unit for _, unit in units)
+    return Table(names, its, columns, starts, (NAME,), nowhere, nowhere.copy(), read_as=remarks)
+
+
+def _column(parts: Sequence[FloatArray | Instants], name: str, starts: Sequence[int]) -> tuple[FloatArray, str, str]:
+    """Return one column of all trajectories, and of dates the unit and since when."""
+    instants = [part for part in parts if isinstance(part, Instants)]
+    if instants and len(instants) < len(parts):
+        raise DataError(f"column '{name}' holds dates in some trajectories only; write all alike")
+    if instants:
+        return times_of(instants, starts, None)
+    return np.concatenate([part for part in parts if not isinstance(part, Instants)]), "", ""

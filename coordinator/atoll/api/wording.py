@@ -1,0 +1,44 @@
+"""Errors in the words of Python: options of the command line are keyword arguments here."""
+
+import contextlib
+import re
+from collections.abc import Iterator
+from typing import Final
+
+from atoll_core.errors import AtollError
+
+_HELP: Final = re.compile(r"coordinator(?: run)? --help")
+_UNKNOWN: Final = re.compile(r"option --([a-z-]+)\S*;")
+_TLS: Final = re.compile(r"--tls-(ca|cert|key)(?: \(ATOLL_TLS_\w+\))?")
+_WITH_NUMBER: Final = re.compile(r"--([a-z][a-z-]*)[ =](\d+)\b")
+_WITH_COLUMN: Final = re.compile(r"--(inputs|missing|target|time) (\w+)(?=[;,.)]|$)")
+_OPTION: Final = re.compile(r"--([a-z][a-z-]*)")
+
+
+def in_python(sentence: str) -> str:
+    """Return a sentence with keyword arguments in the place of options: ``--max-size`` is max_size."""
+    sentence = _HELP.sub("help(atoll.discover)", sentence)
+    sentence = _UNKNOWN.sub(lambda its: f"option {_name(its[1])};", sentence)
+    sentence = sentence.replace("--tls-...", "tls").replace("--missing drop", "missing='drop'")
+    sentence = _TLS.sub(r"tls['\1']", sentence)
+    sentence = _WITH_NUMBER.sub(lambda its: f"{_name(its[1])}={its[2]}", sentence)
+    sentence = _WITH_COLUMN.sub(lambda its: f"{its[1]}={its[2]!r}", sentence)
+    return _OPTION.sub(lambda its: _name(its[1]), sentence)
+
+
+@contextlib.contextmanager
+def python_words() -> Iterator[None]:
+    """Raise the errors of a block in the words of Python."""
+    try:
+        yield
+    except AtollError as error:
+        sentence = in_python(str(error))
+        if sentence == str(error):
+            raise
+        reworded = type(error)(sentence)
+        reworded.on_command_line = error.on_command_line
+        raise reworded from error
+
+
+def _name(option: str) -> str:
+    return option.replace("-", "_")

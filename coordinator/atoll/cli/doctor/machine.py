@@ -1,0 +1,150 @@
+"""What ``coordinator doctor`` looks at on this machine: cores, memory, limits, kernels, the state folder."""
+
+import argparse
+import contextlib
+import os
+import platform
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from atoll.cli.doctor.finding import Finding, Grade, fine
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.machine.cores import usable_cores
+
+MB: Final = 1024 * 1024
+GB: Final = 1024 * MB
+
+WORKER_BYTES: Final = 300 * MB
+"""What one worker process takes with a data set of some thousand rows; measured: some 200 MB."""
+
+FEW_FILES: Final = 1024
+LITTLE_ROOM: Final = 100 * MB
+SOME_ROOM: Final = GB
+
+_NETWORKED: Final = ("nfs", "cifs", "smb", "lustre", "gpfs", "beegfs", "ceph", "afs", "fuse.sshfs", "9p")
+_MEMINFO: Final = Path("/proc/meminfo")
+_MOUNTS: Final = Path("/proc/self/mounts")
+_CGROUP: Final = Path("/sys/fs/cgroup")
+
+
+def check_versions(options: argparse.Namespace) -> Iterator[Finding]:
+    """Say what is installed here."""
+    from importlib.metadata import version
+
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("eclipse-zenoh", "numpy", "numba"))
+    found = f"Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
+    yield fine("versions", f"{found}, Python {platform.python_version()}, {libraries}, {platform.machine()}")
+
+
+def check_cores(options: argparse.Namespace) -> Iterator[Finding]:
+    """How many workers this machine has room for."""
+    cores, reason = usable_cores(os.environ)
+    yield fine("cores", f"{cores} worker process{'' if cores == 1 else 'es'} by default: {reason}")
+
+
+def check_memory(options: argparse.Namespace) -> Iterator[Finding]:
+    """Whether memory suffices for a worker per core."""
+    free = available_memory()
+    if free is None:
+        yield fine("memory", "not known on this system")
+        return
+    cores, _ = usable_cores(os.environ)
+    found = f"{free / GB:.1f} GB available for {cores} worker process{'' if cores == 1 else 'es'}"
+    if free >= cores * WORKER_BYTES:
+        yield fine("memory", found)
+    else:
+        number = max(1, int(free // WORKER_BYTES))
+        advice = f"start fewer: island-worker --processes {number}"
+        yield Finding("memory", "warning" if free >= WORKER_BYTES else "problem", found, advice)
+
+
+def available_memory(meminfo: Path = _MEMINFO, cgroup: Path = _CGROUP) -> int | None:
+    """Return the bytes that processes started now could take, by the system and its control group; None: unknown."""
+    amounts = []
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        lines = [line.split() for line in meminfo.read_text("ascii").splitlines()]
+        amounts += [int(words[1]) * 1024 for words in lines if words[0] == "MemAvailable:"]
+    with contextlib.suppress(OSError, ValueError):
+        limit = int((cgroup / "memory.max").read_text("ascii"))
+        amounts.append(limit - int((cgroup / "memory.current").read_text("ascii")))
+    return min(amounts, default=None)
+
+
+def check_open_files(options: argparse.Namespace) -> Iterator[Finding]:
+    """Whether a coordinator here could have many connections."""
+    try:
+        import resource
+    except ImportError:
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    found = f"{soft} at once, each worker and client takes one of the coordinator's"
+    if soft == resource.RLIM_INFINITY or soft >= FEW_FILES:
+        yield fine("open files", found)
+    else:
+        most = "unlimited" if hard == resource.RLIM_INFINITY else str(hard)
+        yield Finding("open files", "warning", found, f"before serve: ulimit -n {FEW_FILES} (at most {most} here)")
+
+
+def check_kernels(options: argparse.Namespace) -> Iterator[Finding]:
+    """Whether a worker here would compile first, and whether it could."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        advice = "unset it for real work"
+        yield Finding(
+            "kernels", "warning", "NUMBA_DISABLE_JIT is set: everything is interpreted, a thousand times slower", advice
+        )
+        return
+    from atoll_core.compilation.cache import cache_directory, is_compiled
+
+    directory = cache_directory("atoll_island_worker")
+    if is_compiled("atoll_island_worker"):
+        yield fine("kernels", f"compiled, in {directory}")
+        return
+    existing = _existing(directory)
+    if os.access(existing, os.W_OK | os.X_OK):
+        yield fine("kernels", f"not compiled yet; the first worker takes half a minute to do so, into {directory}")
+    else:
+        found = f"not compiled yet, and {existing} cannot be written"
+        yield Finding("kernels", "problem", found, "set ATOLL_KERNEL_CACHE to a folder that can be")
+
+
+def check_state(options: argparse.Namespace) -> Iterator[Finding]:
+    """Whether a job store can be kept in the state folder (the current one unless it is named)."""
+    wanted = Path(options.state or ".").absolute()
+    place = _existing(wanted)
+    if not place.is_dir():
+        yield Finding("state folder", "problem", f"{place} is a file", "name another folder with --state")
+        return
+    if not os.access(place, os.W_OK | os.X_OK):
+        yield Finding("state folder", "problem", f"{place} cannot be written", "name another folder with --state")
+        return
+    free = shutil.disk_usage(place).free
+    found = f"{wanted}: {free / GB:.1f} GB free"
+    if free < SOME_ROOM:
+        grade: Grade = "problem" if free < LITTLE_ROOM else "warning"
+        yield Finding("state folder", grade, found, "make room, or name a folder on another disk with --state")
+    else:
+        yield fine("state folder", found)
+    kind = file_system(place)
+    if kind is not None and kind.startswith(_NETWORKED):
+        advice = (
+            "keep the store on a disk of the coordinator's machine: SQLite relies on locks that many such systems lack"
+        )
+        yield Finding("state folder", "warning", f"{place} is on a network file system ({kind})", advice)
+
+
+def file_system(place: Path, mounts: Path = _MOUNTS) -> str | None:
+    """Return the kind of file system that `place` is on; None where this is not known."""
+    kinds = {}
+    with contextlib.suppress(OSError):
+        for line in mounts.read_text("utf-8", "replace").splitlines():
+            _, point, kind, *_ = line.split()
+            kinds[Path(point.replace("\\040", " "))] = kind
+    real = place.resolve()
+    return next((kinds[each] for each in (real, *real.parents) if each in kinds), None)
+
+
+def _existing(path: Path) -> Path:
+    """Return `path`, or the first folder above it that exists."""
+    return next(each for each in (path, *path.parents) if each.exists())

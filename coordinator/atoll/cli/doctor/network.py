@@ -1,0 +1,143 @@
+"""What ``coordinator doctor`` looks at in the network: a port to listen on, a coordinator, its workers, its clock."""
+
+import argparse
+import os
+import time
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from typing import Final
+
+from atoll.cli.doctor.address import LIMIT_S, check_address
+from atoll.cli.doctor.finding import Finding, fine, problem
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.errors import AtollError, UsageError
+from atoll_core.wire.addresses import Destination, bindable, destination, parse_address
+from atoll_core.wire.messages.handshake import Welcome
+from atoll_core.wire.messages.views import WorkerView
+from atoll_core.wire.security.credentials import Credentials, credentials_of
+
+CLOCK_S: Final = 5.0
+"""Clocks that differ by more make logs of several machines hard to read, and certificates invalid too early."""
+
+SILENT_S: Final = 5.0
+
+EXPIRY_S: Final = 30 * 86400.0
+"""A certificate that expires sooner is pointed out."""
+
+
+def check_listen(options: argparse.Namespace) -> Iterator[Finding]:
+    """Whether a coordinator could listen at ``--listen``."""
+    if options.listen is None:
+        return
+    try:
+        address = parse_address(options.listen)
+        bindable(address)
+    except UsageError as error:
+        yield problem("port", error)
+        return
+    yield fine("port", f"{address} is free")
+
+
+def check_certificates(options: argparse.Namespace) -> Iterator[Finding]:
+    """Whether our certificate can be shown: key, authority, purpose, dates; for ``--listen`` also the names in it."""
+    files = _shown(options)
+    if files is not None:
+        yield files if isinstance(files, Finding) else certificate_finding(files, time.time())
+
+
+def certificate_finding(files: Credentials, now: float) -> Finding:
+    """Say whose certificate this is and how long it will do; `now` is in seconds of Unix time."""
+    hosts = f", for {', '.join(files.hosts)}" if files.hosts else ""
+    if files.expires is None:
+        return fine("certificate", f"of {files.name}{hosts}")
+    left = files.expires - now
+    found = f"of {files.name}{hosts}, valid for {left / 86400.0:.0f} more days"
+    if left >= EXPIRY_S:
+        return fine("certificate", found)
+    advice = f"renew it in time: deploy/tls/make-authority DIR --renew {files.name}"
+    return Finding("certificate", "warning", found, advice)
+
+
+def _shown(options: argparse.Namespace) -> Credentials | Finding | None:
+    """Return what is to be shown to the other side, or what is wrong with it."""
+    try:
+        return credentials_of(vars(options), os.environ, "serve" if options.listen else "connect")
+    except AtollError as error:
+        return problem("certificate", error)
+
+
+def check_coordinator(options: argparse.Namespace) -> Iterator[Finding]:
+    """Whether the coordinator answers, fits us, and has workers."""
+    text = options.connect or os.environ.get("ATOLL_CONNECT")
+    if not text:
+        yield fine("coordinator", "none was named (--connect or ATOLL_CONNECT), so none was examined")
+        return
+    findings = list(check_address(options))
+    yield from findings
+    files = _shown(options)
+    if any(each.grade == "problem" for each in findings) or isinstance(files, Finding):
+        return
+    try:
+        yield from _greeted(destination(text, files))
+    except AtollError as error:
+        yield problem("coordinator", error)
+
+
+def _greeted(address: Destination) -> Iterator[Finding]:
+    from atoll.client import connected
+
+    with connected(address, LIMIT_S) as client:
+        welcome, workers = client.welcome, client.workers()
+    now = datetime.now(UTC)
+    if welcome is not None:
+        yield fine(
+            "coordinator", f"Atoll {welcome.version} (protocol {welcome.protocol}, engine {welcome.engine}) answers"
+        )
+        yield from version_findings(welcome)
+        yield from clock_findings(welcome.clock, now)
+    yield from worker_findings(workers, str(address))
+
+
+def version_findings(welcome: Welcome) -> Iterator[Finding]:
+    """Say whether a worker of this installation would be taken; a client, which greeted, was."""
+    theirs = (welcome.version, welcome.protocol, welcome.engine)
+    if theirs != (VERSION, PROTOCOL_VERSION, ENGINE_REVISION):
+        found = (
+            f"here is Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION}): workers would be refused"
+        )
+        yield Finding("versions", "problem", found, f"install Atoll {welcome.version} here, or this version there")
+
+
+def clock_findings(theirs: str, now: datetime) -> Iterator[Finding]:
+    """Compare the coordinator's time of day with ours; it was on its way for less than `LIMIT_S`."""
+    try:
+        moment = datetime.fromisoformat(theirs)
+    except ValueError:
+        return
+    moment = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
+    offset = (moment - now).total_seconds()
+    if abs(offset) <= CLOCK_S:
+        yield fine("clock", "agrees with the coordinator's")
+        return
+    found = f"the coordinator's clock is {abs(offset):.0f} s {'ahead of' if offset > 0 else 'behind'} this machine's"
+    yield Finding("clock", "warning", found, "let both follow a time server: logs and certificates go by the clock")
+
+
+def worker_findings(workers: Sequence[WorkerView], address: str) -> Iterator[Finding]:
+    """Say which workers are there and which ones one should look after."""
+    here = [each for each in workers if each.state != "lost"]
+    if not here:
+        yield Finding("workers", "warning", "none is there", f"start one: island-worker --connect {address}")
+        return
+    hosts = len({each.host for each in here})
+    yield fine("workers", f"{len(here)} on {hosts} machine{'' if hosts == 1 else 's'}")
+    silent = [each for each in here if each.silent > SILENT_S]
+    if silent:
+        found = ", ".join(
+            f"{each.worker} on {each.host} has been silent for {each.silent:.0f} s" for each in silent[:5]
+        )
+        yield Finding("workers", "warning", found, "look at these machines; their islands are placed anew soon")
+    late = [each for each in here if each.state == "compiling"]
+    if late:
+        found = ", ".join(f"{each.worker}: {each.detail or 'getting ready'}" for each in late[:5])
+        yield fine("workers", f"not ready yet: {found}")

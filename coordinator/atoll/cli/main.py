@@ -1,0 +1,77 @@
+"""The command line of the ``coordinator`` program: parse, dispatch, turn every error into a sentence and an exit code.
+
+Nothing heavy is imported here; each verb's module is imported when it is called.
+"""
+
+import contextlib
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import Final
+
+from atoll_core.program import exit_code_of, flush_streams, raise_interrupts
+
+_READERS: Final = frozenset({"result", "simulate", "analyse", "report", "suggest", "export"})
+_MAY_BE_EDITED: Final = "; if the result was edited, give it as it was written"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command line (None: that of the process) and return its exit code."""
+    words = sys.argv[1:] if argv is None else argv
+    try:
+        return exit_code_of(lambda: _dispatch(words), _complain)
+    except BrokenPipeError:
+        return _forget_stdout()
+    except Exception as error:
+        if os.environ.get("ATOLL_DEBUG") == "1":
+            raise
+        from atoll.cli.exit_codes import FAILED
+
+        _complain(_record(error) + (_MAY_BE_EDITED if words[0] in _READERS else ""))
+        return FAILED
+
+
+def _dispatch(argv: Sequence[str]) -> int:
+    from atoll.cli.options.parser import HANDLERS, parse
+
+    options = parse(argv)
+    handler = getattr(importlib.import_module(HANDLERS[options.verb]), options.verb)
+    raise_interrupts()
+    code: int = handler(options)
+    sys.stdout.flush()
+    return code
+
+
+def _complain(sentence: str) -> None:
+    flush_streams()
+    with contextlib.suppress(OSError):  # a full disk: the exit code says that something was wrong
+        sys.stderr.write(f"coordinator: {sentence}\n")
+        sys.stderr.flush()
+
+
+def _forget_stdout() -> int:
+    """The reader of our output has gone: be quiet, also when Python flushes at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def _record(error: Exception) -> str:
+    """Write the traceback of an unexpected error to a file; return the sentence that names it."""
+    import tempfile
+    import traceback
+
+    from atoll_core.errors import UsageError
+    from atoll_core.machine.folders import user_folder
+
+    text = "".join(traceback.format_exception(error))
+    try:
+        folder = user_folder("XDG_STATE_HOME", ".local/state") / "atoll"
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(".log", "coordinator-", folder)
+    except (OSError, UsageError):
+        handle, name = tempfile.mkstemp(".log", "atoll-coordinator-")
+    with os.fdopen(handle, "w") as file:
+        file.write(text)
+    what = f"an unexpected error ({type(error).__name__}) stopped this command"
+    return f"{what}; please report it with {name}, which has the details"

@@ -1,0 +1,135 @@
+"""What ``run`` and ``submit`` have in common: the job that the options describe, its data, how its result appears."""
+
+import argparse
+import os
+import shlex
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from atoll.cli.exit_codes import DONE
+from atoll.cli.options.job_config import job_config
+from atoll.cli.options.names import job_id
+from atoll.cli.terminal.follow import ending, exit_code
+from atoll.cli.terminal.output import as_json, note, say
+from atoll.client import Client
+from atoll_core.config import JobConfig
+from atoll_core.errors import DataError, RefusedError, UsageError
+from atoll_core.hints import similar_file
+from atoll_core.wire.addresses import Destination, destination
+from atoll_core.wire.messages.views import JobView
+from atoll_core.wire.security.credentials import credentials_of
+
+if TYPE_CHECKING:
+    from atoll_core.data.table import Table
+
+_LEAST_SHARE: Final = 0.5
+"""Share of `--max-time` that is left for the job however long this program took to start."""
+
+CONNECT_LIMIT_S: Final = 3.0
+"""How long a coordinator is looked for."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A job as the user asked for it, before its data are read."""
+
+    job: str
+    name: str
+    config: JobConfig
+    files: tuple[Path, ...]
+    json: bool
+    priority: int = 0
+
+    @property
+    def target_error(self) -> float | None:
+        """The normalized error that the user named, if any."""
+        return self.config.budget.target_error
+
+    def read(self) -> "Table":
+        """Read the files and say on stderr what they hold; raises DataError."""
+        from atoll_coordinator.data.description import describe
+        from atoll_coordinator.data.reading.files import read_table
+
+        table = read_table(self.files, self.config.data)
+        note(describe(table, self.config))
+        return table
+
+    def rehearse(self) -> int:
+        """Say how the data are read and what would be searched, and start nothing; return the exit code."""
+        from atoll_coordinator.data.outline import outline
+
+        its = outline(self.read(), self.config)
+        say(as_json(its.as_dict()) if self.json else its.as_text())
+        return DONE
+
+    def submit(self, client: Client, table: "Table") -> JobView:
+        """Upload `table` and submit the job."""
+        return client.hand_in(self.job, self.name, self.config, table.to_bytes(), self.priority)
+
+    def after(self, seconds: float) -> "Request":
+        """Return the request with so many seconds of `--max-time` gone, but no more than half of them."""
+        budget = self.config.budget
+        if budget.max_time is None:
+            return self
+        left = max(budget.max_time - seconds, _LEAST_SHARE * budget.max_time)
+        return replace(
+            self, config=self.config.model_copy(update={"budget": budget.model_copy(update={"max_time": left})})
+        )
+
+    def result(self, client: Client, view: JobView) -> dict[str, Any] | None:
+        """Return the result of the ended job, with the command of this process; None when there is none yet."""
+        try:
+            return {**client.result(self.job), "command": shlex.join(["coordinator", *sys.argv[1:]])}
+        except RefusedError:
+            if view.state == "done":
+                raise
+            return None
+
+    def show(self, result: dict[str, Any]) -> None:
+        """Print the equations on stdout, or all of the result as JSON."""
+        from atoll.text.render import render_text
+
+        say(as_json(result) if self.json else render_text(result))
+
+    def finish(self, view: JobView) -> int:
+        """Say what an unwanted end means; return the exit code."""
+        sentence = ending(view, self.target_error)
+        if sentence:
+            note(f"coordinator: {sentence}")
+        return exit_code(view, self.target_error)
+
+
+def request_of(options: argparse.Namespace) -> Request:
+    """Return the job that the options describe.
+
+    Raises:
+        UsageError: the options are wrong.
+        DataError: a file is not there.
+    """
+    files = tuple(Path(name) for name in options.data)
+    name = options.name if options.name is not None else files[0].name
+    request = Request(
+        job_id(options.id), name, job_config(options), files, options.json, getattr(options, "priority", 0)
+    )
+    for file in files:
+        if not file.is_file():
+            found = _what_is_there(file)
+            hint = similar_file(file) or "; check the name"
+            raise DataError(f"{file} {found}, but a data file was expected, such as CSV{hint}")
+    return request
+
+
+def _what_is_there(path: Path) -> str:
+    if path.is_dir():
+        return "is a folder"
+    return "is a pipe or a device" if path.exists() else "does not exist"
+
+
+def address_of(options: argparse.Namespace) -> Destination:
+    """Return where the coordinator is, by ``--connect`` and ``--tls-*`` or the environment; raises UsageError."""
+    address = options.connect or os.environ.get("ATOLL_CONNECT")
+    if not address:
+        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+    return destination(address, credentials_of(vars(options), os.environ, "connect"))

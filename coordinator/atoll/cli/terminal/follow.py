@@ -1,0 +1,136 @@
+"""Following a job to its end: ask, show, wait; and what the end means for the exit code."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from atoll.cli.exit_codes import BAD_INPUT, DONE, FAILED, INTERRUPTED, TARGET_MISSED
+from atoll.cli.terminal.progress import Display
+from atoll.client import Client
+from atoll_core.errors import UnreachableError
+from atoll_core.wire.messages.views import FINAL_STATES, JobView, WorkerView
+
+PATIENCE_S: Final = 30.0
+"""How long a coordinator that stopped answering is waited for."""
+
+NOTHING_FOUND: Final = ", before it found any equation"
+"""What a sentence on a cancelled job ends with that has no equations."""
+
+_FIRST_INTERVAL_S: Final = 0.05
+_LAST_INTERVAL_S: Final = 0.3
+
+
+@dataclass
+class Timeline:
+    """Seconds spent in each phase of a job, as seen while following it."""
+
+    phases: dict[str, float] = field(default_factory=dict)
+    _last: float | None = None
+
+    def mark(self, phase: str, now: float) -> None:
+        """Count the time since the last mark for `phase`."""
+        if self._last is not None:
+            self.phases[phase] = self.phases.get(phase, 0.0) + now - self._last
+        self._last = now
+
+
+class Follower:
+    """Follows one job through a client. Before every question `check` returns sentences to show, or raises."""
+
+    def __init__(self, client: Client, job: str, display: Display, check: Callable[[], Sequence[str]] = tuple) -> None:
+        self.timeline = Timeline()
+        self._client = client
+        self._job = job
+        self._display = display
+        self._check = check
+        self._silent_since: float | None = None
+        self._warned: set[str] = set()
+
+    def follow(self) -> JobView:
+        """Return the final state of the job.
+
+        Raises:
+            UnreachableError: the coordinator did not answer for `PATIENCE_S` seconds.
+        """
+        interval = _FIRST_INTERVAL_S
+        while True:
+            for sentence in self._check():
+                self._display.print_note(sentence)
+            view = self._ask()
+            if view is not None and view.state in FINAL_STATES:
+                return view
+            self._client.pause(interval)
+            interval = min(_LAST_INTERVAL_S, interval * 1.05)
+
+    def _ask(self) -> JobView | None:
+        try:
+            view, workers = self._client.status(self._job), self._client.workers()
+        except UnreachableError as error:
+            self._tolerate_silence(error)
+            return None
+        self._silent_since = None
+        self._warn(view)
+        now = self._client.now()
+        self.timeline.mark(phase(view, workers), now)
+        self._display.show(view, workers, now)
+        return view
+
+    def _tolerate_silence(self, error: UnreachableError) -> None:
+        """Take in that the coordinator is silent; raise UnreachableError when it is so for too long."""
+        now = self._client.now()
+        if self._silent_since is None:
+            self._silent_since = now
+            self._display.print_note(f"the coordinator does not answer; waiting another {PATIENCE_S:.0f} s for it")
+        elif now - self._silent_since > PATIENCE_S:
+            raise UnreachableError(f"{error}; the job may go on there: coordinator status {self._job}") from error
+
+    def _warn(self, view: JobView) -> None:
+        for warning in view.warnings:
+            if warning not in self._warned:
+                self._warned.add(warning)
+                self._display.print_note(f"note: {warning}")
+
+
+def phase(view: JobView, workers: Sequence[WorkerView]) -> str:
+    """Return what the time goes into: starting, compiling or loading kernels, preparing, searching, refining."""
+    if view.state == "refining":
+        return "refining"
+    if any(variable.epoch for variable in view.variables):
+        return "searching"
+    busy = [worker for worker in workers if worker.state == "compiling"]
+    if busy:
+        return "compiling kernels" if any("compiling" in worker.detail for worker in busy) else "loading kernels"
+    if view.state == "running":
+        return "searching"
+    return "preparing" if any(worker.state != "lost" for worker in workers) else "starting"
+
+
+def exit_code(view: JobView, target_error: float | None) -> int:
+    """Return the exit code of a job that has ended; `target_error` is the user's explicit one."""
+    if view.state == "failed":
+        return BAD_INPUT if view.fault == "data" else FAILED
+    if view.state == "cancelled":
+        return INTERRUPTED
+    return TARGET_MISSED if target_error is not None and _missed(view) else DONE
+
+
+def ending(view: JobView, target_error: float | None) -> str | None:
+    """Return the sentence that explains an exit code other than 0."""
+    if view.state == "failed":
+        return f"job {view.job} failed: {view.reason}"
+    if view.state == "cancelled":
+        found = "; what it had found is kept" if has_found(view) else NOTHING_FOUND
+        return f"job {view.job} was cancelled{found}"
+    if exit_code(view, target_error) == TARGET_MISSED:
+        return f"--target-error {target_error:g} was not met within the budget by {', '.join(_missed(view))}"
+    return None
+
+
+def has_found(view: JobView) -> bool:
+    """Tell whether a job has any equation that was searched for."""
+    return any(each.expression is not None and each.why != "known" for each in view.variables)
+
+
+def _missed(view: JobView) -> list[str]:
+    """Return the left-hand sides of the equations that were searched and have not converged."""
+    return [each.lhs for each in view.variables if not each.converged and each.why != "known"]

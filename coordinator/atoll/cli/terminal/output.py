@@ -1,0 +1,134 @@
+"""What verbs print: lines on stdout, notes on stderr, JSON, and plain aligned tables."""
+
+import contextlib
+import json
+import re
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from atoll_core.command_line import unwritable
+from atoll_core.errors import UsageError
+
+REPORT: Final = "report.html"
+"""The page of a result, beside it."""
+
+_NUMBERS = re.compile(r"\[\n[^\[\]{}\"]+\]")
+_FACTOR_OF_ONE = re.compile(r"(?<![\w.*/])(?<!e[+-])1\*(?!\*)")
+_NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:[eE][+-]?\d+)?")
+
+
+def say(text: str) -> None:
+    """Print a result on stdout; raises AtollError when it cannot be written, unless its reader has gone."""
+    try:
+        sys.stdout.write(text if text.endswith("\n") else text + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise unwritable(error) from error
+
+
+def note(text: str) -> None:
+    """Print progress or advice on stderr; where nobody can read it, the work goes on."""
+    with contextlib.suppress(OSError):
+        sys.stderr.write(text + "\n")
+        sys.stderr.flush()
+
+
+def as_json(value: object) -> str:
+    """Return `value` as indented JSON, rows of numbers on one line; NaN and infinity are refused, not written."""
+    text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+    return _NUMBERS.sub(lambda match: " ".join(match[0].split()).replace("[ ", "[").replace(" ]", "]"), text)
+
+
+def shortened(expression: str, digits: int = 6) -> str:
+    """Return `expression` with its constants rounded to `digits` significant digits, without factors of 1."""
+    return _FACTOR_OF_ONE.sub("", _NUMBER.sub(lambda match: _rounded(match[0], digits), expression))
+
+
+def _rounded(number: str, digits: int) -> str:
+    return number if number.isdigit() else f"{float(number):.{digits}g}"
+
+
+def clipped(text: str, width: int) -> str:
+    """Return `text` in at most `width` characters."""
+    return text if len(text) <= width else text[: width - 1] + "…"
+
+
+def count(number: float | None) -> str:
+    """Return a large number in three digits, such as ``1.25e+06``; ``-`` for None."""
+    if number is None:
+        return "-"
+    return f"{number:.0f}" if number < 1000 else f"{number:.3g}"
+
+
+def error_text(error: float | None) -> str:
+    """Return an error in two digits; ``-`` for None."""
+    return "-" if error is None else f"{error:.1e}"
+
+
+def duration(seconds: float) -> str:
+    """Return seconds as a person reads them: ``4.2 s``, ``3:05``, ``2:10:00``."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return rows under their heads, left-aligned, two spaces between columns."""
+    lines = [tuple(heads), *(tuple(row) for row in rows)]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(heads))]
+    padded = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+    return "\n".join(line.rstrip() for line in padded)
+
+
+def refuse_existing_result(folder: Path) -> None:
+    """Raise UsageError when `folder` holds a result already, or cannot hold one."""
+    if (folder / "result.json").exists():
+        raise UsageError(f"{folder / 'result.json'} exists already; name another folder with --out, or remove it")
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file, but --out names a folder; name another one")
+
+
+def write_result(folder: Path, result: dict[str, Any]) -> Path:
+    """Write ``result.json`` into `folder`, whole or not at all; never over an existing one. Return its path.
+
+    Raises:
+        UsageError: there is a result already, or the folder cannot be written.
+    """
+    refuse_existing_result(folder)
+    path, draft = folder / "result.json", folder / ".result.json.part"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        draft.write_text(as_json(result) + "\n", "utf-8")
+        _publish(draft, path)
+    except FileExistsError:
+        raise UsageError(f"{path} exists already; name another folder with --out, or remove it") from None
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written ({error.strerror}); name another folder with --out") from error
+    return path
+
+
+def write_report(path: Path, result: dict[str, Any]) -> None:
+    """Write a result as a page, and say where; raises UsageError when it cannot be written."""
+    from atoll.model.saved import write_text
+    from atoll.report.page import as_html
+
+    write_text(path, as_html(result))
+    note(f"report in {path}")
+
+
+def _publish(draft: Path, path: Path) -> None:
+    """Give `draft` its name in one step; raises FileExistsError rather than replace another file."""
+    try:
+        path.hardlink_to(draft)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        draft.replace(path)
+    else:
+        draft.unlink()

@@ -1,0 +1,215 @@
+"""Live progress on stderr: a table that redraws itself on a terminal, otherwise a few plain lines now and then.
+
+The texts are pure functions of what the coordinator says of a job and its workers; the two displays only decide when
+and how they appear.
+"""
+
+import json
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, Final, Protocol
+
+from atoll.cli.terminal.output import clipped, count, duration, error_text, note, shortened
+from atoll_core.compilation.progress import count_of
+from atoll_core.wire.messages.views import FINAL_STATES, JobView, VariableView, WorkerView
+
+PLAIN_INTERVAL_S: Final = 5.0
+_PASSING: Final = re.compile(r"\b[0-9]+ (s\b|of [0-9]+ compiled)")
+_HEADS: Final = ("equation", "epoch", "error", "size", "best so far", "")
+
+
+class Display(Protocol):
+    """Shows a job's progress; a context manager."""
+
+    def __enter__(self) -> "Display": ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+        """Take notice of the latest state, seen at monotonic second `now`."""
+
+    def print_note(self, sentence: str) -> None:
+        """Show a sentence that stays."""
+
+
+def open_display(connect_hint: str) -> Display:
+    """Return the display that suits stderr. `connect_hint` is the command that starts a worker, "" if nobody need."""
+    return LiveDisplay(connect_hint) if is_screen() else PlainDisplay(connect_hint)
+
+
+def is_screen() -> bool:
+    """Tell whether stderr is a terminal on which a table can be redrawn."""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def headline(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> str:
+    """Return one line on the whole job: state, time, workers, speed, and what it waits for."""
+    parts = [f"job {view.job} {view.state}", duration(view.elapsed), _workers(view, workers)]
+    if view.point_evaluations:
+        parts.append(f"{count(view.point_evaluations)} point evaluations")
+    if view.point_evaluations_per_second and view.state not in FINAL_STATES:
+        parts.append(f"{count(view.point_evaluations_per_second)}/s")
+    waits = waiting(view, workers, connect_hint)
+    return ", ".join(parts) + (f"; {waits}" if waits else "")
+
+
+def _workers(view: JobView, workers: Sequence[WorkerView]) -> str:
+    number = view.workers or sum(worker.state != "lost" for worker in workers)
+    return "1 worker" if number == 1 else f"{number} workers"
+
+
+def waiting(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> str:
+    """Return what an unfinished job waits for, or where it stands still, if anywhere."""
+    if view.state in FINAL_STATES:
+        return ""
+    alive = [worker for worker in workers if worker.state != "lost"]
+    if not alive:
+        return f"no worker has joined; start one with: {connect_hint}" if connect_hint else "its workers are starting"
+    if all(worker.state == "compiling" for worker in alive):
+        details = sorted(worker.detail for worker in alive if worker.detail)  # "compiling …" before "waiting …"
+        return f"workers are getting ready: {details[0] if details else 'loading kernels'}"
+    return view.reason or (view.stalls[0] if view.stalls else "")
+
+
+def compiling(workers: Sequence[WorkerView]) -> list[tuple[int, int]]:
+    """Return for each worker that compiles the kernels how many of how many are compiled."""
+    counts = [count_of(worker.detail) for worker in workers if worker.state == "compiling"]
+    return [count for count in counts if count is not None]
+
+
+def row(variable: VariableView) -> tuple[str, ...]:
+    """Return the cells of one equation, as in the heads of the table."""
+    size = "-" if variable.complexity is None else str(variable.complexity)
+    best = shortened(variable.expression) if variable.expression else "-"
+    return (variable.lhs, str(variable.epoch), error_text(variable.normalized_error), size, best, standing(variable))
+
+
+def standing(variable: VariableView) -> str:
+    """Return in a word or two how the search of one equation stands; after it, how far the equation can be trusted."""
+    if variable.why == "known":
+        return "known"
+    if variable.verdict:
+        return variable.verdict
+    if variable.converged:
+        return "converged"
+    if not variable.finished:
+        return "searching" if variable.epoch else ""
+    return f"ended: {variable.why}" if variable.why else "ended"
+
+
+def plain_lines(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> list[str]:
+    """Return the lines of the plain display: the headline, then one for each equation with something to say."""
+    lines = [headline(view, workers, connect_hint)]
+    for variable in view.variables:
+        if not variable.epoch and not variable.finished:
+            continue
+        lhs, epoch, error, size, best, stand = row(variable)
+        ending = f"  ({stand})" if stand else ""
+        lines.append(f"  {lhs}  epoch {epoch}  error {error}  size {size}  {clipped(best, 90)}{ending}")
+    return lines
+
+
+def unmeasured(sentence: str) -> str:
+    """Return a sentence without its numbers of seconds and of kernels, so that it is the same a second later."""
+    return _PASSING.sub("", sentence)
+
+
+class PlainDisplay:
+    """Plain lines: whenever the state of the job or of an equation changes, and every few seconds."""
+
+    def __init__(self, connect_hint: str, write: Callable[[str], None] = note) -> None:
+        self._hint = connect_hint
+        self._write = write
+        self._shown: tuple[object, ...] = ()
+        self._due = 0.0
+
+    def __enter__(self) -> "PlainDisplay":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+        """Write the lines when there is something to say."""
+        standings = tuple((variable.finished, variable.converged) for variable in view.variables)
+        state = (view.state, standings, unmeasured(waiting(view, workers, self._hint)))
+        if state == self._shown and now < self._due:
+            return
+        self._shown, self._due = state, now + PLAIN_INTERVAL_S
+        for line in plain_lines(view, workers, self._hint):
+            self._write(line)
+
+    def print_note(self, sentence: str) -> None:
+        """Write the sentence."""
+        self._write(sentence)
+
+
+class JsonDisplay:
+    """One JSON object a line for every state that differs from the one before; sentences go to stderr."""
+
+    def __init__(self, write: Callable[[str], None]) -> None:
+        self._write = write
+        self._shown: JobView | None = None
+
+    def __enter__(self) -> "JsonDisplay":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+        """Write the view, unless only time has passed."""
+        del workers, now
+        timeless = view.model_copy(update={"elapsed": 0.0, "point_evaluations_per_second": None})
+        if timeless != self._shown:
+            self._shown = timeless
+            self._write(json.dumps(view.model_dump(mode="json"), ensure_ascii=False))
+
+    def print_note(self, sentence: str) -> None:
+        """Write the sentence on stderr."""
+        note(sentence)
+
+
+class LiveDisplay:
+    """A table that stays in its place on a terminal; what was last shown remains."""
+
+    def __init__(self, connect_hint: str) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        self._hint = connect_hint
+        self._live = Live(console=Console(stderr=True), auto_refresh=False)
+
+    def __enter__(self) -> "LiveDisplay":
+        self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+        """Redraw the table."""
+        self._live.update(self._table(view, workers), refresh=True)
+
+    def print_note(self, sentence: str) -> None:
+        """Print the sentence above the table."""
+        self._live.console.print(sentence, markup=False, highlight=False)
+
+    def _table(self, view: JobView, workers: Sequence[WorkerView]) -> Any:
+        from rich import box
+        from rich.console import Group
+        from rich.progress_bar import ProgressBar
+        from rich.table import Table
+        from rich.text import Text
+
+        grid = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+        for head in _HEADS:
+            grid.add_column(head, justify="right" if head in ("epoch", "size") else "left", overflow="fold")
+        for variable in view.variables:
+            is_found = variable.verdict in ("exact", "good") if variable.verdict else variable.converged
+            style = "green" if is_found else ""
+            grid.add_row(*(Text(cell) for cell in row(variable)), style=style)
+        bar = [ProgressBar(total=each[1], completed=each[0], width=40) for each in compiling(workers)]
+        return Group(Text(headline(view, workers, self._hint)), *bar, *([grid] if view.variables else []))

@@ -1,0 +1,99 @@
+"""``coordinator export``: the model of a saved result in the formats of other programs."""
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from atoll.cli.exit_codes import DONE
+from atoll.cli.terminal.output import note, say
+from atoll.cli.verbs.simulate import Given, held_inputs, load, times_of, write
+from atoll.model.model import Model
+from atoll.model.saved import read_result
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+
+
+def export(options: argparse.Namespace) -> int:
+    """Write the model of ``options.result`` in ``options.format``. Return the exit code."""
+    from atoll.model.export.content import held_at_zero
+    from atoll.model.export.formats import PETAB, format_of
+
+    if options.format == PETAB:
+        _write_petab(_chosen(load(options.result, options.group), options), options)
+        return DONE
+    if options.data is not None:
+        raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
+    its = format_of(options.format)
+    if its.of_result is not None:
+        _write(its.of_result(_result(options)), options)
+        return DONE
+    model = _chosen(load(options.result, options.group), options)
+    beginning = _beginning(model, options)
+    _write(model.export(options.format, **beginning), options)
+    for each in held_at_zero(model, beginning.get("x0"), beginning.get("u"), its.without_tables):
+        note(f"coordinator: {each}; give --hold{'' if its.without_tables else ' or --initial FILE'}")
+    return DONE
+
+
+def _write(text: str, options: argparse.Namespace) -> None:
+    if options.output is None:
+        say(text.removesuffix("\n"))
+    else:
+        write(Path(options.output), text)
+
+
+def _result(options: argparse.Namespace) -> Mapping[str, Any]:
+    """Return the content of the result, which need not be a model unless a group or other equations are chosen."""
+    if options.group is None and options.candidate is None and not options.pick:
+        return read_result(options.result)
+    return _chosen(load(options.result, options.group), options).result
+
+
+def _chosen(model: Model, options: argparse.Namespace) -> Model:
+    """Return the model that is asked for: the one that was selected, members of fronts, or a candidate."""
+    if options.pick and options.candidate is not None:
+        raise UsageError("--pick and --candidate both choose equations; give one of them")
+    if options.candidate is not None:
+        its = model.candidates
+        if options.candidate > len(its):
+            raise UsageError(f"--candidate {options.candidate} is not there: the result has {len(its)} candidates")
+        number: int = options.candidate
+        return its[number - 1]
+    if options.pick:
+        from atoll.text.render import parse_picks, pick
+
+        kept = {"simulation": model.result.get("simulation")}  # where a simulation begins belongs to the data
+        return Model({**pick(model.result, parse_picks(options.pick)), **kept, "covariance": None})
+    return model
+
+
+def _beginning(model: Model, options: argparse.Namespace) -> dict[str, Any]:
+    """Return initial state, times and inputs, as far as options tell them."""
+    if model.is_regression:
+        return {}
+    given = Given(model, options.initial)
+    is_told = options.until is not None or options.step is not None or given.times is not None
+    times = times_of(model, given, options) if is_told else None
+    inputs: dict[str, Any] = {} if times is None else dict(given.inputs(times) or {})
+    return {"x0": given.state, "t": times, "u": inputs | held_inputs(model, options.hold)}
+
+
+def _write_petab(model: Model, options: argparse.Namespace) -> None:
+    if options.output is None:
+        raise UsageError("petab is a folder of several files; name it with -o FOLDER")
+    model.to_petab(options.output, None if options.data is None else _trajectories(model, options.data))
+
+
+def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArray]]:
+    """Return the measured columns of files, trajectory by trajectory, read as the result's own were."""
+    from atoll_coordinator.data.reading.files import read_table
+    from atoll_coordinator.data.roles.roles import assign_roles
+    from atoll_coordinator.data.trajectories.measurements import take_measurements
+    from atoll_core.config import DataConfig
+
+    config = DataConfig.model_validate((model.provenance["config"] or {}).get("data") or {})
+    table = read_table([Path(each) for each in files], config)
+    roles, config = assign_roles(table, config)
+    its = take_measurements(table, roles, config)
+    return [{name: column[first:last] for name, column in its.columns.items()} for first, last in its.ranges]

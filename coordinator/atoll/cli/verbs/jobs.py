@@ -1,0 +1,147 @@
+"""The verbs that look at, cancel or delete jobs: ``jobs``, ``status``, ``workers``, ``cancel``, ``delete``."""
+
+import argparse
+from collections.abc import Sequence
+from typing import Final
+
+from atoll.cli.exit_codes import DONE
+from atoll.cli.request import CONNECT_LIMIT_S, address_of
+from atoll.cli.signals import raising_interrupts
+from atoll.cli.terminal.follow import NOTHING_FOUND, Follower, ending, exit_code, has_found
+from atoll.cli.terminal.output import as_json, clipped, count, duration, note, say, table
+from atoll.cli.terminal.progress import (
+    Display,
+    JsonDisplay,
+    LiveDisplay,
+    PlainDisplay,
+    is_screen,
+    plain_lines,
+)
+from atoll.cli.terminal.workers import coordinator_lines, worker_table
+from atoll.client import Client, connected
+from atoll_core.config import Model
+from atoll_core.errors import UsageError
+from atoll_core.wire.addresses import Destination
+from atoll_core.wire.messages.views import FINAL_STATES, JobView, WorkerView
+
+_SHOWN: Final = 20
+"""Jobs under way that are named when one is to be chosen."""
+
+
+def jobs(options: argparse.Namespace) -> int:
+    """List all jobs, or those whose id begins with ``options.job``, or the ``options.last`` of them."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        views = client.jobs(options.job or "", last=options.last)
+    say(_json(views) if options.json else _job_table(views))
+    return DONE
+
+
+def status(options: argparse.Namespace) -> int:
+    """Show one job, or all that have not ended; with ``--follow`` one, until it ends, with its exit code."""
+    address = address_of(options)
+    if options.follow:
+        return _follow(options, address)
+    with connected(address, CONNECT_LIMIT_S) as client:
+        views = client.jobs(is_open=True) if options.job is None else [client.status(client.resolve(options.job))]
+        workers = client.workers()
+    if options.json:
+        say(_json(views) if options.job is None else as_json(views[0].model_dump(mode="json")))
+    else:
+        hint = f"island-worker --connect {address}"
+        say("\n\n".join(_status_text(view, workers, hint) for view in views) or "no job is under way")
+    return DONE
+
+
+def _follow(options: argparse.Namespace, address: Destination) -> int:
+    """Show a job, the only one under way unless it is named, whenever it changes; return its exit code."""
+    with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
+        job = _only_open_job(client) if options.job is None else client.resolve(options.job)
+        with _display(options, f"island-worker --connect {address}") as display:
+            view = Follower(client, job, display).follow()
+    sentence = ending(view, view.target_error)
+    if sentence:
+        note(f"coordinator: {sentence}")
+    return exit_code(view, view.target_error)
+
+
+def _display(options: argparse.Namespace, hint: str) -> Display:
+    if options.json:
+        return JsonDisplay(say)
+    return LiveDisplay(hint) if is_screen() else PlainDisplay(hint, say)
+
+
+def workers(options: argparse.Namespace) -> int:
+    """List all workers, or those whose name begins with ``options.job``; or show the coordinator's own counters."""
+    address = address_of(options)
+    with connected(address, CONNECT_LIMIT_S) as client:
+        views = [view for view in client.workers() if view.worker.startswith(options.job or "")]
+        own = client.coordinator() if options.coordinator else None
+    if options.coordinator:
+        say(as_json(own.model_dump(mode="json") if own else None) if options.json else coordinator_lines(own))
+    elif options.json:
+        say(_json(views))
+    else:
+        say(worker_table(views) if views else f"no worker is here; start one with: island-worker --connect {address}")
+    return DONE
+
+
+def cancel(options: argparse.Namespace) -> int:
+    """End a job, the only one under way unless it is named; its best equations stay."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        job = _only_open_job(client) if options.job is None else client.resolve(options.job)
+        had_ended = client.status(job).state in FINAL_STATES
+        view = client.cancel(job)
+    if options.json:
+        say(as_json(view.model_dump(mode="json")))
+    elif had_ended:
+        say(f"job {job} had ended already: {view.state}")
+    else:
+        found = f"; its best equations: coordinator result {job}" if has_found(view) else NOTHING_FOUND
+        say(f"job {job} is cancelled{found}")
+    return DONE
+
+
+def delete(options: argparse.Namespace) -> int:
+    """Delete a job that has ended."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        job = client.resolve(options.job)
+        client.delete(job)
+    say(as_json({"deleted": job}) if options.json else f"job {job} is deleted")
+    return DONE
+
+
+def _only_open_job(client: Client) -> str:
+    views = client.jobs(is_open=True, last=_SHOWN + 1)
+    if len(views) != 1:
+        there = ", ".join(view.job for view in views[-_SHOWN:]) or "none"
+        there += " and others" if len(views) > _SHOWN else ""
+        raise UsageError(f"which job is meant? name one of those under way: {there}")
+    return views[0].job
+
+
+def _json(views: Sequence[Model]) -> str:
+    return as_json([view.model_dump(mode="json") for view in views])
+
+
+def _status_text(view: JobView, workers: Sequence[WorkerView], hint: str) -> str:
+    notes = [f"  stands still: {stall}" for stall in view.stalls]
+    notes += [f"  note: {warning}" for warning in view.warnings]
+    return "\n".join([*plain_lines(view, workers, hint), *notes])
+
+
+def _job_table(views: Sequence[JobView]) -> str:
+    if not views:
+        return "no job is here; give one with: coordinator submit DATA"
+    rows = [
+        (view.job, clipped(view.name, 24), view.state, str(view.priority), duration(view.elapsed), *_measures(view))
+        for view in views
+    ]
+    heads = ("ID", "NAME", "STATE", "PRIORITY", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND", "NOTE")
+    return table(heads, rows)
+
+
+def _measures(view: JobView) -> tuple[str, ...]:
+    epochs = ",".join(str(variable.epoch) for variable in view.variables) or "-"
+    found = sum(variable.converged for variable in view.variables)
+    note = clipped(view.reason or (view.stalls[0] if view.stalls else ""), 70)
+    return str(view.workers), epochs, count(view.point_evaluations), f"{found} of {len(view.variables)}", note

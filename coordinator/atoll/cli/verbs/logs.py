@@ -1,0 +1,62 @@
+"""``coordinator logs``: what happened to a job, or at all, as the coordinator noted it."""
+
+import argparse
+import json
+from collections.abc import Iterable
+from typing import Final
+
+from atoll.cli.exit_codes import DONE
+from atoll.cli.request import CONNECT_LIMIT_S, address_of
+from atoll.cli.signals import raising_interrupts
+from atoll.cli.terminal.output import as_json, say
+from atoll.client import Client, connected
+from atoll_core.wire.messages.views import FINAL_STATES, EventView
+
+_INTERVAL_S: Final = 0.5
+_PAGE: Final = 500
+
+
+def logs(options: argparse.Namespace) -> int:
+    """Show the last events of a job, or of everything; with ``--follow`` also those to come, until the job ends."""
+    with raising_interrupts(), connected(address_of(options), CONNECT_LIMIT_S) as client:
+        job = client.resolve(options.job) if options.job is not None else None
+        events = client.events(job, 0, options.lines)
+        if not options.follow:
+            say(as_json([event.model_dump(mode="json") for event in events]) if options.json else _text(events, job))
+            return DONE
+        _show(events, options.json)
+        return _follow(client, job, events[-1].number if events else 0, options.json)
+
+
+def _follow(client: Client, job: str | None, last: int, as_objects: bool) -> int:
+    """Show what comes, until the job has ended and all of it has been shown."""
+    while True:
+        is_over = job is not None and client.status(job).state in FINAL_STATES
+        while events := client.events(job, last, _PAGE) if last else client.events(job, 0, _PAGE):
+            last = events[-1].number
+            _show(events, as_objects)
+        if is_over:
+            return DONE
+        client.pause(_INTERVAL_S)
+
+
+def _show(events: Iterable[EventView], as_objects: bool) -> None:
+    """Print events one by one; as JSON, one object a line."""
+    for event in events:
+        say(json.dumps(event.model_dump(mode="json"), ensure_ascii=False) if as_objects else line(event))
+
+
+def _text(events: Iterable[EventView], job: str | None) -> str:
+    nothing = f"nothing is noted of job {job}" if job is not None else "nothing is noted yet"
+    return "\n".join(line(event) for event in events) or nothing
+
+
+def line(event: EventView) -> str:
+    """Return an event on one line: when, what, whose, in words, where."""
+    place = [
+        ("job", event.job), ("variable", event.variable), ("term", event.term), ("epoch", event.epoch),
+        ("island", event.island), ("worker", event.worker),
+    ]  # fmt: skip
+    where = " ".join(f"{name}={value}" for name, value in place if value is not None)
+    when = event.time.replace("T", " ")[:23]
+    return f"{when}  {event.event:13}  {event.text}" + (f"  [{where}]" if where else "")

@@ -1,0 +1,27 @@
+"""``coordinator ping``: does the coordinator answer? For people, and for probes, which ask twice a minute."""
+
+import argparse
+import time
+
+from atoll.cli.exit_codes import DONE
+from atoll.cli.request import address_of
+from atoll.cli.terminal.output import as_json, say
+from atoll.client import connected
+
+
+def ping(options: argparse.Namespace) -> int:
+    """Greet the coordinator and say how long it took; UnreachableError when it did not answer in ``options.wait``.
+
+    The answer comes from the loop that all else goes through, which a coordinator that hangs does not turn.
+    """
+    address = address_of(options)
+    began = time.monotonic()
+    with connected(address, options.wait) as client:
+        seconds, welcome = time.monotonic() - began, client.welcome
+    assert welcome is not None
+    its = {"version": welcome.version, "incarnation": welcome.incarnation, "seconds": seconds}
+    text = (
+        f"coordinator {welcome.version} at {address} answers, in {1000 * seconds:.0f} ms (start {welcome.incarnation})"
+    )
+    say(as_json(its) if options.json else text)
+    return DONE

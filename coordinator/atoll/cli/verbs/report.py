@@ -1,0 +1,68 @@
+"""``coordinator report``: a saved result as one HTML page that needs neither network nor script."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from atoll.cli.exit_codes import DONE
+from atoll.cli.terminal.output import REPORT, note
+from atoll.model.model import Model
+from atoll.model.saved import read_result, write_text
+from atoll.report.page import as_text, build_page, pictures
+from atoll_core.errors import AtollError, UsageError
+
+
+def report(options: argparse.Namespace) -> int:
+    """Write the page of each of ``options.result``, and its pictures if they are wanted. Return the exit code.
+
+    Of several, one that cannot be read keeps no other from its page; the exit code is that of the first such one.
+    """
+    paths = [Path(name) for name in options.result]
+    if len(paths) == 1:
+        _write(paths[0], options)
+        return DONE
+    _refuse_one_place(paths, options)
+    code = DONE
+    for path in paths:
+        try:
+            _write(path, options)
+        except AtollError as error:
+            note(f"coordinator: {error.on_command_line}")
+            code = code or error.exit_code
+    return code
+
+
+def _refuse_one_place(paths: Sequence[Path], options: argparse.Namespace) -> None:
+    """Raise UsageError where several pages would be written to one place."""
+    for option, place in (("--output", options.output), ("--pictures", options.pictures)):
+        if place is not None:
+            raise UsageError(f"{option} names one place, but {len(paths)} results were given; leave it out")
+    pages = [_page(path) for path in paths]
+    twice = next((page for page in pages if pages.count(page) > 1), None)
+    if twice is not None:
+        raise UsageError(f"two of these results would be written to {twice}; give them one by one, with --output")
+
+
+def _page(path: Path) -> Path:
+    """Return where the page of a result is written unless --output says otherwise."""
+    return (path if path.is_dir() else path.parent) / REPORT
+
+
+def _write(path: Path, options: argparse.Namespace) -> None:
+    output = _page(path) if options.output is None else Path(options.output)
+    found = read_result(path)
+    page = build_page(found if options.group is None else Model(found).of_group(options.group).result)
+    write_text(output, as_text(page))
+    note(f"report in {output}")
+    if options.pictures is not None:
+        _write_pictures(Path(options.pictures), pictures(page))
+
+
+def _write_pictures(folder: Path, drawn: dict[str, str]) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"the folder {folder} cannot be made ({error.strerror}); name another") from error
+    for name, text in drawn.items():
+        write_text(folder / name, text)
+    note(f"{len(drawn)} pictures in {folder}")

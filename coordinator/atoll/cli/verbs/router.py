@@ -1,0 +1,107 @@
+"""``coordinator router``: a router without a coordinator.
+
+For a site of its own: workers dial their site's router, which alone dials the central one. Or in front of a
+coordinator (`serve --router`), so that connections stay while that one is restarted.
+"""
+
+import argparse
+import logging
+import os
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from atoll.cli.exit_codes import DONE
+from atoll.cli.signals import stopping
+from atoll.cli.terminal.output import note, say
+from atoll.cli.verbs.serve import addresses_of, roster_of, warnings_of
+from atoll_core import VERSION
+from atoll_core.errors import RefusedError, UnreachableError
+from atoll_core.logs import configure, fields
+from atoll_core.wire.addresses import Destination, destination, parse_address
+from atoll_core.wire.connect_file import announced
+from atoll_core.wire.security.access_control import Roster
+from atoll_core.wire.security.credentials import credentials_of
+
+if TYPE_CHECKING:
+    from atoll_core.wire.bus.zenoh_bus import ZenohBus
+
+_LOG = logging.getLogger(__name__)
+
+CHECK_INTERVAL_S: Final = 5.0
+"""How often a coordinator is looked for until it is found, and after it was lost."""
+
+CHECK_LIMIT_S: Final = 1.0
+_REMIND_S: Final = 60.0
+
+
+def router(options: argparse.Namespace) -> int:
+    """Pass messages on until SIGTERM or Ctrl-C; return 0."""
+    credentials = credentials_of(vars(options), os.environ, "serve")
+    wanted = destination(options.listen, credentials)
+    upstream = [str(destination(each, credentials)) for each in options.connect]
+    roster = roster_of(options.roster, wanted)
+    configure(options.log_format, options.log_level)
+    from atoll_core.wire.bus.zenoh_bus import open_router
+
+    stop = threading.Event()
+    with stopping(stop), open_router(wanted, upstream_settings(upstream), roster) as bus:
+        here = Destination(parse_address(bus.endpoint), credentials)
+        with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
+            say(greeting(here, upstream, roster))
+            _CoordinatorCheck(bus, credentials.name if credentials is not None else "client").run(stop)
+    note("coordinator router: stopped")
+    return DONE
+
+
+def upstream_settings(upstream: list[str]) -> dict[str, object]:
+    """Return the settings of a router that keeps dialling others and does not wait for them."""
+    if not upstream:
+        return {}
+    return {"connect/endpoints": upstream, "connect/timeout_ms": -1, "connect/exit_on_failure": False}
+
+
+def greeting(here: Destination, upstream: list[str], roster: Roster | None = None) -> str:
+    """Return what a person needs who wants to use this router."""
+    passes = f", passes on to {', '.join(upstream)}" if upstream else ""
+    lines = [f"router of Atoll {VERSION} listens on {here}{passes}", "start a worker with:"]
+    lines += [f"  island-worker --connect {address}" for address in addresses_of(here)]
+    if not upstream:
+        lines += ["start a coordinator with:", f"  coordinator serve --router {addresses_of(here)[0]} --state DIR"]
+    return "\n".join([*lines, *warnings_of(here, roster)])
+
+
+class _CoordinatorCheck:
+    """Logs when a coordinator is there, and when it is not: a router without one is of no use."""
+
+    def __init__(self, bus: "ZenohBus", bearer: str) -> None:
+        self._bus = bus
+        self._bearer = bearer
+        self._realm: str | None = None
+        self._reminded_at = -_REMIND_S
+
+    def run(self, stop: threading.Event) -> None:
+        while not stop.is_set():
+            self._check()
+            stop.wait(CHECK_INTERVAL_S)
+
+    def _check(self) -> None:
+        realm = coordinator_behind(self._bus, self._bearer)
+        now = time.monotonic()
+        if realm is not None and realm != self._realm:
+            _LOG.info("coordinator found", extra=fields(realm=realm))
+        elif realm is None and (self._realm is not None or now - self._reminded_at >= _REMIND_S):
+            _LOG.warning("no coordinator answers behind this router yet")
+            self._reminded_at = now
+        self._realm = realm
+
+
+def coordinator_behind(bus: Any, bearer: str = "client") -> str | None:
+    """Return the realm of the coordinator that answers on `bus`; None when there is none, or none that we know."""
+    from atoll.client import Client
+
+    try:
+        return Client(bus, "this router", bearer).greet(CHECK_LIMIT_S)
+    except (UnreachableError, RefusedError):
+        return None

@@ -1,0 +1,91 @@
+"""``coordinator run``: everything on this machine, through a real router, as on any number of machines.
+
+The workers and the process that prepares the data are started first of all, and only then is loaded what this process
+needs itself: each takes about half a second.
+"""
+
+import argparse
+import contextlib
+import logging
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
+from atoll.cli.local.workers import LocalWorkers
+from atoll.cli.options.names import job_id
+from atoll.cli.signals import raising_interrupts
+from atoll.cli.terminal.output import refuse_existing_result
+from atoll_coordinator.service.background.child_main import load_preparation
+from atoll_coordinator.service.background.process_pool import ProcessPool
+from atoll_core.errors import DataError, UsageError
+from atoll_core.logs import configure
+from atoll_core.machine.cores import usable_cores
+from atoll_core.wire.addresses import own_address
+
+_WORKER_LOG: Final = "workers.log"
+_COORDINATOR_LOG: Final = "coordinator.log"
+
+
+def run(options: argparse.Namespace) -> int:
+    """Search the equations behind ``options.data``; return the exit code."""
+    started = time.monotonic()
+    if options.dry_run:
+        from atoll.cli.request import request_of
+
+        return request_of(options).rehearse()
+    options.id = job_id(options.id)
+    folder = Path(options.out) if options.out is not None else Path("runs") / options.id
+    refuse_existing_result(folder)
+    with _log_in(folder):
+        try:
+            code = _run(options, folder, started)
+        except (UsageError, DataError, KeyboardInterrupt):
+            _remove_logs(folder)
+            raise
+        if code in (BAD_INPUT, INTERRUPTED):
+            _remove_logs(folder)
+    return code
+
+
+def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
+    number = options.workers or usable_cores(os.environ)[0]
+    with (
+        raising_interrupts(),
+        own_address() as address,
+        LocalWorkers(str(address), number, folder / _WORKER_LOG) as workers,
+        contextlib.closing(ProcessPool()) as pool,
+    ):
+        pool.preload(load_preparation)
+        from atoll.cli.local.local_run import LocalRun
+
+        return LocalRun(options, folder, str(address), workers, pool, started).run()
+
+
+@contextlib.contextmanager
+def _log_in(folder: Path) -> Iterator[None]:
+    """Make the folder and send the coordinator's log there while the block lasts; raises UsageError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        log = logging.FileHandler(folder / _COORDINATOR_LOG, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            f"the folder {folder} cannot be written ({error.strerror}); name another with --out"
+        ) from error
+    configure(handler=log)
+    try:
+        yield
+    finally:
+        configure(handler=logging.NullHandler())  # the file may be gone
+
+
+def _remove_logs(folder: Path) -> None:
+    """Leave no trace of a run that had nothing to keep."""
+    if (folder / "result.json").exists():
+        return
+    for name in (_WORKER_LOG, _COORDINATOR_LOG):
+        (folder / name).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # something else is in there
+        folder.rmdir()

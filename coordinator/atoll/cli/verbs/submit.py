@@ -1,0 +1,78 @@
+"""``coordinator submit``: give a job to a coordinator and follow it; leaving early leaves the job running."""
+
+import argparse
+from pathlib import Path
+
+from atoll.cli.exit_codes import DONE, INTERRUPTED
+from atoll.cli.request import CONNECT_LIMIT_S, Request, address_of, request_of
+from atoll.cli.signals import raising_interrupts
+from atoll.cli.terminal.follow import Follower
+from atoll.cli.terminal.output import REPORT, note, refuse_existing_result, say, write_report, write_result
+from atoll.cli.terminal.progress import open_display, waiting
+from atoll.client import Client, connected
+from atoll_core.errors import UsageError
+from atoll_core.wire.addresses import Destination
+from atoll_core.wire.messages.views import FINAL_STATES, JobView
+
+
+def submit(options: argparse.Namespace) -> int:
+    """Submit ``options.data`` as a job; return the exit code of the job unless told not to wait for it."""
+    request = request_of(options)
+    if options.dry_run:
+        return request.rehearse()
+    address = address_of(options)
+    folder = Path(options.out) if options.out is not None else None
+    if folder is not None and options.no_wait:
+        raise UsageError("--out and --no-wait contradict each other: there is no result yet; fetch it later")
+    if options.report and (folder is None or options.no_wait):
+        raise UsageError("--report writes a page beside the result, so it needs --out and the wait for the result")
+    if folder is not None:
+        refuse_existing_result(folder)
+    with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
+        try:
+            view = request.submit(client, request.read())
+        except KeyboardInterrupt:
+            note(f"interrupted before job {request.job} was known to be taken in: {_look(request, address)}")
+            return INTERRUPTED
+        if options.no_wait:
+            _say_what_it_waits_for(view, client, address)
+            say(request.job)
+            return DONE
+        return _follow_to_result(request, client, address, folder, has_report=options.report)
+
+
+def _look(request: Request, address: Destination) -> str:
+    """Return the command that tells how the job is getting on."""
+    return f"coordinator status {request.job} --connect {address}"
+
+
+def _say_what_it_waits_for(view: JobView, client: Client, address: Destination) -> None:
+    """Tell somebody who leaves now what keeps the job from being searched at once, if anything does."""
+    if view.state in FINAL_STATES:
+        note(f"job {view.job} is known, and has ended: {view.state}")
+    elif waits := waiting(view, client.workers(), f"island-worker --connect {address}"):
+        note(f"job {view.job} {view.state}; {waits}")
+
+
+def _follow_to_result(
+    request: Request, client: Client, address: Destination, folder: Path | None, *, has_report: bool
+) -> int:
+    try:
+        view = _follow(request, client, address)
+    except KeyboardInterrupt:
+        note(f"detached; the job goes on: {_look(request, address)}")
+        return INTERRUPTED
+    result = request.result(client, view)
+    if result is not None:
+        if folder is not None:
+            note(f"result in {write_result(folder, result)}")
+        request.show(result)
+        if has_report and folder is not None:
+            write_report(folder / REPORT, result)
+    return request.finish(view)
+
+
+def _follow(request: Request, client: Client, address: Destination) -> JobView:
+    with open_display(f"island-worker --connect {address}") as display:
+        display.print_note(f"job {request.job} submitted; Ctrl-C detaches and leaves it running")
+        return Follower(client, request.job, display).follow()

@@ -1,0 +1,273 @@
+"""Possible experiments, what each candidate foretells of them, and what is expected of their outcome.
+
+An experiment is one trajectory from an initial state, measured at given times with errors like those of the data. What
+a candidate foretells is Gaussian to first order: its simulation, with the errors of its constants. Initial states are
+fitted, so that a difference that a shift of them explains, within their bounds, is worth nothing.
+
+With the differences d of two candidates i and j in standard errors of the measurements, and the covariances S of what
+each foretells, the discrepancy is d' (S_i + S_j)^-1 d (Buzzi-Ferraris & Forzatti 1983, Chem. Eng. Sci. 38:225); a
+quarter of it is the Bhattacharyya distance B_ij of both. The information expected about which candidate is right is at
+least -sum_i w_i ln sum_j w_j exp(-B_ij) (Kolchinsky & Tracey 2017, Entropy 19:361), in nats and at most the entropy of
+the weights w. The evidence expected for the right candidate, sum_i w_i sum_j w_j/(1 - w_i) 4 B_ij nats, is that of Box
+and Hill (1967) where spreads are alike; Hunter & Reiner (1965) have it without errors of constants. Experiments are
+ranked by it, of each pair as much as decides.
+
+The best experiments are looked at without that approximation: what candidate i foretells is added to the data, and
+candidate j fitted to all of it. The deviance that this costs j stands in the place of the discrepancy, with 8 B_ij for
+it as before.
+
+What an experiment tells of the constants of one candidate is 1/2 ln det(1 + C F), with their covariance C and its
+information F (Lindley 1956; D-optimality). Letters: D states, U inputs, P constants, O measured states, n rows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from atoll.experiments.systems import Fitted
+from atoll_coordinator.model.shooting.kernels.implicit import STIFF
+from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, integrate_segments
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """An experiment: `initial` (D,) and constant `inputs` (U,), measured at `times` (n,) from that of `initial` on.
+
+    `clock` are the inputs (by index) that are the time.
+    """
+
+    initial: FloatArray
+    inputs: FloatArray
+    times: FloatArray
+    clock: tuple[int, ...] = ()
+
+    def courses(self) -> tuple[FloatArray, FloatArray]:
+        """Return the inputs at the times (U, n), and their slopes."""
+        inputs = np.repeat(self.inputs[:, None], len(self.times), axis=1)
+        slopes = np.zeros_like(inputs)
+        for index in self.clock:
+            inputs[index], slopes[index] = self.times, 1.0
+        return inputs, slopes
+
+
+@dataclass(frozen=True, eq=False)
+class Foretold:
+    """What a candidate foretells of an experiment, in standard errors of the measurements.
+
+    `values` (n, O) are those of the measured states; `spread` (n, O, P + D) are their derivatives by the constants
+    times the root of the constants' covariance, then those by the initial state times the widths of its bounds. The
+    first `reached` rows come before the model runs away.
+    """
+
+    values: FloatArray
+    spread: FloatArray
+    reached: int
+
+
+class Foreteller:
+    """Simulates a candidate at experiments.
+
+    `widths` (D,) are those of the bounds of initial states, `limits` (D, 2) where a state has run away, `sigmas` (O,)
+    the errors of a measurement.
+    """
+
+    def __init__(self, fitted: Fitted, widths: FloatArray, limits: FloatArray, sigmas: FloatArray) -> None:
+        self._fitted, self._widths = fitted, widths
+        self._limits, self._sigmas = np.ascontiguousarray(limits), sigmas
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """A root (P, P) of the covariance of the constants, which are known beforehand to within their own size."""
+        sizes = np.abs(self._fitted.values)
+        sizes = np.maximum(sizes, 1e-12 * max(float(sizes.max(initial=0.0)), 1e-280))
+        unit = np.nan_to_num(self._fitted.fit.reduced) * np.outer(sizes, sizes) + np.eye(len(sizes))
+        known, directions = _axes(unit, 1.0)
+        return np.asarray(sizes[:, None] * directions / np.sqrt(known))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """The covariance (P, P) of the constants."""
+        return self.root @ self.root.T
+
+    def at(self, design: Design) -> Foretold:
+        """Return what the candidate foretells of an experiment."""
+        its, fit = self._fitted.measured.measurements, self._fitted.fit
+        states, count, rows = len(its.scales), len(fit.system.places), len(design.times)
+        inputs, slopes = design.courses()
+        simulated, gradients = np.full((states, rows), np.nan), np.zeros((rows, states, count + states))
+        integrate_segments(
+            STIFF if fit.is_stiff else PRECISE, fit.system.tape, fit.system.owners, (design.times, inputs, slopes),
+            np.array([[0, rows]], dtype=np.int64), np.ascontiguousarray(design.initial[None]),
+            self._fitted.estimator.tolerance * its.scales, self._limits,
+            200 + SETTINGS.shooting.steps_per_row * rows, True, simulated, gradients, np.zeros(1, dtype=np.int64),
+        )  # fmt: skip
+        reached = int(np.isfinite(simulated).all(axis=0).sum())
+        by_all = gradients[:, its.observed] / self._sigmas[:, None]
+        spread = np.concatenate([by_all[..., :count] @ self.root, by_all[..., count:] * self._widths], axis=2)
+        return Foretold(simulated[its.observed].T / self._sigmas, spread, reached)
+
+
+def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues and eigenvectors of a symmetric matrix; below `least` they are by rounding alone.
+
+    What is told of constants may differ by more than rounding lets an inverse be taken.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.maximum(values, least), np.asarray(vectors)
+
+
+def discrepancy(one: Foretold, other: Foretold) -> float:
+    """Return d' (S_i + S_j)^-1 d of two candidates, over the rows that both reach."""
+    rows = min(one.reached, other.reached)
+    difference = (one.values[:rows] - other.values[:rows]).ravel()
+    spread = np.concatenate([one.spread[:rows], other.spread[:rows]], axis=2).reshape(len(difference), -1)
+    if not rows or not np.isfinite(spread).all():
+        return 0.0
+    known, directions = _axes(spread.T @ spread, 0.0)
+    along = directions.T @ (spread.T @ difference)
+    explained = float((along**2 / (2.0 + known)).sum())
+    return max(0.5 * (float(difference @ difference) - explained), 0.0)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What is expected of an experiment, in nats.
+
+    `information` is that about which candidate is right, or about the constants of one; `evidence` what the right
+    candidate gains on the others. `worth` is what experiments are ranked by.
+    """
+
+    information: float
+    evidence: float
+    worth: float
+
+
+NONE: Final = Gain(0.0, 0.0, 0.0)
+FARTHEST: Final = 500.0
+"""Bhattacharyya distance of a candidate that cannot be simulated along an experiment: exp(-500) is nothing."""
+
+
+def needed(lengths: Sequence[float]) -> FloatArray:
+    """Return how many nats of evidence are useful for candidate i against j, by description lengths so far.
+
+    As many as it takes for i to be shorter by what is called distinct, and two standard deviations more: evidence of
+    the mean k has the variance 2 k. More is worth nothing.
+    """
+    behind = np.maximum(np.subtract.outer(lengths, lengths), 0.0) + SETTINGS.inference.distinct_nats
+    return np.asarray(behind + 2.0 * np.sqrt(2.0 * behind))
+
+
+def told(distances: FloatArray, weights: Sequence[float], useful: FloatArray) -> Gain:
+    """Return what is expected of an experiment with these Bhattacharyya distances of all pairs of candidates.
+
+    Its worth is the evidence, of each pair as much as is `useful`.
+    """
+    shares = np.asarray(weights)
+    kept = np.flatnonzero(shares > 0.0)  # a candidate that the data have excluded tells nothing: 0 ln 0 = 0
+    shares, distances, useful = shares[kept], distances[np.ix_(kept, kept)], useful[np.ix_(kept, kept)]
+    information = -float(shares @ np.log(np.exp(-distances) @ shares))
+    pairs = np.outer(shares, shares) / np.maximum(1.0 - shares, 1e-300)[:, None]
+    evidence = 4.0 * distances
+    return Gain(
+        max(information, 0.0), float((pairs * evidence).sum()), float((pairs * np.minimum(evidence, useful)).sum())
+    )
+
+
+def distances_of(foretold: Sequence[Foretold], weights: Sequence[float]) -> FloatArray:
+    """Return the Bhattacharyya distances of all pairs of candidates at an experiment, to first order.
+
+    0 of an experiment that the candidate of most weight cannot be simulated along.
+    """
+    count = len(foretold)
+    distances = np.zeros((count, count))
+    if foretold[int(np.argmax(weights))].reached < len(foretold[0].values):
+        return distances
+    for i in range(count):
+        for j in range(i):
+            distances[i, j] = distances[j, i] = 0.25 * discrepancy(foretold[i], foretold[j])
+    return distances
+
+
+def distance_after(ahead: Fitted, fitted: Fitted, design: Design, foretold: Foretold, sigmas: FloatArray) -> float:
+    """Return the Bhattacharyya distance of two candidates at an experiment, one of them fitted to its outcome.
+
+    Args:
+        ahead: the candidate that is right.
+        fitted: the other one.
+        design: the experiment.
+        foretold: what the candidate that is right foretells of it.
+        sigmas: errors of a measurement (O,).
+    """
+    its = ahead.measured.measurements
+    longer = with_trajectory(its, design, foretold.values.T * sigmas[:, None])
+    estimator = MultipleShooting(longer, fitted.estimator.tolerance)
+    starts = np.concatenate([fitted.fit.starts, _local(design.initial, fitted.fit.starts.shape[1])[None]])
+    system, errors, is_stiff = fitted.fit.system, fitted.errors, fitted.fit.is_stiff
+    fit = estimator.fit(system, None, SETTINGS.effort.steps, starts, errors, is_stiff=is_stiff)
+    if fit is None:
+        staged = estimator.fit(system, SETTINGS.shooting.lengths[0], SETTINGS.effort.steps, None, errors)
+        begun = None if staged is None else staged.simulated[:, longer.bounds[:, 0]].T
+        if staged is not None and begun is not None:
+            fit = estimator.fit(
+                staged.system, None, SETTINGS.effort.steps, np.ascontiguousarray(begun), errors, is_stiff=is_stiff
+            )
+    if fit is None:
+        return FARTHEST
+    return min(max(estimator.cost(fit) - fitted.estimator.cost(fitted.fit), 0.0) / 8.0, FARTHEST)
+
+
+def _local(initial: FloatArray, count: int) -> FloatArray:
+    """Return the numbers of a new trajectory: its initial state, and offsets of 0."""
+    return np.concatenate([initial, np.zeros(count - len(initial))])
+
+
+def with_trajectory(its: Measurements, design: Design, values: FloatArray) -> Measurements:
+    """Return measurements with one trajectory more, of measured `values` (O, n)."""
+    rows, count = len(design.times), its.rows
+    states = np.repeat(design.initial[:, None], rows, axis=1)
+    states[its.observed] = values
+    inputs, slopes = design.courses()
+    ones = np.ones_like(values)
+    weighed = its.inverse_variances
+    return replace(
+        its,
+        bounds=np.concatenate([its.bounds, [[count, count + rows]]]),
+        owners=np.append(its.owners, len(its.names)),
+        times=np.concatenate([its.times, design.times]),
+        measured=_beside(its.measured, values),
+        weights=_beside(its.weights, ones),
+        smoothed=_beside(its.smoothed, states),
+        inputs=_beside(its.inputs, inputs),
+        input_slopes=_beside(its.input_slopes, slopes),
+        names=(*its.names, "experiment"),
+        inverse_variances=None if weighed is None else _beside(weighed, ones),
+        resting=None if its.resting is None else np.concatenate([its.resting, ones == 0.0], axis=1),
+    )
+
+
+def _beside(one: FloatArray, other: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(np.concatenate([one, other], axis=1))
+
+
+def precision(foretold: Foretold, constants: int) -> tuple[Gain, FloatArray]:
+    """Return what an experiment is expected to tell of the constants, and the share (P, P) of errors that it leaves.
+
+    With the root L of the covariance before, that after is L (shares) L'.
+    """
+    if foretold.reached < len(foretold.values):
+        return NONE, np.eye(constants)
+    by_all = foretold.spread.reshape(-1, foretold.spread.shape[2])
+    of, free = by_all[:, :constants], by_all[:, constants:]
+    known, directions = _axes(free.T @ free, 0.0)
+    along = directions.T @ (free.T @ of)
+    information = of.T @ of - along.T @ (along / (1.0 + known)[:, None])
+    told_of, directions = _axes(np.eye(constants) + information, 1.0)
+    gain = 0.5 * float(np.log(told_of).sum())
+    return Gain(gain, 0.0, gain), directions / told_of @ directions.T

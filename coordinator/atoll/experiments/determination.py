@@ -1,0 +1,143 @@
+"""What the data determine of each constant of a model, as it is said. Letters: P constants, n points of a profile."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from atoll_core.data.dataset import FloatArray
+
+SCHEMA: Final = 1
+
+Verdict = Literal[
+    "determined", "open above", "open below", "practically non-identifiable", "structurally non-identifiable"
+]
+"""An interval that is closed, has no upper or no lower end, neither; or the deviance does not change at all
+(Raue et al. 2009)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction in the space of constants.
+
+    `error` is the standard error along it, over the sizes of the constants (infinite: not determined at all); `weights`
+    (P,) its components, of length 1; `is_sloppy` tells whether the data leave it open; `words` says what of the
+    constants is determined, "" where it is not sloppy.
+    """
+
+    error: float
+    weights: FloatArray
+    is_sloppy: bool
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class ProfiledConstant:
+    """A constant with its profile, in the sign that the text of its equation gives it.
+
+    `estimate` is the best value, `std_error` the standard error by the curvature there (infinite: none), `interval` by
+    the profile, `quadratic` the estimate plus and minus the quantile times the standard error.
+    """
+
+    name: str
+    variable: str
+    is_written: bool
+    estimate: float
+    std_error: float
+    interval: tuple[float, float]
+    quadratic: tuple[float, float]
+    verdict: Verdict
+    is_cut: tuple[bool, bool]
+    values: FloatArray
+    deviances: FloatArray
+
+    @property
+    def _digits(self) -> int:
+        """How many digits tell the ends of the interval apart, and two more; four at least."""
+        largest = max((abs(end) for end in self.interval if math.isfinite(end)), default=0.0)
+        width = self.interval[1] - self.interval[0]
+        return max(4, math.ceil(math.log10(largest / width)) + 2) if 0.0 < width < largest else 4
+
+    @property
+    def sentence(self) -> str:
+        """What is known of it, in a sentence without its name."""
+        low, high = (f"{end:.{self._digits}g}" for end in self.interval)
+        about = f"{self.estimate:.{self._digits}g}"
+        if self.verdict == "determined":
+            return f"{about}, determined: {low} to {high}"
+        if self.verdict == "open above":
+            return f"{about}, open above: at least {low}"
+        if self.verdict == "open below":
+            return f"{about}, open below: at most {high}"
+        return f"{about}, {self.verdict}"
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """What the data determine of the constants of a model.
+
+    `quantile` is that of Student's t at `level` with `freedom` degrees, and the deviance is compared with its square.
+    `directions` are of all constants together, the least determined first. `source` says which data, `piece` in pieces
+    of how many rows trajectories were simulated.
+    """
+
+    level: float
+    freedom: float
+    quantile: float
+    constants: tuple[ProfiledConstant, ...]
+    directions: tuple[Direction, ...]
+    source: str
+    piece: int
+
+    def __getitem__(self, name: str) -> ProfiledConstant:
+        """Return a constant by name; raises KeyError."""
+        return {each.name: each for each in self.constants}[name]
+
+    @property
+    def sloppy(self) -> tuple[Direction, ...]:
+        """The directions that the data leave open."""
+        return tuple(each for each in self.directions if each.is_sloppy)
+
+    def __str__(self) -> str:
+        lines = [f"identifiability ({100 * self.level:g} % profile likelihood; {self.source}):"]
+        lines += [f"  {each.name} = {each.sentence}" for each in self.constants]
+        lines += [f"  {each.words}" for each in self.sloppy]
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of it as plain data; null is infinite."""
+        return {
+            "schema": SCHEMA,
+            "level": self.level,
+            "freedom": self.freedom,
+            "threshold": self.quantile**2,
+            "data": self.source,
+            "piece": self.piece,
+            "constants": [_constant_data(each) for each in self.constants],
+            "directions": [_direction_data(each, self.constants) for each in self.directions],
+        }
+
+
+def _constant_data(each: ProfiledConstant) -> dict[str, Any]:
+    return {
+        "name": each.name,
+        "variable": each.variable,
+        "is_written": each.is_written,
+        "estimate": each.estimate,
+        "std_error": _finite(each.std_error),
+        "interval": [_finite(end) for end in each.interval],
+        "quadratic": [_finite(end) for end in each.quadratic],
+        "verdict": each.verdict,
+        "is_cut": list(each.is_cut),
+        "sentence": each.sentence,
+        "profile": {"values": each.values.tolist(), "deviances": each.deviances.tolist()},
+    }
+
+
+def _direction_data(its: Direction, constants: Sequence[ProfiledConstant]) -> dict[str, Any]:
+    weights = {each.name: float(weight) for each, weight in zip(constants, its.weights, strict=True)}
+    return {"error": _finite(its.error), "weights": weights, "is_sloppy": its.is_sloppy, "words": its.words}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

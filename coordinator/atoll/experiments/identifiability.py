@@ -1,0 +1,118 @@
+"""The identifiability of the constants of a model: profiles of all of them, and what is known of them together."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.experiments.determination import Identifiability, ProfiledConstant, Verdict
+from atoll.experiments.measured import Measured, measured_of
+from atoll.experiments.profiles import Profile, profile
+from atoll.experiments.relations import directions
+from atoll.experiments.systems import Constant, Fitted, constants_of, equations_of, fit_shown
+from atoll_core.data.table import Table
+from atoll_core.errors import UsageError
+
+MOST_CONSTANTS: Final = 60
+"""More constants than this take minutes."""
+_RESTARTS: Final = 2
+_BETTER: Final = 0.01
+"""Deviance below that of the best fit from which a profile has found a better one."""
+
+
+def identify(found: Mapping[str, Any], table: Table | None = None, level: float = 0.95) -> Identifiability:
+    """Return what the data determine of the constants of the model of a result (the content of result.json).
+
+    Args:
+        found: the result.
+        table: the measurements; None: those that the result has.
+        level: of the intervals.
+
+    Raises:
+        UsageError: the level is none, the model has no constants or too many, or there are no measurements.
+        AtollError: the model cannot be simulated along them.
+    """
+    if not 0.0 < level < 1.0:
+        raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
+    measured, equations = measured_of(found, table), equations_of(found)
+    if not constants_of(equations, found):
+        raise UsageError("the model has no constants that were fitted, so there is nothing to profile")
+    fitted = fit_shown(measured, found)
+    return identified(fitted, constants_of(fitted.equations, found), measured, level)
+
+
+def identified(fitted: Fitted, constants: Sequence[Constant], measured: Measured, level: float) -> Identifiability:
+    """Return what the data determine of the constants of a model that was fitted to them."""
+    count = len(constants)
+    if count > MOST_CONSTANTS:
+        raise UsageError(f"the model has {count} constants that were fitted; at most {MOST_CONSTANTS} can be profiled")
+    from scipy import special
+
+    quantile = float(special.stdtrit(fitted.freedom, 0.5 + level / 2.0))
+    fitted, profiles = _profiled(fitted, count, quantile)
+    signs = np.array([each.sign for each in constants])
+    with np.errstate(invalid="ignore"):
+        errors = np.sqrt(np.diag(fitted.covariance)).tolist()
+    names = [each.name for each in constants]
+    known = [_known(*each, quantile) for each in zip(constants, profiles, errors, strict=True)]
+    order = sorted(range(count), key=lambda place: _reading(constants[place], fitted))
+    found = directions(fitted, profiles, names, signs, quantile)
+    bounds = fitted.measured.measurements.bounds
+    return Identifiability(
+        level,
+        fitted.freedom,
+        quantile,
+        tuple(known[place] for place in order),
+        tuple(replace(each, weights=each.weights[order]) for each in found),
+        measured.source,
+        int((bounds[:, 1] - bounds[:, 0]).max()),
+    )
+
+
+def _reading(its: Constant, fitted: Fitted) -> tuple[int, bool, int, str]:
+    """Return what orders constants as they are read: by equation, in the order of the text, factors of one last."""
+    number = int(its.name[1:]) if its.name[:1] == "c" and its.name[1:].isdigit() else 0
+    return fitted.equations.variables.index(its.variable), not its.is_written, number, its.name
+
+
+def _profiled(fitted: Fitted, count: int, quantile: float) -> tuple[Fitted, list[Profile]]:
+    """Return the profiles of all constants, and the fit that they are of: a better one where a profile has met it."""
+    for _ in range(_RESTARTS + 1):
+        profiles = [profile(fitted, index, quantile) for index in range(count)]
+        lowest = min(profiles, key=lambda each: float(each.deviances.min()))
+        if lowest.deviances.min() > -_BETTER:
+            return fitted, profiles
+        values = lowest.path[int(np.argmin(lowest.deviances))]
+        better = fitted.again(fitted.fit.system.with_values(values), fitted.fit.starts)
+        if better is None or fitted.deviance(better) >= 0.0:
+            return fitted, profiles
+        fitted = fitted.at(better)
+    return fitted, profiles
+
+
+def _known(constant: Constant, its: Profile, error: float, quantile: float) -> ProfiledConstant:
+    half = quantile * error if math.isfinite(error) else math.inf
+    ends, cut = (its.lower, its.upper), its.is_cut
+    values, deviances = constant.sign * its.values, its.deviances
+    is_open = its.is_open
+    if constant.sign < 0.0:
+        ends, cut, is_open = (-ends[1], -ends[0]), (cut[1], cut[0]), (is_open[1], is_open[0])
+        values, deviances = values[::-1], deviances[::-1]
+    best = constant.sign * its.best
+    return ProfiledConstant(
+        constant.name, constant.variable, constant.is_written, best, error, ends, (best - half, best + half),
+        _verdict(is_open, is_flat=its.is_flat), cut, values, deviances,
+    )  # fmt: skip
+
+
+def _verdict(is_open: tuple[bool, ...], *, is_flat: bool) -> Verdict:
+    below, above = is_open
+    if is_flat:
+        return "structurally non-identifiable"
+    if below and above:
+        return "practically non-identifiable"
+    if below or above:
+        return "open below" if below else "open above"
+    return "determined"

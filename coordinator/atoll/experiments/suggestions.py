@@ -1,0 +1,245 @@
+"""The next experiments that are worth most for their cost.
+
+Experiments are tried all over the bounds, the best improved one number after the other, and of those that are alike the
+best is kept. Where candidates differ, an experiment is worth what it is expected to tell about which is right; where
+they do not, or there is only one, what it is expected to tell of its constants.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.experiments.designs import (
+    NONE,
+    Design,
+    Foreteller,
+    Foretold,
+    Gain,
+    distance_after,
+    distances_of,
+    needed,
+    precision,
+    told,
+)
+from atoll.experiments.measured import measured_of
+from atoll.experiments.rivals import Rival, rivals_of
+from atoll.experiments.space import DesignSpace, Request, space_of
+from atoll.experiments.suggestion import Candidate, Purpose, Suggestion, Suggestions
+from atoll.experiments.systems import Fitted, constants_of, fit_shown
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.table import Table
+from atoll_core.errors import UsageError
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+
+_IMPROVED: Final = 6
+"""Experiments that are improved, the best of those that differ, and looked at closely."""
+_ROUNDS: Final = (0.1, 0.1, 0.03, 0.03)
+"""Steps of an improvement, over the widths of the bounds."""
+_REFITTED: Final = 5
+"""Candidates, the heaviest, that are fitted to each other's outcomes of the best experiments."""
+_TOO_MANY: Final = 10
+"""Experiments of a kind that would not decide between candidates: then another purpose serves better."""
+
+
+def suggest(found: Mapping[str, Any], request: Request, table: Table | None = None) -> Suggestions:
+    """Return the experiments to make next for a result (the content of result.json), the best first.
+
+    Raises:
+        UsageError: a number or name of the request does not fit, there are no measurements, the model cannot be
+            simulated within the bounds, or it has neither candidates nor constants that an experiment could tell of.
+    """
+    request.check()
+    shown = fit_shown(measured_of(found, table), found)
+    space = space_of(found, shown.measured, request)
+    rivals = rivals_of(found, shown.measured, shown, _named(found, request.rivals))
+    return _Report(found, request, space, shown, rivals).suggestions()
+
+
+def _named(found: Mapping[str, Any], rivals: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
+    """Return the rivals by state, whether left-hand sides were written as x or as the result has them, dx/dt."""
+    sides = {str(each["lhs"]): str(each["variable"]) for each in found["equations"]}
+    sides |= {side.partition("/")[0]: name for side, name in sides.items()}
+    return [{sides.get(side, side): text for side, text in each.items()} for each in rivals]
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """An experiment with what is expected of it; `worth`, information and evidence per cost rank it, one by one."""
+
+    design: Design
+    cost: float
+    gain: Gain
+
+    @property
+    def worth(self) -> tuple[float, float, float]:
+        its = self.gain
+        return its.worth / self.cost, its.information / self.cost, its.evidence / self.cost
+
+
+Value = Callable[[Design], Gain]
+Look = Callable[[_Tried], _Tried]
+
+
+class _Search:
+    """Finds the experiments of most worth by what `value` says of each, the best looked at again by `look`."""
+
+    def __init__(self, space: DesignSpace, value: Value, look: Look) -> None:
+        self._space, self._value, self._look = space, value, look
+
+    def best(self, count: int, seed: int) -> list[_Tried]:
+        """Return `count` experiments that differ, the best first; fewer where others are worth nothing."""
+        space, most = self._space, max(_IMPROVED, count)
+        points = space.points(seed)
+        tried = [self._tried(space.design(point, share)) for share in space.shares for point in points]
+        improved = [self._improved(each) for each in self._apart(tried, most)]
+        return self._apart([self._look(each) for each in self._apart([*improved, *tried], most)], count)
+
+    def _tried(self, design: Design) -> _Tried:
+        gain = self._value(design)
+        is_finite = math.isfinite(gain.worth) and math.isfinite(gain.information)
+        return _Tried(design, self._space.price(design), gain if is_finite else NONE)
+
+    def _improved(self, best: _Tried) -> _Tried:
+        """Return an experiment moved to more worth, one number after the other."""
+        for step in _ROUNDS:
+            for moved in self._space.around(self._space.point(best.design), step):
+                there = self._tried(self._space.design(moved, self._space.share(best.design)))
+                best = there if there.worth > best.worth else best
+        return best
+
+    def _apart(self, tried: Sequence[_Tried], count: int) -> list[_Tried]:
+        """Return the best of experiments that differ, without those that are worth nothing."""
+        kept: list[_Tried] = []
+        for each in sorted(tried, key=lambda its: its.worth, reverse=True):
+            is_other = all(self._space.are_apart(each.design, other.design) for other in kept)
+            if is_other and each.gain.worth > 0.0 and len(kept) < count:
+                kept.append(each)
+        return kept
+
+
+class _Report:
+    """What is suggested for a result, and for which purpose."""
+
+    def __init__(
+        self, found: Mapping[str, Any], request: Request, space: DesignSpace, shown: Fitted, rivals: Sequence[Rival]
+    ) -> None:
+        self._found, self._request, self._space = found, request, space
+        self._shown, self._rivals = shown, tuple(rivals)
+        limits = space.limits(shown.measured.measurements.smoothed, SETTINGS.shooting.blow_up_widths)
+        self._sigmas = shown.errors.sigmas * np.sqrt(np.maximum(shown.measured.share, 1.0))
+        fitted = [each.fitted for each in self._rivals]
+        self._candidates = [Foreteller(each, space.widths, limits, self._sigmas) for each in fitted]
+        self._of_shown = Foreteller(shown, space.widths, limits, self._sigmas)
+        self._weights = [each.weight for each in self._rivals]
+        self._useful = needed([each.length for each in self._rivals])
+
+    def suggestions(self) -> Suggestions:
+        """Return all of it."""
+        count, seed = self._request.count, self._request.seed
+        search = _Search(self._space, self._discrimination, self._looked_at)
+        chosen = search.best(count, seed) if len(self._rivals) > 1 else []
+        reason = self._reason(chosen)
+        if reason is None:
+            return self._said("discrimination", chosen, f"{len(self._rivals)} candidates differ")
+        if not len(self._shown.values):
+            raise UsageError(f"{reason}, and the model has no constants, so no experiment tells more")
+        precise = _Search(self._space, self._precision, lambda tried: tried).best(count, seed)
+        if not precise:
+            raise UsageError("the model cannot be simulated from any initial state within the bounds; give others")
+        return self._said("precision", precise, reason)
+
+    def _reason(self, chosen: Sequence[_Tried]) -> str | None:
+        """Return why experiments do not serve to tell candidates apart; None where they do."""
+        if len(self._rivals) < 2:
+            return "there is only one candidate"
+        if sum(weight > 0.0 for weight in self._weights) < 2:
+            return f"the data have excluded all but one of {len(self._rivals)} candidates already"
+        best = max((each.gain.evidence for each in chosen), default=0.0)
+        if best * _TOO_MANY < SETTINGS.inference.distinct_nats:
+            return f"all {len(self._rivals)} candidates foretell the same within the bounds"
+        return None
+
+    def _discrimination(self, design: Design) -> Gain:
+        return self._told(self._foretold(design))
+
+    def _foretold(self, design: Design) -> list[Foretold]:
+        return [each.at(design) for each in self._candidates]
+
+    def _told(self, foretold: Sequence[Foretold]) -> Gain:
+        return told(distances_of(foretold, self._weights), self._weights, self._useful)
+
+    def _looked_at(self, its: _Tried) -> _Tried:
+        """Return an experiment with what is expected of it, the heaviest candidates fitted to its outcomes."""
+        foretold = self._foretold(its.design)
+        distances = distances_of(foretold, self._weights)
+        heaviest = sorted(range(len(foretold)), key=lambda place: -self._weights[place])[:_REFITTED]
+        for i in heaviest:
+            for j in heaviest:
+                if i != j and foretold[i].reached == len(its.design.times):
+                    pair = self._rivals[i].fitted, self._rivals[j].fitted
+                    distances[i, j] = distance_after(*pair, its.design, foretold[i], self._sigmas)
+        return replace(its, gain=told(distances, self._weights, self._useful))
+
+    def _precision(self, design: Design) -> Gain:
+        return precision(self._of_shown.at(design), len(self._shown.values))[0]
+
+    def _said(self, purpose: Purpose, chosen: Sequence[_Tried], reason: str) -> Suggestions:
+        box, symbols = self._space.box, self._found["symbols"]
+        given = {symbols.get(name, name) for name in self._request.bounds}
+        ends = zip(box.lower.tolist(), box.upper.tolist(), strict=True)
+        return Suggestions(
+            purpose,
+            reason,
+            -sum(weight * math.log(weight) for weight in self._weights if weight > 0.0),
+            tuple(self._candidate(each) for each in self._rivals),
+            tuple(self._suggestion(each, is_precise=purpose == "precision") for each in chosen),
+            dict(zip(self._space.names, ends, strict=True)),
+            tuple(name for name in self._space.names if name not in given),
+            self._request.cost,
+            self._shown.measured.source,
+        )
+
+    def _candidate(self, its: Rival) -> Candidate:
+        equations = its.fitted.equations
+        programs = its.fitted.fit.system.programs[-len(equations.programs) :]
+        sides = {str(each["variable"]): str(each["lhs"]) for each in self._found["equations"]}
+        texts = {
+            sides[name]: to_infix(program, equations.names, digits=4)
+            for name, program in zip(equations.variables, programs, strict=True)
+        }
+        shown = next(each.length for each in self._rivals if each.origin == "shown")
+        written = {}
+        if its.origin == "shown":
+            read = (from_infix(each["expression"], equations.names) for each in self._found["equations"])
+            of_result = (to_infix(program, equations.names, digits=4) for program in read)
+            written = dict(zip(sides.values(), of_result, strict=True))
+        others = {} if written == texts else written
+        return Candidate(texts, its.origin, its.weight, its.nats, its.length - shown, others)
+
+    def _suggestion(self, its: _Tried, *, is_precise: bool) -> Suggestion:
+        space, design = self._space, its.design
+        return Suggestion(
+            dict(zip(space.states, design.initial.tolist(), strict=True)),
+            {space.inputs[index]: float(design.inputs[index]) for index in space.free},
+            tuple(design.times.tolist()),
+            its.cost,
+            its.gain.worth,
+            its.gain.information,
+            its.gain.evidence,
+            self._worst(design) if is_precise else None,
+        )
+
+    def _worst(self, design: Design) -> tuple[str, float, float]:
+        """Return the constant whose relative error is largest, and that error before and after an experiment."""
+        before = self._of_shown.covariance
+        root = self._of_shown.root
+        after = root @ precision(self._of_shown.at(design), len(before))[1] @ root.T
+        sizes = np.maximum(np.abs(self._shown.values), 1e-300)
+        errors = [np.sqrt(np.maximum(np.diag(each), 0.0)) / sizes for each in (before, after)]
+        index = int(np.argmax(errors[0]))
+        name = constants_of(self._shown.equations, self._found)[index].name
+        return name, float(errors[0][index]), float(errors[1][index])

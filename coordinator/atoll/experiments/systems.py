@@ -1,0 +1,294 @@
+"""The equations of a result as systems that can be fitted, with all their constants free.
+
+Letters: P fitted constants, G segments, D states.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.experiments.measured import Measured, starts_of
+from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
+from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
+from atoll_coordinator.model.shooting.system import System, system_of, variable_program
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import AtollError
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
+
+_FINEST: Final = 1e-9
+_COARSEST: Final = 1e-5
+_TOLERANCE_OF_NOISE: Final = 1e-3
+"""Errors of a step of the integration over those of the measurements: below what a deviance shows."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A constant that is fitted.
+
+    `name` is that of `atoll.Model.params` (c1, c2, …), of a factor of one that nobody writes `1 of` its term;
+    `variable` is the state whose equation it stands in, `sign` whether the text has a minus before it, and `is_written`
+    whether it is in the text.
+    """
+
+    name: str
+    variable: str
+    sign: float
+    is_written: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Right-hand sides of the states that have an equation: `programs` over `names`, the symbols of the result.
+
+    `explicit` are the same with factors of one as constants; `fixed` are those (by index) whose constants are given,
+    `bounds` are on all constants of an equation (by index), where the user has set some.
+    """
+
+    names: tuple[str, ...]
+    variables: tuple[str, ...]
+    programs: tuple[Program, ...]
+    fixed: frozenset[int]
+    bounds: Mapping[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+
+    @cached_property
+    def explicit(self) -> tuple[ExplicitCoefficients, ...]:
+        """The programs with their factors of one as constants, but those that are given or bounded."""
+        return tuple(
+            as_written(program) if place in {*self.fixed, *self.bounds} else make_coefficients_explicit(program)
+            for place, program in enumerate(self.programs)
+        )
+
+    def written(self) -> "Equations":
+        """Return the same, the factors of one not being constants."""
+        found = replace(self)
+        found.__dict__["explicit"] = tuple(map(as_written, self.programs))
+        return found
+
+    def exchanged(self, place: int, program: Program) -> "Equations":
+        """Return the same with another equation, which has no bounds."""
+        bounds = {index: its for index, its in self.bounds.items() if index != place}
+        return replace(self, programs=(*self.programs[:place], program, *self.programs[place + 1 :]), bounds=bounds)
+
+    def system(self, measurements: Measurements, order: int) -> System:
+        """Return the system of the explicit programs; with order 2, positions change by the velocities."""
+        programs = [each.program for each in self.explicit]
+        fixed = [
+            set(constant_places(program)) if place in self.fixed else set[int]()
+            for place, program in enumerate(programs)
+        ]
+        count = len(programs) if order == 2 else 0
+        velocities = measurements.variables[count : 2 * count]
+        leading = [variable_program(self.names.index(name)) for name in velocities]
+        none = [set[int]() for _ in leading]
+        system = system_of([*leading, *programs], self.names, measurements.variables, [*none, *fixed])
+        if not self.bounds:
+            return system
+        ends = [
+            (-math.inf, math.inf) if place not in self.bounds else self.bounds[place][number]
+            for place, explicit in enumerate(self.explicit)
+            for number in range(len(explicit.origins) if place not in self.fixed else 0)
+        ]
+        lower, upper = np.array(ends).reshape(-1, 2).T
+        return replace(system, lower=np.ascontiguousarray(lower), upper=np.ascontiguousarray(upper))
+
+    def texts(self, digits: int = 4) -> tuple[str, ...]:
+        """Return the right-hand sides for people."""
+        return tuple(to_infix(program, self.names, digits=digits) for program in self.programs)
+
+
+def equations_of(found: Mapping[str, Any]) -> Equations:
+    """Return the equations that a result shows."""
+    names = tuple(found["symbols"].values())
+    entries = found["equations"]
+    programs = tuple(_program(each, names) for each in entries)
+    fixed = frozenset(place for place, each in enumerate(entries) if each.get("origin") == "known")
+    bounds = {place: its for place, each in enumerate(entries) if (its := _bounds(each)) and place not in fixed}
+    return Equations(names, tuple(str(each["variable"]) for each in entries), programs, fixed, bounds)
+
+
+def _bounds(entry: Mapping[str, Any]) -> tuple[tuple[float, float], ...]:
+    """Return the bounds of all constants of an equation; none where no constant has any."""
+    given = [each.get("bounds") for each in entry.get("constants") or ()]
+    ends = [each or (None, None) for each in given]
+    if not any(end is not None for pair in ends for end in pair):
+        return ()
+    return tuple((-math.inf if low is None else low, math.inf if high is None else high) for low, high in ends)
+
+
+def _program(entry: Mapping[str, Any], names: Sequence[str]) -> Program:
+    if entry.get("program"):
+        return Program.from_bytes(bytes.fromhex(entry["program"]), len(names))
+    return from_infix(entry["expression"], names)
+
+
+def constants_of(equations: Equations, found: Mapping[str, Any]) -> tuple[Constant, ...]:
+    """Return the fitted constants in the order of the system; names are those of the text of the result's equations."""
+    constants: list[Constant] = []
+    taken = 0
+    for place, (variable, explicit) in enumerate(zip(equations.variables, equations.explicit, strict=True)):
+        program = equations.programs[place]
+        values = program.constants[constant_places(program)].tolist()
+        text = from_infix(found["equations"][place]["expression"], equations.names)
+        shown = text.constants[constant_places(text)].tolist()
+        numbers = _matched(values, shown)
+        terms = iter(explicit.terms)
+        for origin in explicit.origins if place not in equations.fixed else ():
+            if origin is None:
+                of = to_infix(next(terms), equations.names, digits=4)
+                constants.append(Constant(f"1 of {of} (d{variable})", variable, 1.0, False))
+                continue
+            number = numbers[origin]
+            name = f"c{taken + number + 1}" if number is not None else f"{values[origin]:.4g} (d{variable})"
+            sign = 1.0 if number is None or values[origin] * shown[number] >= 0.0 else -1.0
+            constants.append(Constant(name, variable, sign, True))
+        taken += len(shown)
+    return tuple(constants)
+
+
+def _matched(values: Sequence[float], shown: Sequence[float]) -> list[int | None]:
+    """Return for each constant of a program its place in the text, as `atoll.model.parameters` numbers them."""
+    left = list(range(len(values)))
+    found: list[int | None] = [None] * len(values)
+    for number, value in enumerate(shown):
+        its = next((each for each in left if abs(values[each]) == abs(value)), None)
+        if its is not None:
+            found[its] = number
+            left.remove(its)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Equations fitted to measured trajectories in whole, or in pieces of at most `piece` rows.
+
+    `errors` are those of the measurements by the residuals, corrected for the numbers fitted; they are held from now
+    on. `freedom` are the degrees of freedom that are left, `misfit` is minus the log-likelihood with fitted variances,
+    up to a constant. Rows count as `share` (O,) of a row each, as errors go together.
+    """
+
+    equations: Equations
+    measured: Measured
+    fit: TrajectoryFit
+    errors: ErrorModel
+    freedom: float
+    misfit: float
+
+    @property
+    def estimator(self) -> MultipleShooting:
+        """What fitted it."""
+        return self.fit.estimator
+
+    @property
+    def values(self) -> FloatArray:
+        """The fitted constants (P,)."""
+        return self.fit.system.values
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """The covariance (P, P) of the constants; variances of those that the data leave open are infinite."""
+        return covariance(self.fit)
+
+    @cached_property
+    def bounded_covariance(self) -> FloatArray:
+        """The same with large variances in the place of infinite ones."""
+        return bounded_covariance(self.fit)
+
+    def deviance(self, fit: TrajectoryFit) -> float:
+        """Return the squared residuals of a fit with these errors over their variances, beyond those of this fit."""
+        return self.estimator.cost(fit) - self.estimator.cost(self.fit)
+
+    def at(self, fit: TrajectoryFit) -> "Fitted":
+        """Return the same with another fit, of the same errors."""
+        return replace(self, fit=fit)
+
+    def again(self, system: System, starts: FloatArray, steps: int = SETTINGS.effort.steps) -> TrajectoryFit | None:
+        """Return a system fitted to the same trajectories with the same errors; None where it cannot be simulated."""
+        return self.estimator.fit(system, None, steps, starts, self.errors, is_stiff=self.fit.is_stiff)
+
+
+def fit_equations(measured: Measured, equations: Equations, starts: FloatArray | None = None) -> Fitted | None:
+    """Return the equations fitted with all their constants free; None where they cannot be simulated.
+
+    Where trajectories cannot be fitted in whole, shorter pieces are, of which the errors are those of the smoother.
+    """
+    return _fitted(measured, equations, starts) or _fitted(measured, equations.written(), starts)
+
+
+def fit_shown(measured: Measured, found: Mapping[str, Any]) -> Fitted:
+    """Return the equations of a result fitted again; raises AtollError where they cannot be simulated.
+
+    In shorter pieces where whole trajectories leave more than the noise.
+    """
+    equations = equations_of(found)
+    tried: list[Fitted] = []
+    for here in (measured, *_shorter(measured)):
+        fitted = fit_equations(here, equations, starts_of(found, here))
+        if fitted is not None:
+            tried.append(fitted)
+            its = here.measurements
+            noise = np.maximum(its.noise, SETTINGS.common.negligible * its.scales[its.observed])
+            if np.all(fitted.errors.sigmas <= SETTINGS.inference.excess * noise):
+                return fitted
+    if not tried:
+        raise AtollError("the equations cannot be simulated along the measured trajectories, so nothing can be fitted")
+    return tried[0]
+
+
+def _shorter(measured: Measured) -> Iterator[Measured]:
+    bounds = measured.measurements.bounds
+    longest = int((bounds[:, 1] - bounds[:, 0]).max())
+    for rows in reversed(SETTINGS.shooting.lengths[1:]):
+        if 2 * rows <= longest:
+            yield measured.shortened(rows)
+
+
+def _fitted(measured: Measured, equations: Equations, starts: FloatArray | None) -> Fitted | None:
+    its = measured.measurements
+    estimator = MultipleShooting(its, _tolerance(its))
+    system = equations.system(its, measured.order)
+    fit = estimator.fit(system, None, SETTINGS.effort.steps, starts)
+    staged = fit_in_stages(estimator, system, (*SETTINGS.shooting.lengths[1:2], None), SETTINGS.effort.steps)
+    best = min((each for each in (fit, staged) if each is not None), key=_log_squares(its), default=None)
+    if best is None:
+        return None
+    counts = its.weights.sum(axis=1)
+    decided = float(np.minimum(counts * measured.share, measured.independent).sum())
+    left = max(counts.sum() - best.system.values.size - best.starts.size, 1.0)
+    freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
+    # with all rows that decide, and as many numbers fitted, the variance of a row that a fit counts
+    widened = np.sqrt(counts.sum() / left / measured.share)
+    least = SETTINGS.interpolation.smallest_noise * its.scales[its.observed]
+    sigmas = np.maximum(np.sqrt(best.squares), least) * widened
+    errors = replace(best.errors, sigmas=sigmas, is_known=True)
+    held = estimator.fit(best.system, None, SETTINGS.effort.steps, best.starts, errors, is_stiff=best.is_stiff)
+    if held is None:
+        return None
+    return Fitted(equations, measured, held, errors, freedom, _misfit(measured, best))
+
+
+def _tolerance(its: Measurements) -> float:
+    noise = float(its.relative_noise.min())
+    return min(max(_TOLERANCE_OF_NOISE * noise, _FINEST), _COARSEST * 0.1)
+
+
+def _log_squares(its: Measurements) -> Any:
+    counts = its.weights.sum(axis=1)
+    return lambda fit: float(counts @ np.log(np.maximum(fit.squares, 1e-300)))
+
+
+def _misfit(measured: Measured, fit: TrajectoryFit) -> float:
+    """Return n/2 ln s, summed over the measured states: n independent rows of mean square s."""
+    floor = (SETTINGS.shooting.exact * measured.measurements.scales[measured.measurements.observed]) ** 2
+    terms = 0.5 * measured.independent * np.log(np.maximum(fit.squares, floor))
+    return math.fsum(terms.tolist())

@@ -1,0 +1,65 @@
+"""Arguments of Python users as numbers: what is none is named in one sentence, with what was expected."""
+
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+
+_LONGEST: Final = 40
+"""Characters of a value that a sentence shows."""
+
+
+def numbers(given: Any, what: str, expected: str = "numbers") -> FloatArray:
+    """Return an array of real numbers of any shape; raises UsageError, which says `what` it was to be."""
+    try:
+        plain = np.asarray(given)
+        if given is not None and plain.dtype.kind in "biufO":
+            return np.asarray(plain, dtype=np.float64)
+    except (TypeError, ValueError):  # rows of different lengths, or objects that are no numbers
+        pass
+    raise UsageError(f"{what} must be {expected}, but {shown(given)} was given")
+
+
+def number(given: Any, what: str) -> float:
+    """Return one number; raises UsageError."""
+    found = numbers(given, what, "a number")
+    if found.ndim:
+        raise UsageError(f"{what} must be a number, but {shown(given)} was given")
+    return float(found)
+
+
+def interval(given: Any, what: str) -> tuple[float, float]:
+    """Return a lower and an upper bound; raises UsageError where it is no finite interval."""
+    found = numbers(given, what, "two numbers")
+    if found.shape != (2,):
+        raise UsageError(f"{what} must be two numbers, such as (0.0, 1.0), but {shown(given)} was given")
+    if not (np.isfinite(found).all() and found[0] < found[1]):
+        raise UsageError(f"{what} must have a lower bound, then an upper one, but {shown(given)} was given")
+    return float(found[0]), float(found[1])
+
+
+def by_name(given: Any, what: str) -> Mapping[str, Any]:
+    """Return a mapping from names, empty for None; raises UsageError."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise UsageError(f"{what} must be given by name, such as {{'x': 1.0}}, but {shown(given)} was given")
+    return given
+
+
+def path_of(given: Any) -> Path:
+    """Return a path; raises UsageError."""
+    if not isinstance(given, (str, PathLike)):
+        raise UsageError(f"a path must be text, but {shown(given)} was given")
+    return Path(given)
+
+
+def shown(given: Any) -> str:
+    """Return a value as one short line."""
+    text = " ".join(repr(given).split())
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"

@@ -1,0 +1,130 @@
+"""Pictures of a model by matplotlib, an extra: ``pip install 'atoll[plots]'``.
+
+Each function draws into `axes`, or into a new figure, and returns the axes as an array.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from atoll_core.errors import UsageError
+
+if TYPE_CHECKING:
+    from atoll.model.model import Model
+
+_GRID = 24
+"""Arrows along each side of a phase plane."""
+
+
+def plot_fit(model: "Model", axes: Any = None) -> Any:
+    """Plot each state over time: measured, and simulated with its 95 % band; a row of axes for each state."""
+    parts = _trajectories(model)
+    states = list(parts[0]["values"] or {})
+    axes = _axes(axes, len(states))
+    for at, state in zip(axes, states, strict=True):
+        for number, part in enumerate(parts):
+            if not part["values"]:
+                continue
+            color, times = f"C{number % 10}", part["times"]
+            if part["lower"]:
+                at.fill_between(
+                    times, *(_numbers(part[side][state]) for side in ("lower", "upper")), color=color, alpha=0.3
+                )
+            at.plot(times, _numbers(part["values"][state]), color=color, label=part["name"])
+            if part.get("measured"):
+                at.plot(times, _numbers(part["measured"][state]), ".", color=color, markersize=3)
+        at.set_ylabel(_label(model, state))
+    axes[-1].set_xlabel(_label(model, model.time))
+    return axes
+
+
+def plot_residuals(model: "Model", axes: Any = None) -> Any:
+    """Plot measured less simulated values over time, for each state, along each trajectory."""
+    parts = [part for part in _trajectories(model) if part["values"] and part.get("measured")]
+    if not parts:
+        raise UsageError("the result has no measured rows beside simulated ones, so there are no residuals to plot")
+    states = list(parts[0]["values"])
+    axes = _axes(axes, len(states))
+    for at, state in zip(axes, states, strict=True):
+        for number, part in enumerate(parts):
+            residuals = _numbers(part["measured"][state]) - _numbers(part["values"][state])
+            at.plot(part["times"], residuals, ".", color=f"C{number % 10}")
+        at.axhline(0.0, color="0.5", linewidth=0.8)
+        at.set_ylabel(_label(model, state))
+    axes[-1].set_xlabel(_label(model, model.time))
+    return axes
+
+
+def plot_phase(model: "Model", axes: Any = None) -> Any:
+    """Plot directions and simulated trajectories in the plane of the first two states, the others at their middle."""
+    if len(model.states) < 2:
+        raise UsageError("a phase plane takes two states; this model has one")
+    if model.inputs:
+        raise UsageError(f"the model has the inputs {', '.join(model.inputs)}, so that no plane shows its directions")
+    columns = {symbol: column for column, symbol in model.result["symbols"].items()}
+    ranges = [(model.result["system"] or {})["ranges"][columns[name]] for name in model.states]
+    (at,) = _axes(axes, 1)
+    (left, right), (low, high) = ranges[0], ranges[1]
+    first, second = np.meshgrid(np.linspace(left, right, _GRID), np.linspace(low, high, _GRID))
+    points = np.tile([0.5 * sum(each) for each in ranges], (first.size, 1))
+    points[:, 0], points[:, 1] = first.ravel(), second.ravel()
+    rates = model.field.values(points)
+    at.streamplot(
+        first, second, rates[:, 0].reshape(first.shape), rates[:, 1].reshape(first.shape), color="0.7", density=0.8
+    )
+    x, y = (columns[name] for name in model.states[:2])
+    for part in _trajectories(model):
+        if part["values"] and {x, y} <= set(part["values"]):
+            at.plot(_numbers(part["values"][x]), _numbers(part["values"][y]))
+    at.set_xlabel(_label(model, x))
+    at.set_ylabel(_label(model, y))
+    return np.array([at])
+
+
+def plot_front(model: "Model", axes: Any = None) -> Any:
+    """Plot for each equation the error of its front over complexity; the member it was made of is marked."""
+    equations = model.result["equations"]
+    axes = _axes(axes, len(equations))
+    for at, equation in zip(axes, equations, strict=True):
+        members = [each for each in equation.get("front") or () if each["normalized_error"]]
+        at.semilogy([each["complexity"] for each in members], [each["normalized_error"] for each in members], "o-")
+        chosen = [each for each in members if each["selected"]]
+        at.semilogy(
+            [each["complexity"] for each in chosen], [each["normalized_error"] for each in chosen], "s", color="C3"
+        )
+        at.set_ylabel(f"error of {equation['lhs']}")
+    axes[-1].set_xlabel("complexity")
+    return axes
+
+
+def _axes(axes: Any, number: int) -> Any:
+    """Return so many axes, below each other; raises UsageError without matplotlib or with another number of axes."""
+    if axes is not None:
+        given = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
+        if len(given) != number:
+            raise UsageError(f"{number} axes are needed, but {len(given)} were given")
+        return given
+    try:
+        from matplotlib import pyplot
+    except ImportError:
+        raise UsageError("pictures need matplotlib, which is not installed; run: pip install 'atoll[plots]'") from None
+    figure, made = pyplot.subplots(number, 1, squeeze=False, sharex=True, figsize=(7.0, 2.0 + 2.0 * number))
+    figure.set_layout_engine("tight")
+    return made.ravel()
+
+
+def _trajectories(model: "Model") -> Sequence[Mapping[str, Any]]:
+    found = (model.result.get("simulation") or {}).get("trajectories")
+    if not found:
+        raise UsageError("the result has no simulated trajectory; only a model of trajectories can be plotted so")
+    return list(found)
+
+
+def _numbers(values: Sequence[float | None]) -> Any:
+    return np.array([np.nan if each is None else each for each in values], dtype=np.float64)
+
+
+def _label(model: "Model", column: str) -> str:
+    unit = ((model.result.get("system") or {}).get("units") or {}).get(column)
+    return f"{column} [{unit}]" if unit else column

@@ -1,0 +1,392 @@
+"""Simulations of a vector field from any initial state, with bands. Bounded: how it ends is a result, not an error.
+
+Letters: D states, U inputs, K constants, N times.
+"""
+
+import contextlib
+import csv
+import io
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.model.parameters import JointErrors
+from atoll.model.vector_field import VectorField
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+
+Status = Literal["finished", "blow-up", "stiff", "undefined"]
+"""How a simulation ended: at the last time; where a state grows beyond all bounds in finite time; where all evaluations
+were used up; where a rate has no finite value."""
+
+Inputs = Callable[[float], FloatArray]
+"""The inputs (U,) at a time."""
+
+TOLERANCE: Final = 1e-11
+"""Relative error of a step; far below the errors of constants."""
+MOST_EVALUATIONS: Final = 200_000
+"""Evaluations of the rates: some seconds. A longer simulation is begun again from where this one ended."""
+MOST_NUMBERS: Final = 10_000_000
+"""Largest number of values, times by states: 80 MB."""
+_COARSE: Final = 1e-3
+"""Of the size of a state: below it errors are allowed that are `TOLERANCE` of so much, and no longer of the state."""
+_DEEPEST: Final = 1e-250
+"""Of the size of a state: how far a state is followed down that cannot cross 0."""
+_LOOKS: Final = 50
+"""Rows of a simulation at which is seen how strongly errors of constants drive it, and which states can cross 0."""
+_LARGEST: Final = 1e150
+"""The square of a larger number is no finite one."""
+
+
+class EarlyEndWarning(UserWarning):
+    """A simulation has ended before the last time that was asked for; its times and states are those reached."""
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """What a model does from an initial state.
+
+    `t` (N,) are the times that were reached, fewer than were asked for where it ended early, and `x` (N, D) the
+    `states` there; `stderr` (N, D) are the standard errors that those of the constants give them (first order), and
+    `lower`, `upper` their 95 % band; None where the errors of the constants are not known. `status` says how it ended,
+    `message` in a sentence.
+    """
+
+    states: tuple[str, ...]
+    t: FloatArray
+    x: FloatArray
+    status: Status
+    message: str
+    stderr: FloatArray | None = None
+    lower: FloatArray | None = None
+    upper: FloatArray | None = None
+    time: str = "t"
+
+    def __getitem__(self, state: str) -> FloatArray:
+        """Return the values (N,) of a state by name; raises KeyError."""
+        if state not in self.states:
+            raise KeyError(state)
+        return np.asarray(self.x[:, self.states.index(state)])
+
+    def columns(self) -> dict[str, FloatArray]:
+        """Return the time, the states and, where they are known, the bounds of their bands, by column name."""
+        found = {self.time: self.t}
+        found |= {name: self.x[:, place] for place, name in enumerate(self.states)}
+        if self.lower is not None and self.upper is not None:
+            for place, name in enumerate(self.states):
+                found[f"{name}_lower"] = self.lower[:, place]
+                found[f"{name}_upper"] = self.upper[:, place]
+        return found
+
+    def to_csv(self) -> str:
+        """Return the columns as CSV, numbers with all their digits."""
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        columns = self.columns()
+        writer.writerow(columns)
+        writer.writerows(zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True))
+        return stream.getvalue()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain lists and texts, for JSON; numbers that are not finite are None."""
+        columns = {name: [_finite(each) for each in values.tolist()] for name, values in self.columns().items()}
+        return {"status": self.status, "message": self.message, "columns": columns}
+
+
+def simulate(
+    field: VectorField,
+    x0: FloatArray,
+    t: FloatArray,
+    inputs: Inputs | None = None,
+    bands: tuple[JointErrors, float] | None = None,
+    most: int = MOST_EVALUATIONS,
+) -> Simulation:
+    """Integrate from `x0` (D,) at the first of the times `t` (N,), which ascend.
+
+    By LSODA, which takes implicit steps where the system is stiff. `bands` are the errors of the constants and how many
+    standard errors lie on either side; `most` bounds the evaluations. Raises UsageError where arguments do not fit.
+    """
+    check_times(field, x0, t)
+    task = _Task(field, inputs, most)
+    course = _integrated(task, x0, t)
+    states, count = course.rows, len(course.rows)
+    status: Status = "finished" if course.is_whole else _ending(task, course, _sizes(task, x0, t), float(t[-1] - t[0]))
+    sentence = _sentence(status, course.reached, most)
+    sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
+    if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], course, t)) is None:
+        return Simulation(field.states, t[:count], states, status, sentence)
+    half = bands[1] * spread
+    return Simulation(field.states, t, states, status, sentence, spread, states - half, states + half)
+
+
+def followed_sizes(
+    field: VectorField, x0: FloatArray, t: FloatArray, inputs: Inputs | None = None, most: int = MOST_EVALUATIONS
+) -> FloatArray:
+    """Return how large each state (D,) counts as, all above 0, by arguments of `simulate`.
+
+    Errors that are small beside these keep each state right in its unit, and in its troughs where it cannot cross 0.
+    Raises UsageError where arguments do not fit.
+    """
+    check_times(field, x0, t)
+    course = _integrated(_Task(field, inputs, most), x0, t)
+    return np.maximum(course.sizes, np.minimum(course.lowest, np.abs(x0)))
+
+
+def check_times(field: VectorField, x0: FloatArray, t: FloatArray, paths: int = 1) -> None:
+    """Raise UsageError where an initial state or times are none, or so many paths are too many numbers."""
+    if x0.shape != (len(field.states),) or not np.isfinite(x0).all():
+        raise UsageError(f"an initial state has a finite number for each of {', '.join(field.states)}; correct it")
+    if t.ndim != 1 or len(t) < 1 or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
+        raise UsageError("times must be finite and ascend; give at least one")
+    if paths * len(t) * len(x0) > MOST_NUMBERS:
+        what = f"{len(t)} times of {len(x0)} states" + (f" on {paths} paths" if paths > 1 else "")
+        raise UsageError(f"{what} are more than {MOST_NUMBERS} numbers; take longer steps")
+
+
+class _SpentError(Exception):
+    """All evaluations are used up."""
+
+
+class _Task:
+    """The rates as a solver wants them: counted, and bounded."""
+
+    def __init__(self, field: VectorField, inputs: Inputs | None, most: int) -> None:
+        self.field = field
+        self._inputs = inputs
+        self._most = most
+        self._count = 0
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether all evaluations are used up."""
+        return self._count > self._most
+
+    def inputs_at(self, t: float) -> FloatArray | None:
+        """Return the inputs at a time; None where there are none."""
+        return None if self._inputs is None else np.asarray(self._inputs(t), dtype=np.float64)
+
+    def rates(self, t: float, x: FloatArray) -> FloatArray:
+        """Return dx/dt."""
+        self._count += 1
+        if self.is_spent:
+            raise _SpentError
+        return self.field.values(x, self.inputs_at(t))
+
+    def jacobian(self, t: float, x: FloatArray) -> FloatArray:
+        """Return d(dx/dt)/dx, 0 where it has no finite value: the solver's steps end there by the rates."""
+        return np.nan_to_num(self.field.jacobian(x, self.inputs_at(t)))
+
+    def begin_again(self) -> None:
+        """Forget the evaluations."""
+        self._count = 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """States `rows` at the times that were passed, the last time `reached`, and the `last` state (D,) there.
+
+    `sizes` (D,) are those beside which errors were small, `lowest` (D,) the least absolute values on the way;
+    `is_spent` says whether all evaluations were used up.
+    """
+
+    rows: FloatArray
+    reached: float
+    last: FloatArray
+    sizes: FloatArray
+    lowest: FloatArray
+    is_whole: bool
+    is_spent: bool = False
+
+
+def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> _Course:
+    """Return the course from `x0` (D,), once more with smaller sizes where states turn out to be smaller."""
+    begin, sizes = float(t[0]), _sizes(task, x0, t)
+    if len(t) == 1 or not np.isfinite(task.field.values(x0, task.inputs_at(begin))).all():
+        return _Course(np.array([x0]), begin, x0, sizes, np.abs(x0), is_whole=len(t) == 1)
+    found = _attempt(task, x0, t, sizes)
+    smaller = sizes if found.is_spent else _smaller_sizes(task, found, t)
+    if (smaller == sizes).all():
+        return found
+    task.begin_again()
+    finer = _attempt(task, x0, t, smaller)
+    return finer if finer.is_whole else found
+
+
+def _smaller_sizes(task: _Task, found: _Course, t: FloatArray) -> FloatArray:
+    """Return sizes (D,) for another attempt: smaller where a state is far below what its size was taken to be."""
+    reached, sizes = np.abs(found.rows).max(axis=0), found.sizes
+    if found.is_whole:
+        is_small = (reached > 0.0) & (reached < _COARSE * sizes)
+        sizes = np.where(is_small.any() & (reached > 0.0), np.minimum(reached, sizes), sizes)
+    is_deep = (found.lowest < _COARSE * found.sizes) & (found.rows[0] != 0.0)
+    deep = [place for place in np.flatnonzero(is_deep).tolist() if not _can_cross(task, found, t, place)]
+    sizes[deep] = np.maximum(_DEEPEST * sizes[deep], np.finfo(np.float64).tiny)
+    return sizes
+
+
+def _can_cross(task: _Task, found: _Course, t: FloatArray, place: int) -> bool:
+    """Tell whether a state may change its sign: where it is 0, its rate leads away from the sign that it began with.
+
+    The signs on the way do not tell: in a trough that is deeper than the errors allowed, they are those of errors.
+    """
+    sign = float(np.sign(found.rows[0, place]))
+    for row in np.unique(np.linspace(0, len(found.rows) - 1, _LOOKS).astype(int)).tolist():
+        x = found.rows[row].copy()
+        x[place] = 0.0
+        with np.errstate(all="ignore"):
+            rate = float(task.field.values(x, task.inputs_at(float(t[row])))[place])
+        if not sign * rate >= 0.0:
+            return True
+    return False
+
+
+def _attempt(task: _Task, x0: FloatArray, t: FloatArray, sizes: FloatArray) -> _Course:
+    """Return a course, each state with errors that are small beside its own size (D,)."""
+    from scipy.integrate import LSODA
+
+    rows, reached, last, lowest = [x0.copy()], float(t[0]), x0, np.abs(x0)
+    with contextlib.suppress(_SpentError), warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        least = TOLERANCE * _COARSE * sizes
+        solver = LSODA(task.rates, reached, x0, float(t[-1]), rtol=TOLERANCE, atol=least, jac=task.jacobian)
+        while solver.status == "running":
+            solver.step()
+            if solver.status == "failed" or not np.isfinite(solver.y).all():
+                break
+            reached, last = float(solver.t), solver.y.copy()
+            lowest = np.minimum(lowest, np.abs(last))
+            if np.abs(last).max() > _LARGEST:
+                break
+            _take_rows(rows, t, solver)
+    return _Course(np.array(rows), reached, last, sizes, lowest, len(rows) == len(t), task.is_spent)
+
+
+def _sizes(task: _Task, x0: FloatArray, t: FloatArray) -> FloatArray:
+    """Return how large each state is, (D,), all above 0: its initial value, which is what a course can grow from.
+
+    Where that is 0, the largest one measured; of a model without data what the first steps of Euler's method make of
+    it, as many as there are states, since each passes on what it has to others; else, of what stays 0 until an input
+    comes, 1, until the simulation tells.
+    """
+    sizes = np.abs(x0)
+    if task.field.sizes:
+        sizes = np.where(sizes > 0.0, sizes, task.field.sizes)
+    x, step = x0, float(t[1] - t[0]) if len(t) > 1 else 0.0
+    for _ in x0 if (sizes == 0.0).any() else ():
+        with np.errstate(all="ignore"):
+            x = x + step * np.nan_to_num(task.field.values(x, task.inputs_at(float(t[0]))))
+        sizes = np.where((sizes == 0.0) & np.isfinite(x), np.abs(x), sizes)
+    return _positive(sizes)
+
+
+def _take_rows(rows: list[FloatArray], t: FloatArray, solver: Any) -> None:
+    """Add the states at the times that the last step of a solver has passed."""
+    if len(rows) < len(t) and t[len(rows)] <= solver.t:
+        dense = solver.dense_output()
+        end = int(np.searchsorted(t, solver.t, side="right"))
+        rows += [np.asarray(dense(at)) for at in t[len(rows) : end].tolist()]
+
+
+def _ending(task: _Task, course: _Course, sizes: FloatArray, span: float) -> Status:
+    """Return why a simulation ended early, from the last state that was reached; `sizes` (D,) are those at first."""
+    last = course.last
+    rates = task.field.values(last, task.inputs_at(course.reached))
+    with np.errstate(all="ignore"):  # the time in which a state that grows gets twice as large
+        is_growing = (last * rates > 0.0) & (np.abs(last) > sizes)
+        doubling = float(np.where(is_growing, np.abs(last / rates), np.inf).min())
+    if np.abs(last).max() > _LARGEST or doubling < math.sqrt(TOLERANCE) * span:
+        return "blow-up"
+    return "stiff" if course.is_spent else "undefined"
+
+
+def _sentence(status: Status, reached: float, most: int) -> str:
+    where = f"time {reached:.6g}"
+    return {
+        "finished": f"it reached {where}",
+        "blow-up": f"a state grows beyond all bounds near {where}",
+        "stiff": f"{most} evaluations lead to {where} only: the model is stiff or very fast there; simulate less time",
+        "undefined": f"a rate has no finite value near {where}",
+    }[status]
+
+
+def _standard_errors(task: _Task, errors: JointErrors, course: _Course, t: FloatArray) -> FloatArray | None:
+    """Return the standard errors (N, D) of the simulated states (N, D), by the sensitivities S' = J S + df/dc.
+
+    None where they cannot be followed.
+    """
+    states = course.rows
+    x0, (rows, size) = states[0], states.shape
+    values, vectors = np.linalg.eigh(errors.covariance)
+    kept = values > 0.0
+    root = vectors[:, kept] * np.sqrt(values[kept])  # (K, M): sensitivities to directions of unit variance
+    number = root.shape[1]
+    if not len(errors.columns) or not number or len(t) == 1:
+        return np.zeros((len(t), size))
+    sizes = _positive(np.abs(states).max(axis=0))
+    some = np.unique(np.linspace(0, rows - 1, _LOOKS).astype(int))
+    driven = np.array([errors.rates(states[row], task.inputs_at(float(t[row]))) @ root for row in some])
+    # sensitivities are linear in a direction: each is followed at the size at which states move by about their own
+    shares = _positive(np.nan_to_num((np.abs(driven) / sizes[:, None]).max(axis=(0, 1)) * float(t[-1] - t[0])))
+
+    def rates(at: float, y: FloatArray) -> FloatArray:
+        x, s = y[:size], y[size:].reshape(size, number)
+        slope = task.jacobian(at, x) @ s + errors.rates(x, task.inputs_at(at)) @ (root / shares)
+        return np.concatenate([task.rates(at, x), slope.ravel()])
+
+    from scipy.integrate import solve_ivp
+
+    task.begin_again()
+    start = np.concatenate([x0, np.zeros(size * number)])
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            small = np.where(_comes_back(states), np.minimum(course.lowest, sizes), sizes)
+            least = 1e-9 * np.concatenate([small, np.repeat(small, number)])
+            found = solve_ivp(rates, (float(t[0]), float(t[-1])), start, "LSODA", t, rtol=1e-6, atol=least)
+    except _SpentError:
+        return None
+    if found.status != 0:
+        return None
+    sensitivities = found.y[size:].reshape(size, number, len(t)) * shares[:, None]
+    return np.asarray(np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities)))
+
+
+def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
+    """Tell of which states (N, D) a trough lies between higher values: what happens in it decides what comes later."""
+    course = np.abs(states)
+    lowest = course.argmin(axis=0)
+    later = np.array([course[row:, place].max() for place, row in enumerate(lowest.tolist())])
+    lows = course.min(axis=0)
+    is_deep = lows < _COARSE * np.minimum(course[0], later)
+    return np.asarray(is_deep & (later > math.sqrt(_DEEPEST) * course[0]))
+
+
+def _positive(sizes: FloatArray) -> FloatArray:
+    """Return sizes, 1 in the place of 0: what is always 0 has none, and errors of it are none."""
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
+def interpolated(times: FloatArray, values: FloatArray) -> Inputs:
+    """Return the inputs (N, U) measured at `times` (N,) as a function of time: cubic between them, constant beyond."""
+    from scipy.interpolate import PchipInterpolator
+
+    if len(times) < 2:
+        constant = values[0].copy()
+        return lambda _: constant
+    curve = PchipInterpolator(times, values, axis=0)
+    first, last = float(times[0]), float(times[-1])
+    return lambda t: np.asarray(curve(min(max(t, first), last)))
+
+
+def together(parts: Sequence[Callable[[float], float]]) -> Inputs:
+    """Return the inputs, one function of time for each."""
+    return lambda t: np.array([part(t) for part in parts], dtype=np.float64)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

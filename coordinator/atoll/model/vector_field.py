@@ -1,0 +1,352 @@
+"""The right-hand sides of a model as functions of numbers, with their derivatives by states and by constants.
+
+Letters: D states, U inputs, P parameters, N points. Values agree with those of the search up to rounding, since sympy
+arranges formulas anew. sympy is imported when a function is first needed.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.model.scales import measured_sizes
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE, Definition, Functions, Slope, definitions
+from atoll_core.expression.program import Program
+from atoll_core.expression.text.parsing import from_infix
+
+if TYPE_CHECKING:
+    import sympy
+
+MOST_STATES: Final = 200
+"""More states than this make a Jacobian whose formulas take minutes to write."""
+
+_VELOCITY: Final = "_dot"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A constant of a model: `name` is c1, c2, … over all equations, `variable` the state of its equation."""
+
+    name: str
+    variable: str
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class VectorField:
+    """dx/dt = f(x, u, p) of D states.
+
+    `states` are the names of x in order, `inputs` those of u, which have no equation; `expressions` are the D
+    right-hand sides as infix text. Of equations of second order, the velocities are states after all positions.
+    `sizes` are the largest absolute values measured of the states, 0 where none is known; empty: of no state.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    expressions: tuple[str, ...]
+    sizes: tuple[float, ...] = ()
+    programs: tuple[Program, ...] = field(init=False, repr=False)
+    parameters: tuple[Parameter, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.states) <= MOST_STATES or len(self.expressions) != len(self.states):
+            counts = f"{len(self.expressions)} expressions for {len(self.states)} states"
+            raise UsageError(f"there are {counts}; give one for each, of 1 to {MOST_STATES} states")
+        names = (*self.states, *self.inputs)
+        if len(set(names)) < len(names):
+            raise UsageError(f"a name stands twice among {', '.join(names)}; give each state and input its own")
+        programs = tuple(from_infix(text, names) for text in self.expressions)
+        found = [
+            (state, value)
+            for state, program in zip(self.states, programs, strict=True)
+            for value in program.constants[program.operators == np.int8(CONSTANT)].tolist()
+        ]
+        parameters = tuple(Parameter(f"c{number}", *each) for number, each in enumerate(found, start=1))
+        object.__setattr__(self, "programs", programs)
+        object.__setattr__(self, "parameters", parameters)
+
+    @classmethod
+    def of(cls, equations: Mapping[str, str], inputs: Sequence[str] = (), sizes: Sequence[float] = ()) -> "VectorField":
+        """Return the field of ``{state: right-hand side}``, with these `inputs` and `sizes`; raises UsageError."""
+        return cls(tuple(equations), tuple(inputs), tuple(equations.values()), tuple(sizes))
+
+    @classmethod
+    def from_result(cls, found: Mapping[str, Any]) -> "VectorField":
+        """Return the field of the model that a result (the content of result.json) shows.
+
+        Of a stochastic process it is the drift. Variables without an equation of their own are inputs.
+
+        Raises:
+            UsageError: there is an equation without an expression, or the equations are not differential.
+        """
+        symbols: Mapping[str, str] = found["symbols"]
+        equations = [each for each in found["equations"] if each["variable"] in symbols]
+        order = _order(found["equations"])
+        missing = next((each["lhs"] for each in equations if not each["expression"]), None)
+        if missing is not None:
+            raise UsageError(f"the result has no equation for {missing}; a model needs one for each state")
+        positions = {symbols[each["variable"]]: str(each["expression"]) for each in equations}
+        if order == 1:
+            names = [name for name in symbols.values() if name not in positions]
+            return cls.of(positions, names, measured_sizes(found, [*positions]))
+        velocities = {_velocity_of(each["variable"], symbols): symbols[each["variable"]] for each in equations}
+        moving = {name: velocity for velocity, name in velocities.items()}
+        accelerations = {moving[name]: text for name, text in positions.items()}
+        taken = {*moving, *accelerations}
+        names, states = [name for name in symbols.values() if name not in taken], {**moving, **accelerations}
+        return cls.of(states, names, measured_sizes(found, [*states]))
+
+    @property
+    def values_of_parameters(self) -> FloatArray:
+        """The values of the parameters (P,)."""
+        return np.array([each.value for each in self.parameters], dtype=np.float64)
+
+    def values(self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None) -> FloatArray:
+        """Return dx/dt at one point (D,) or at N points (N, D), of the same shape; NaN where it has no finite value.
+
+        Args:
+            x: states.
+            u: inputs, (U,) for all points or (N, U); None where there are none.
+            p: parameters (P,); None: those of the model.
+        """
+        return self._evaluated(self._formulas.values, (len(self.states),), x, u, p)
+
+    def jacobian(self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None) -> FloatArray:
+        """Return d(dx_i/dt)/dx_j as (D, D), or (N, D, D) at N points; otherwise as `values`."""
+        size = len(self.states)
+        return self._evaluated(self._formulas.jacobian, (size, size), x, u, p)
+
+    def parameter_derivatives(
+        self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None
+    ) -> FloatArray:
+        """Return d(dx_i/dt)/dp_k as (D, P), or (N, D, P) at N points; otherwise as `values`."""
+        return self._evaluated(self._formulas.by_parameters, (len(self.states), len(self.parameters)), x, u, p)
+
+    def input_derivatives(
+        self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None
+    ) -> FloatArray:
+        """Return d(dx_i/dt)/du_k as (D, U), or (N, D, U) at N points; otherwise as `values`."""
+        return self._evaluated(self._formulas.by_inputs, (len(self.states), len(self.inputs)), x, u, p)
+
+    def term_of(self, index: int, p: FloatArray) -> str:
+        """Return what a parameter (from 0) is the coefficient of, as infix text without its sign: x*y for c1*x*y.
+
+        Other parameters in it have the values `p` (P,).
+        """
+        return self._formulas.term_of(index, p.tolist())
+
+    @cached_property
+    def _formulas(self) -> "_Formulas":
+        return _Formulas(self)
+
+    def _evaluated(
+        self,
+        function: "_Function",
+        shape: tuple[int, ...],
+        x: npt.ArrayLike,
+        u: npt.ArrayLike | None,
+        p: npt.ArrayLike | None,
+    ) -> FloatArray:
+        points = np.asarray(x, dtype=np.float64)
+        inputs = np.asarray(() if u is None else u, dtype=np.float64)
+        values = self.values_of_parameters if p is None else np.asarray(p, dtype=np.float64)
+        self._check_shapes(points, inputs, values)
+        if points.ndim == 1 and inputs.ndim == 1:
+            return function.at_point([*points.tolist(), *inputs.tolist(), *values.tolist()]).reshape(shape)
+        rows = max(len(each) for each in (points, inputs) if each.ndim == 2)
+        columns = [*points.T, *inputs.T]
+        return function.at_points(columns, values.tolist(), rows).reshape(rows, *shape)
+
+    def _check_shapes(self, points: FloatArray, inputs: FloatArray, values: FloatArray) -> None:
+        for what, array, count in (("state", points, len(self.states)), ("input", inputs, len(self.inputs))):
+            if array.ndim not in (1, 2) or array.shape[-1] != count:
+                raise UsageError(f"{what}s have the shape {array.shape}, expected ({count},) or (N, {count})")
+        if values.shape != (len(self.parameters),):
+            raise UsageError(f"parameters have the shape {values.shape}, expected ({len(self.parameters)},)")
+
+
+def _order(equations: Sequence[Mapping[str, Any]]) -> int:
+    """Return the order of the derivatives that the equations begin with; raises UsageError where there are none."""
+    sides = [str(each["lhs"]) for each in equations]
+    for each, side in zip(equations, sides, strict=True):
+        if side == each["variable"] or "/" not in side:
+            raise UsageError(f"the equation of {side} is not differential; a model of dynamics needs d{side}/dt")
+    return 2 if sides and all(side == f"d2{each['variable']}/" + side.rpartition("/")[2] and side.endswith("2")
+                              for each, side in zip(equations, sides, strict=True)) else 1  # fmt: skip
+
+
+def _velocity_of(variable: str, symbols: Mapping[str, str]) -> str:
+    """Return the symbol of the velocity of `variable`, named after it, with more _ where that is taken."""
+    name = variable + _VELOCITY
+    while name in symbols and name + "_" in symbols:
+        name += "_"
+    if name not in symbols:
+        raise UsageError(f"the result has no velocity of '{variable}'; it is not of this version")
+    return symbols[name]
+
+
+class _Formulas:
+    """Compiled functions of a field, each made when it is first used."""
+
+    def __init__(self, of: VectorField) -> None:
+        self._field = of
+
+    @cached_property
+    def _symbols(self) -> "tuple[list[sympy.Symbol], list[sympy.Symbol]]":
+        """Symbols of states and inputs, and of parameters."""
+        import sympy
+
+        count = len(self._field.states) + len(self._field.inputs)
+        variables = [sympy.Symbol(f"x{index}", real=True) for index in range(count)]
+        return variables, [sympy.Symbol(f"p{index}", real=True) for index in range(len(self._field.parameters))]
+
+    @cached_property
+    def _jets(self) -> "list[_Jet]":
+        variables, parameters = self._symbols
+        operators = _operators()
+        jets, begin = [], 0
+        for program in self._field.programs:
+            count = int(np.count_nonzero(program.operators == np.int8(CONSTANT)))
+            jets.append(_jet(program, variables, parameters[begin : begin + count], operators))
+            begin += count
+        return jets
+
+    @cached_property
+    def values(self) -> "_Function":
+        return self._compiled([jet.value for jet in self._jets])
+
+    @cached_property
+    def jacobian(self) -> "_Function":
+        states = self._symbols[0][: len(self._field.states)]
+        return self._compiled([jet.slopes.get(state, 0) for jet in self._jets for state in states])
+
+    @cached_property
+    def by_parameters(self) -> "_Function":
+        return self._compiled([jet.slopes.get(each, 0) for jet in self._jets for each in self._symbols[1]])
+
+    @cached_property
+    def by_inputs(self) -> "_Function":
+        inputs = self._symbols[0][len(self._field.states) :]
+        return self._compiled([jet.slopes.get(each, 0) for jet in self._jets for each in inputs])
+
+    def term_of(self, index: int, values: Sequence[float]) -> str:
+        import sympy
+
+        variables, parameters = self._symbols
+        slope = next(jet.slopes[parameters[index]] for jet in self._jets if parameters[index] in jet.slopes)
+        names = zip(variables, (*self._field.states, *self._field.inputs), strict=True)
+        known = {symbol: sympy.Symbol(name) for symbol, name in names}
+        known |= {
+            symbol: sympy.Integer(value) if value.is_integer() else sympy.Float(value)
+            for symbol, value in zip(parameters, values, strict=True)
+        }
+        term = sympy.sympify(slope).xreplace(known)
+        return str(-term if term.could_extract_minus_sign() else term)
+
+    def _compiled(self, formulas: "list[sympy.Expr | int]") -> "_Function":
+        variables, parameters = self._symbols
+        return _Function(variables, parameters, formulas)
+
+
+class _Function:
+    """Formulas as two compiled functions: of plain numbers, which is fast at one point, and of arrays."""
+
+    def __init__(self, variables: Sequence[Any], parameters: Sequence[Any], formulas: Sequence[Any]) -> None:
+        self._arguments = [*variables, *parameters]
+        self._formulas = list(formulas)
+
+    @cached_property
+    def _of_numbers(self) -> Callable[..., Sequence[float]]:
+        return self._lambdified("math")
+
+    @cached_property
+    def _of_arrays(self) -> Callable[..., Sequence[Any]]:
+        return self._lambdified("numpy")
+
+    def _lambdified(self, module: str) -> Callable[..., Any]:
+        import sympy
+
+        # Such as 1/(x - x), which has no value anywhere: neither module has a number for it.
+        known = [sympy.nan if sympy.sympify(each).has(sympy.zoo) else each for each in self._formulas]
+        function: Callable[..., Any] = sympy.lambdify(self._arguments, known, modules=module, cse=True)
+        return function
+
+    def at_point(self, numbers: Sequence[float]) -> FloatArray:
+        """Return the values of all formulas; NaN where they have none."""
+        try:
+            found = np.array(self._of_numbers(*numbers), dtype=np.float64)
+        except (ArithmeticError, ValueError, TypeError):  # a division by zero, log of 0, a root of a negative number
+            columns = [np.array([number]) for number in numbers]
+            return np.asarray(self.at_points(columns, (), 1)[0])
+        if not all(map(math.isfinite, found.tolist())):
+            found[~np.isfinite(found)] = np.nan
+        return found
+
+    def at_points(self, columns: Sequence[FloatArray], numbers: Sequence[float], rows: int) -> FloatArray:
+        """Return the values of all formulas at `rows` points, shape (rows, formulas); NaN where they have none."""
+        with np.errstate(all="ignore"):
+            found = self._of_arrays(*columns, *map(np.float64, numbers))
+        values = np.empty((rows, len(self._formulas)))
+        for index, each in enumerate(found):
+            values[:, index] = each
+        values[~np.isfinite(values)] = np.nan
+        return values
+
+
+@dataclass(frozen=True)
+class _Jet:
+    """A formula and its derivatives by the symbols that it has."""
+
+    value: "sympy.Expr"
+    slopes: "dict[sympy.Symbol, sympy.Expr]"
+
+
+def _operators() -> dict[int, Definition]:
+    import sympy
+
+    return definitions(
+        Functions(
+            sympy.sin, sympy.cos, sympy.exp, sympy.log, sympy.sqrt, sympy.Abs, sympy.tanh, sympy.Pow, sympy.sign,
+            lambda x, _: sympy.log(x),
+        )
+    )  # fmt: skip
+
+
+def _jet(
+    program: Program, variables: Sequence[Any], parameters: Sequence[Any], operators: Mapping[int, Definition]
+) -> _Jet:
+    """Return the formula of a program whose constants are `parameters` in node order, by the table of operators."""
+    jets: list[_Jet] = []
+    constants = iter(parameters)
+    for code, left, right, _ in program.nodes():
+        if code in (VARIABLE, CONSTANT):
+            symbol = variables[left] if code == VARIABLE else next(constants)
+            jets.append(_Jet(symbol, {symbol: 1}))
+        else:
+            jets.append(_applied(operators[code], jets[left], jets[right] if ARITY[code] == 2 else None))
+    return jets[-1]
+
+
+def _applied(operator: Definition, left: _Jet, right: _Jet | None) -> _Jet:
+    first, second = left.value, None if right is None else right.value
+    value = operator.value(first, second)
+    slopes: dict[Any, Any] = {}
+    for argument, slope in ((left, operator.left), (right, operator.right)):
+        if argument is not None:
+            factor = _factor(slope, first, second, value)
+            for symbol, its in argument.slopes.items():
+                slopes[symbol] = slopes.get(symbol, 0) + factor * its
+    return _Jet(value, slopes)
+
+
+def _factor(slope: Slope, a: Any, b: Any, v: Any) -> Any:
+    factor: Any = slope.sign
+    for part in slope.factors:
+        factor = factor * part(a, b, v)
+    return factor if slope.divisor is None else factor / slope.divisor(a, b, v)

@@ -1,0 +1,99 @@
+"""The page: a head, a list of its sections, and the sections."""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import Any, Final
+
+from atoll.report.choice import choice
+from atoll.report.constants import constants
+from atoll.report.dynamics import dynamics
+from atoll.report.findings import Findings
+from atoll.report.markup import Element, element, paragraph, to_text
+from atoll.report.origin import origin
+from atoll.report.overview import overview
+from atoll.report.process import process
+from atoll.report.regression import regression
+from atoll.report.search import search
+from atoll.report.trajectories import trajectories
+from atoll_core import VERSION
+
+_POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+"""Nothing is loaded and no script runs, whatever a name in the data may hold."""
+
+
+def as_html(result: Mapping[str, Any]) -> str:
+    """Return the page of a result (the content of result.json); its model is analysed, which takes a few seconds."""
+    return as_text(build_page(result))
+
+
+def as_text(page: Element) -> str:
+    """Return a page as HTML."""
+    return "<!DOCTYPE html>\n" + to_text(page) + "\n"
+
+
+def build_page(result: Mapping[str, Any]) -> Element:
+    """Return the page of a result as an element."""
+    its = Findings.of(result)
+    sections = [
+        overview(its),
+        *regression(its),
+        *trajectories(its),
+        *constants(its),
+        *choice(its),
+        *dynamics(its),
+        *process(its),
+        *search(its),
+        origin(its),
+    ]
+    title = _title(its)
+    links = (element("li", element("a", _heading(each), href=f"#{each.get('id')}")) for each in sections)
+    contents = element("nav", element("ul", *links), aria_label="Contents")
+    foot = element("footer", paragraph(f"Written by Atoll {VERSION}."))
+    body = element("body", element("header", element("h1", title), contents), element("main", *sections), foot)
+    return element("html", _head(title), body, lang="en")
+
+
+def pictures(page: Element) -> dict[str, str]:
+    """Return the pictures of a page as SVG files of their own, by name: the section and a number, ``fit-1.svg``."""
+    found: dict[str, str] = {}
+    for part in page.iter("section"):
+        drawn = [each for each in part.iter("svg") if each.get("role") == "img"]
+        found |= {f"{part.get('id')}-{number}.svg": _alone(each) for number, each in enumerate(drawn, 1)}
+    return found
+
+
+def _alone(picture: Element) -> str:
+    """Return a picture with its own style, on white."""
+    style = element("style", _style("pictures"))
+    ground = element("rect", width="100%", height="100%", fill="#ffffff")
+    attributes = {**picture.attrib, "xmlns": "http://www.w3.org/2000/svg"}
+    made = element("svg", style, ground, *picture)
+    made.attrib.update(attributes)
+    return to_text(made) + "\n"
+
+
+def _title(its: Findings) -> str:
+    names = (its.result.get("data") or {}).get("files") or [f"job {its.result['job']}"]
+    return f"Equations of {', '.join(names)}"
+
+
+def _heading(part: Element) -> str:
+    return part[0].text or ""
+
+
+def _head(title: str) -> Element:
+    return element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("link", rel="icon", href="data:,"),
+        element("title", title),
+        element("style", _style("pictures") + _style("page")),
+    )
+
+
+@cache
+def _style(name: str) -> str:
+    return files("atoll.report").joinpath(f"{name}.css").read_text("utf-8")

@@ -1,0 +1,224 @@
+"""A result for people and for other programs: text, CSV, sympy, LaTeX. Works on the dictionary of ``result.json``."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.model.export.text import as_csv, as_latex, as_sympy
+from atoll.model.parameters import constant_names
+from atoll.text import tables
+from atoll.text.process import process_lines
+from atoll_core.errors import UsageError
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+
+FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
+DIGITS: Final = 6
+"""Significant digits of the constants that people are shown."""
+
+_NUMBER: Final = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")
+_ENDS: Final = {
+    "target": "the target error was met",
+    "law": "laws by regression describe the data up to noise",
+    "stagnation": "no better equation was found for long",
+    "max-epochs": "the number of epochs was used up",
+    "max-time": "the time was used up",
+    "cancelled": "it was cancelled",
+}
+
+
+def render(result: Mapping[str, Any], how: str) -> str:
+    """Return `result` in one of `FORMATS` but json, which needs nothing from here.
+
+    Raises:
+        UsageError: `how` is no such format.
+    """
+    renderers = {"text": render_text, "csv": as_csv, "sympy": as_sympy, "latex": as_latex}
+    if how not in renderers:
+        raise UsageError(f"{how!r} is no format of a result; choose one of {', '.join(FORMATS)}")
+    return renderers[how](result)
+
+
+def pick(result: Mapping[str, Any], picks: Mapping[str, int]) -> dict[str, Any]:
+    """Return `result` with other members of the fronts selected: by variable, the number that the front table shows.
+
+    What belongs to the selected equation is taken from the front; when and at what cost the search ended stays. What
+    refining found out of the model as a whole does not belong to the one picked, and goes.
+
+    Raises:
+        UsageError: a variable or number does not exist.
+    """
+    known = [equation["variable"] for equation in result["equations"]]
+    for variable in picks:
+        if variable not in known:
+            raise UsageError(f"--pick names the equation {variable!r}, but there are only {', '.join(known)}")
+    is_of_group = result.get("group") is not None
+    equations = [
+        _picked(equation, picks[equation["variable"]], is_of_group) if equation["variable"] in picks else equation
+        for equation in result["equations"]
+    ]
+    return {**result, "equations": equations, "correlations": [], "shared_terms": [], "simulation": None}
+
+
+def parse_picks(texts: Sequence[str]) -> dict[str, int]:
+    """Return picks from options such as ``x=2``; raises UsageError."""
+    picks: dict[str, int] = {}
+    for text in texts:
+        variable, _, number = text.rpartition("=")
+        if not variable or not number.isdecimal():
+            raise UsageError(f"--pick wants VARIABLE=NUMBER such as x=2, but got {text!r}")
+        if variable in picks:
+            raise UsageError(f"--pick names the equation {variable!r} twice; pick one member of its front")
+        picks[variable] = int(number)
+    return picks
+
+
+def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
+    """Return the equations for people, one after another; with `fronts`, all tables: the fronts, with numbers to pick,
+    constants, contenders, noise and simulations.
+    """
+    names = _names(result)
+    called = constant_names(result)
+    blocks = [_equation_text(each, names, called[each["variable"]], fronts) for each in result["equations"]]
+    if fronts:
+        blocks += [*tables.noise_lines(result), *tables.simulation_table(result), *tables.correlation_lines(result)]
+    else:
+        blocks += tables.summary(result)
+    blocks += _shared_lines(result)
+    blocks += process_lines(result)
+    blocks += [f"warning: {warning}" for warning in result.get("warnings", ())]
+    evaluations, seconds = result["point_evaluations"], result["search_seconds"]
+    blocks.append(f"{_count(evaluations)} point evaluations in {_number(seconds)} s of search, seed {result['seed']}")
+    return "\n".join(blocks)
+
+
+def display(expression: str, names: Sequence[str]) -> str:
+    """Return an expression of a result with its constants rounded to `DIGITS`."""
+    return to_infix(from_infix(expression, names), names, digits=DIGITS)
+
+
+def _names(result: Mapping[str, Any]) -> list[str]:
+    return list(result["symbols"].values())
+
+
+def _picked(equation: Mapping[str, Any], number: int, is_of_group: bool) -> dict[str, Any]:
+    front = equation["front"]
+    if not 0 <= number < len(front):
+        there = f"from 0 to {len(front) - 1}" if front else "there are none yet"
+        raise UsageError(f"--pick {equation['variable']}={number} is not on the front; choose a number {there}")
+    taken = ("expression", "complexity", "error", "normalized_error", "r2", "constants")
+    members = [{**member, "selected": index == number} for index, member in enumerate(front)]
+    best = {key: front[number][key] for key in taken}
+    best["origin"] = "known" if equation["why"] == "known" else "front"
+    error = best["normalized_error"]
+    converged = error is not None and error <= equation["target_error"]
+    unknown: dict[str, Any] = {"verdict": None, "reason": None, "candidates": [], "groups": []}
+    if is_of_group or equation.get("groups"):
+        unknown["is_of_all_groups"] = True
+    return {**equation, **best, **unknown, "converged": converged, "front": members}
+
+
+def _shared_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return a line for each flux, and for each other term with a function that several equations have in common."""
+    names = _names(result)
+    sides = {equation["variable"]: equation["lhs"] for equation in result["equations"]}
+    lines = []
+    for each in result.get("shared_terms", ()):
+        multiples = {variable: its for variable, its in (each.get("multiples") or {}).items() if its is not None}
+        if multiples:
+            variable = next(iter(multiples))
+            rate = abs(each["factors"][variable] / multiples[variable])
+            times = ", ".join(f"{multiples[one]:+.6g} in {sides[one]}" for one in multiples)
+            flux = display(f"{rate!r}*({each['term']})", names)
+            lines.append(f"flux: {flux}, {times}")
+        elif each["has_function"]:
+            within = ", ".join(sides[variable] for variable in each["factors"])
+            lines.append(f"shared: {display(each['term'], names)} in {within}")
+    return lines
+
+
+def _equation_text(equation: Mapping[str, Any], names: Sequence[str], called: Sequence[str], with_tables: bool) -> str:
+    if equation["expression"] is None:
+        return f"{equation['lhs']} = ?\n    nothing found yet"
+    lines = [f"{equation['lhs']} = {display(equation['expression'], names)}"]
+    constants = None if with_tables else tables.constants_line(equation["constants"])
+    if with_tables or constants:
+        lines += _written_out(equation, names)
+    lines += [f"    {constants}"] if constants else []
+    lines += ["    its constants are of all groups together"] if equation.get("is_of_all_groups") else []
+    lines += tables.units_line(equation.get("units"))
+    groups = [{**each, "text": display(each["expression"], names)} for each in equation.get("groups") or ()]
+    lines += tables.groups_table(equation["constants"], groups, called)
+    if equation.get("verdict") is not None:
+        lines.append(f"    {equation['verdict']}: {equation['reason']}")
+    lines.append(f"    {_standing(equation)}")
+    most = None if with_tables else tables.NEAREST
+    if with_tables:
+        lines += tables.constants_table(equation["constants"])
+        lines += tables.together_line(equation.get("simple_together"))
+    if with_tables or equation.get("verdict") != "exact":
+        contenders = tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names), most)
+        lines += contenders
+        lines += ["    constants of contenders are of all groups together"] if contenders and groups else []
+    if with_tables:
+        lines += [*_front_lines(equation["front"], names), ""]
+    return "\n".join(lines)
+
+
+def _written_out(equation: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    """Return the expression with its constants where they are, if the display has other numbers, such as 1/4 for 4."""
+    program = from_infix(equation["expression"], names)
+    rounded = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))
+    seen = {float(number) for number in _NUMBER.findall(display(equation["expression"], names))}
+    known = {abs(float(f"{each['value']:.{DIGITS}g}")) for each in equation["constants"] if each["value"] is not None}
+    return [] if known <= seen | {1.0} else [f"    written out: {to_infix(rounded, names)}"]
+
+
+def _standing(equation: Mapping[str, Any]) -> str:
+    if equation["why"] == "known":
+        return f"known: error {_number(equation['normalized_error'])} of the target's deviation"
+    found = "converged: " if equation["converged"] else "not converged: "
+    if equation["converged"] and equation.get("verdict") == "no model":  # the derivative is met, the measurements not
+        found = ""
+    text = f"{found}error {_number(equation['normalized_error'])} of the target's deviation"
+    text += f", size {equation['complexity']}, epoch {equation['epoch']}"
+    if not equation["converged"] and equation["why"] not in (None, "target"):  # "target": another member met it
+        text += f"; {_ENDS.get(equation['why'], equation['why'])}"
+    return text
+
+
+def _front_lines(front: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[str]:
+    is_held_out = any(member["holdout_error"] is not None for member in front)
+    beside = f" {'held out':>10}" if is_held_out else ""
+    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10}{beside} {'R2':>9}  expression"]
+    for number, member in enumerate(front):
+        mark = "*" if member["selected"] else " "
+        unseen = f" {_number(_unseen(member)):>10}" if is_held_out else ""
+        figures = f"{member['complexity']:>4} {_number(member['normalized_error']):>10}{unseen}"
+        figures += f" {_rounded(member['r2']):>9}"
+        lines.append(f"    {number:>4} {mark} {figures}  {display(member['expression'], names)}")
+    return lines
+
+
+def _unseen(member: Mapping[str, Any]) -> float | None:
+    """Return the error on held-out rows, over the deviation of the target on the rows of the search."""
+    unseen, error, normalized = member["holdout_error"], member["error"], member["normalized_error"]
+    return unseen * normalized / error if unseen is not None and error and normalized else None
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "?" if value is None else f"{value:.{digits}g}"
+
+
+def _rounded(value: float | None) -> str:
+    return "?" if value is None else f"{round(value, 6):.6g}"
+
+
+def _count(value: int) -> str:
+    for size, unit in ((1e9, " G"), (1e6, " M"), (1e3, " k")):
+        if value >= size:
+            return f"{value / size:.3g}{unit}"
+    return str(value)

@@ -1,0 +1,239 @@
+"""The units of an equation: those that its constants must have, and terms that cannot be right. Pure.
+
+The exponents of each base symbol obey linear equations: both sides of a sum have one unit, arguments of functions and
+exponents have none, the whole has that of the left-hand side. Units of constants, and of variables of which none is
+given, are the unknowns. Equations are taken in from the inside out; one that contradicts those before names its term.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Final
+
+from atoll_coordinator.units import Unit, expanded
+from atoll_core.expression.builder import live_nodes
+from atoll_core.expression.operators import (
+    ABS,
+    ADD,
+    ARITY,
+    CONSTANT,
+    DIVIDE,
+    INVERSE,
+    MULTIPLY,
+    NEGATE,
+    POW,
+    SQRT,
+    SQUARE,
+    SUBTRACT,
+    VARIABLE,
+)
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.unit_coefficients import make_coefficients_explicit
+
+Vector = dict[str, Fraction]
+"""Exponents by base symbol; unknowns stand in it by their names, which begin with a blank."""
+
+_DIGITS: Final = 3
+
+
+@dataclass(frozen=True)
+class EquationUnits:
+    """What the units say of one equation.
+
+    `constants` has the unit of each constant in node order, None where units do not determine it; `implied` those of
+    factors of one that are not written, with what each is a factor of, where they are no pure numbers: such a term is
+    right only because of them. `faults` are clauses on terms whose unit no factor makes right.
+    """
+
+    constants: tuple[Unit | None, ...]
+    implied: tuple[tuple[str, Unit], ...] = ()
+    faults: tuple[str, ...] = ()
+
+
+def units_of(program: Program, names: Sequence[str], units: Mapping[str, Unit], left: Unit | None) -> EquationUnits:
+    """Return the units of the constants of `program`, and which terms cannot be right.
+
+    Args:
+        program: the right-hand side.
+        names: of the variables.
+        units: of variables, by name; of others they are not known.
+        left: that of the left-hand side, None where it is not known.
+    """
+    opened = make_coefficients_explicit(program)
+    strict = _Inference(opened.program, names, {name: expanded(unit) for name, unit in units.items()}, units)
+    strict.close(None if left is None else expanded(left), left)
+    shown = _Inference(opened.program, names, {name: dict(unit.powers) for name, unit in units.items()}, units)
+    shown.close(None if left is None else dict(left.powers), left)
+    written: dict[int, Unit | None] = {}
+    implied: list[tuple[str, Unit]] = []
+    terms = iter(opened.terms)
+    for origin, unit in zip(opened.origins, shown.constants(), strict=True):
+        if origin is not None:
+            written[origin] = unit
+            continue
+        term = to_infix(next(terms), names, digits=_DIGITS)
+        if unit is not None and not unit.is_none:
+            implied.append((term, unit))
+    return EquationUnits(tuple(written[number] for number in sorted(written)), tuple(implied), tuple(strict.faults))
+
+
+@dataclass
+class _Inference:
+    """Units of all nodes, and the equations between them in a form in which each unknown is eliminated once."""
+
+    program: Program
+    names: Sequence[str]
+    known: Mapping[str, Mapping[str, Fraction]]
+    given: Mapping[str, Unit]
+    faults: list[str] = field(default_factory=list)
+    _solved: dict[str, Vector] = field(default_factory=dict)
+    _of_nodes: list[Vector] = field(default_factory=list)
+    _top: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        self._top = frozenset(self._sums(len(self.program) - 1))
+        for index in range(len(self.program)):
+            self._of_nodes.append(self._node(index))
+
+    def close(self, left: Mapping[str, Fraction] | None, unit: Unit | None) -> None:
+        """Take in that each term of the whole has the unit of the left-hand side; of the first term, if not known."""
+        terms = self._terms(len(self.program) - 1)
+        wanted = self._of_nodes[terms[0]] if left is None else dict(left)
+        shown = self._unit(terms[0]) if unit is None else _said(unit)
+        for term in terms:
+            if not self._equate(self._of_nodes[term], wanted):
+                self._blame(f"the term {self._text(term)} has {self._unit(term)} instead of {shown}")
+
+    def constants(self) -> tuple[Unit | None, ...]:
+        """Return the unit of each constant, None where it is not determined."""
+        found = []
+        for place in constant_places(self.program):
+            its = self._reduced(self._of_nodes[place])
+            found.append(None if any(_is_unknown(name) for name in its) else Unit.of(its))
+        return tuple(found)
+
+    def _terms(self, index: int) -> list[int]:
+        """Return the nodes that are added and subtracted at the top."""
+        code, left, right = self._parts(index)
+        if code in (ADD, SUBTRACT):
+            return [*self._terms(left), *self._terms(right)]
+        return self._terms(left) if code == NEGATE else [index]
+
+    def _sums(self, index: int) -> list[int]:
+        """Return the nodes that add and subtract at the top."""
+        code, left, right = self._parts(index)
+        if code in (ADD, SUBTRACT):
+            return [index, *self._sums(left), *self._sums(right)]
+        return self._sums(left) if code == NEGATE else []
+
+    def _parts(self, index: int) -> tuple[int, int, int]:
+        its = self.program
+        return int(its.operators[index]), int(its.left[index]), int(its.right[index])
+
+    def _node(self, index: int) -> Vector:
+        code, left, right = self._parts(index)
+        if code == VARIABLE:
+            name = self.names[left]
+            return dict(self.known[name]) if name in self.known else {f" {name}": Fraction(1)}
+        if code == CONSTANT:
+            return {f" constant {index}": Fraction(1)}
+        first = self._of_nodes[left]
+        second = self._of_nodes[right] if ARITY[code] == 2 else {}
+        if code in (ADD, SUBTRACT):
+            return self._sum(index, left, right)
+        if code in (NEGATE, ABS):
+            return dict(first)
+        if code == MULTIPLY:
+            return _combined(first, second, Fraction(1))
+        if code == DIVIDE:
+            return _combined(first, second, Fraction(-1))
+        factors = {INVERSE: Fraction(-1), SQUARE: Fraction(2), SQRT: Fraction(1, 2)}
+        if code in factors:
+            return _combined({}, first, factors[code])
+        if code == POW:
+            return self._power(index, left, right)
+        self._require_number(left, f"the argument {self._text(left)} of a function")
+        return {}
+
+    def _sum(self, index: int, left: int, right: int) -> Vector:
+        if index not in self._top and not self._equate(self._of_nodes[left], self._of_nodes[right]):
+            texts = f"{self._text(left)} has {self._unit(left)} and {self._text(right)} {self._unit(right)}"
+            self._blame(f"{texts}, but they are added")
+        return dict(self._of_nodes[left])
+
+    def _power(self, index: int, left: int, right: int) -> Vector:
+        self._require_number(right, f"the exponent {self._text(right)}")
+        if self.program.operators[right] == CONSTANT:
+            exponent = Fraction(float(self.program.constants[right])).limit_denominator(1000)
+            return _combined({}, self._of_nodes[left], exponent)
+        self._require_number(left, f"{self._text(left)}, raised to a power that varies,")
+        return {}
+
+    def _require_number(self, index: int, what: str) -> None:
+        if not self._equate(self._of_nodes[index], {}):
+            self._blame(f"{what} has {self._unit(index)} instead of none")
+
+    def _blame(self, clause: str) -> None:
+        if clause not in self.faults:
+            self.faults.append(clause)
+
+    def _equate(self, one: Vector, other: Vector) -> bool:
+        """Take in that two units are equal; return False, and take in nothing, where that contradicts what is known."""
+        difference = self._reduced(_combined(one, other, Fraction(-1)))
+        unknowns = [name for name in difference if _is_unknown(name)]
+        if not unknowns:
+            return not difference
+        unknown = unknowns[0]
+        factor = difference.pop(unknown)
+        solution = {name: -power / factor for name, power in difference.items()}
+        self._solved = {
+            name: _without_zeros(_substituted(its, unknown, solution)) for name, its in self._solved.items()
+        }
+        self._solved[unknown] = solution
+        return True
+
+    def _reduced(self, vector: Vector) -> Vector:
+        found = dict(vector)
+        for name in [each for each in found if each in self._solved]:
+            found = _substituted(found, name, self._solved[name])
+        return _without_zeros(found)
+
+    def _unit(self, index: int) -> str:
+        """Return words for the unit of a node as far as it is known, in the symbols of those that were given."""
+        written = {name: dict(unit.powers) for name, unit in self.given.items()}
+        its = _Inference(_part(self.program, index), self.names, written, {})
+        found = its._reduced(its._of_nodes[-1])
+        return "another unit" if any(map(_is_unknown, found)) else _said(Unit.of(found))
+
+    def _text(self, index: int) -> str:
+        return to_infix(_part(self.program, index), self.names, digits=_DIGITS)
+
+
+def _said(unit: Unit) -> str:
+    return f"the unit {unit}" if unit.powers else "no unit"
+
+
+def _part(program: Program, index: int) -> Program:
+    return Program.of(live_nodes(program.nodes(), index))
+
+
+def _is_unknown(name: str) -> bool:
+    return name.startswith(" ")
+
+
+def _combined(one: Vector, other: Vector, factor: Fraction) -> Vector:
+    found = dict(one)
+    for name, power in other.items():
+        found[name] = found.get(name, Fraction(0)) + factor * power
+    return _without_zeros(found)
+
+
+def _substituted(vector: Vector, name: str, its: Vector) -> Vector:
+    found = dict(vector)
+    factor = found.pop(name, Fraction(0))
+    return _combined(found, its, factor) if factor else found
+
+
+def _without_zeros(vector: Vector) -> Vector:
+    return {name: power for name, power in vector.items() if power}

@@ -1,0 +1,135 @@
+"""Mean and covariance of what a process moves in one step, to second order in the step and beyond where it is linear.
+
+For dx = f dt + g dW with B = g g', the generator of the process is L = f . grad + 1/2 B : grad grad. In a step h from x
+
+    mean        h f + h^2/2 L f + ... , the motion by f alone of order h^4
+    covariance  integral over s from 0 to h of E(h - s) (B + s L B) E(h - s)'
+
+with J the Jacobian of f and E(s) = I + s J + s^2/2 J J + s^3/6 J J J. These are the expansion of moments in powers of h
+(Kessler 1997, section 2; Florens-Zmirou 1989), written as a local linearisation (Shoji & Ozaki 1998), so that the
+covariance is positive wherever B + s L B is; the integral is that of Gauss.
+
+A state without noise of its own is moved by that of the states it follows: over a step its variance is of the third
+order, J B J' h^3 / 3, or of the fifth where it follows such a state. That is small, and yet not zero (hypoelliptic
+processes: Ditlevsen & Samson 2019, who expand to these orders; Melnykova 2020, by the linearisation used here). What is
+so certain asks for as much of the mean: the part of the drift alone is a step of Runge and Kutta, of fourth order.
+
+A table may also be the output of Euler and Maruyama's method, a row for each of its steps. Then mean and covariance of
+a step are h f and h B, and nothing else: noise of one state does not reach another one within the step.
+Letters: S states, V variables, R rows.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from atoll_coordinator.stochastic.jets import Jet, jet_of
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program
+
+Pair = tuple[int, int]
+"""Two states by their index, the first not above the second: a component of the diffusion."""
+
+Discretisation = Literal["local linearisation", "Euler-Maruyama"]
+"""What a step is: that of the process in time, or of the numerical method of this name."""
+
+_NODES: Final = ((0.5 - 0.5 / math.sqrt(3.0), 0.5), (0.5 + 0.5 / math.sqrt(3.0), 0.5))
+_MORE_NODES: Final = ((0.5 - math.sqrt(0.15), 5.0 / 18.0), (0.5, 4.0 / 9.0), (0.5 + math.sqrt(0.15), 5.0 / 18.0))
+"""Nodes of Gauss's rule on [0, 1] and their weights; with two, what two states carry to a third would be singular."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepMoments:
+    """What a step moves: `mean` (S, R), `covariance` (S, S, R), and its `jacobian` (S, S, R), that of x + mean.
+
+    The covariance is NaN where the diffusion of a state is negative, though that of a step may be none: what other
+    states carry over outweighs it where the state has no noise of its own.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    jacobian: FloatArray
+
+
+def step_moments(
+    drift: Sequence[Program],
+    diffusion: Mapping[Pair, Program],
+    points: FloatArray,
+    steps: FloatArray,
+    discretisation: Discretisation = "local linearisation",
+) -> StepMoments:
+    """Return the moments of steps.
+
+    Args:
+        drift: S programs, f.
+        diffusion: B, component by component; those that are missing are zero.
+        points: (V, R), where steps begin; states first, then inputs, which stay as they are in a step.
+        steps: (R,), their lengths.
+        discretisation: what a step is.
+    """
+    states = len(drift)
+    with np.errstate(all="ignore"):
+        value, jacobian, hessian = _stacked([jet_of(program, points, states) for program in drift], states)
+        tensor, its_change = _diffusion(diffusion, points, value, states)
+        if discretisation == "Euler-Maruyama":
+            return StepMoments(steps * value, steps * tensor, np.eye(states)[:, :, None] + steps * jacobian)
+        curved = 0.25 * np.einsum("jkr,ijkr->ir", tensor, hessian)
+        mean = _flow(drift, value, points, steps) + steps * steps * curved
+        square = np.einsum("ijr,jkr->ikr", jacobian, jacobian)
+        powers = jacobian, square, np.einsum("ijr,jkr->ikr", square, jacobian)
+        covariance = np.zeros_like(tensor)
+        variances = tensor[range(states), range(states)]
+        for node, weight in _NODES if variances.any(axis=1).all() else _MORE_NODES:
+            left = _propagator(powers, (1.0 - node) * steps)
+            its = tensor + node * steps * its_change
+            covariance += weight * steps * np.einsum("ijr,jkr,lkr->ilr", left, its, left)
+        covariance[:, :, (variances < 0.0).any(axis=0)] = np.nan
+        return StepMoments(mean, covariance, _propagator(powers, steps))
+
+
+def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return how far the drift, whose `value` at `points` is known, moves the states in a step: Runge and Kutta."""
+    slopes = [value]
+    for share in (0.5, 0.5, 1.0):
+        moved = np.concatenate([points[: len(drift)] + share * steps * slopes[-1], points[len(drift) :]])
+        slopes.append(np.array([values_of(program, moved) for program in drift]))
+    return np.asarray(steps / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3]))
+
+
+def _propagator(powers: tuple[FloatArray, FloatArray, FloatArray], steps: FloatArray) -> FloatArray:
+    """Return E(s) of the first three powers of the Jacobian.
+
+    Of the third, the variance of a state two equations away from noise needs what is next to its leading term, as what
+    other states leave of it is a thirty-sixth of that.
+    """
+    one, two, three = powers
+    return np.asarray(np.eye(len(one))[:, :, None] + steps * (one + 0.5 * steps * (two + steps / 3.0 * three)))
+
+
+def _stacked(jets: Sequence[Jet], states: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return values (N, R), gradients (N, S, R) and Hessians (N, S, S, R) of N jets."""
+    rows = len(jets[0].value)
+    return (
+        np.array([jet.value for jet in jets]),
+        np.array([np.broadcast_to(jet.gradient, (states, rows)) for jet in jets]),
+        np.array([np.broadcast_to(jet.hessian, (states, states, rows)) for jet in jets]),
+    )
+
+
+def _diffusion(
+    diffusion: Mapping[Pair, Program], points: FloatArray, value: FloatArray, states: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return B and L B, (S, S, R) each."""
+    rows, pairs = points.shape[1], list(diffusion)
+    tensor, its_change = np.zeros((states, states, rows)), np.zeros((states, states, rows))
+    values, gradients, hessians = _stacked([jet_of(diffusion[pair], points, states) for pair in pairs], states)
+    for (i, j), its in zip(pairs, values, strict=True):
+        tensor[i, j] = tensor[j, i] = its
+    changes = np.einsum("jr,njr->nr", value, gradients) + 0.5 * np.einsum("jkr,njkr->nr", tensor, hessians)
+    for (i, j), its in zip(pairs, changes, strict=True):
+        its_change[i, j] = its_change[j, i] = its
+    return tensor, its_change

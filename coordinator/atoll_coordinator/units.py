@@ -1,0 +1,255 @@
+"""Units of measurement as products of powers of symbols, such as ``m/s^2`` or ``cells/(mL h)``. Pure.
+
+Any word is a unit: what is not known stands for itself, as cells or EUR do. Known symbols are also written by those of
+the SI, with their factor as powers of 2, 3 and 5, so that N is kg m s^-2, and min 60 s. Temperatures on shifted scales
+and units whose factor is no such product (ft, eV) stand for themselves, and so does pH, the acidity: whoever means
+picohenry writes nH/1000.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final
+
+from atoll_core.errors import UsageError
+
+Powers = Mapping[str, Fraction]
+
+_TOKEN: Final = re.compile(
+    r"\s*(?:(?P<number>\d+(?:\.\d+)?)|(?P<symbol>[^\W\d_⁰¹²³⁴⁵⁶⁷⁸⁹]+|[°℃℉%‰][^\W\d_]*)"
+    r"|(?P<power>\*\*|\^)|(?P<raised>[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+)|(?P<sign>[*/·⋅×.()−+-]))"
+)
+_RAISED: Final = str.maketrans("⁻⁺⁰¹²³⁴⁵⁶⁷⁸⁹", "-+0123456789")
+_NONE: Final = frozenset({"", "1", "-", "dimensionless", "unitless", "rad", "radians"})
+_PREFIXES: Final = {
+    "T": 12, "G": 9, "M": 6, "k": 3, "h": 2, "da": 1, "d": -1, "c": -2, "m": -3, "µ": -6, "μ": -6, "u": -6, "n": -9,
+    "p": -12, "f": -15,
+}  # fmt: skip
+_BASE: Final = "m s g A K mol cd"
+_DERIVED: Final = {
+    "N": "kg m s^-2", "Pa": "kg m^-1 s^-2", "J": "kg m^2 s^-2", "W": "kg m^2 s^-3", "C": "A s", "V": "kg m^2 s^-3 A^-1",
+    "F": "kg^-1 m^-2 s^4 A^2", "Ω": "kg m^2 s^-3 A^-2", "ohm": "kg m^2 s^-3 A^-2", "S": "kg^-1 m^-2 s^3 A^2",
+    "Wb": "kg m^2 s^-2 A^-1", "T": "kg s^-2 A^-1", "H": "kg m^2 s^-2 A^-2", "Hz": "s^-1", "Bq": "s^-1", "L": "dm^3",
+    "l": "dm^3", "M": "mol dm^-3", "bar": "100 kPa", "Wh": "3600 J",
+}  # fmt: skip
+_PLAIN: Final = {
+    "min": "60 s", "h": "3600 s", "hr": "3600 s", "hour": "3600 s", "hours": "3600 s", "d": "86400 s", "day": "86400 s",
+    "days": "86400 s", "week": "604800 s", "weeks": "604800 s", "sec": "s", "second": "s", "seconds": "s",
+    "minute": "60 s", "minutes": "60 s", "%": "0.01", "‰": "0.001", "t": "1000 kg", "ha": "10000 m^2", "years": "year",
+    "yr": "year", "yrs": "year", "y": "year", "a": "year", "meter": "m", "metre": "m", "degrees": "deg",
+    "degree": "deg", "°": "deg",
+}  # fmt: skip
+_THEMSELVES: Final = frozenset({"pH"})
+"""What looks like a prefix with a symbol and is none."""
+_PRIMES: Final = (2, 3, 5, 7)
+_FACTORS: Final = frozenset(map(str, _PRIMES))
+_LONGEST: Final = 300
+"""Characters of a unit. No unit has as many, and what has fewer cannot have too many brackets to be read."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: its symbols with their powers, as they were written."""
+
+    powers: tuple[tuple[str, Fraction], ...] = ()
+
+    @classmethod
+    def of(cls, powers: Powers) -> "Unit":
+        """Return the unit of these powers; those of zero are left out."""
+        return cls(tuple((symbol, power) for symbol, power in powers.items() if power))
+
+    @property
+    def is_none(self) -> bool:
+        """Whether it is a pure number."""
+        return not expanded(self)
+
+    def times(self, other: "Unit", power: Fraction | int = 1) -> "Unit":
+        """Return the product with a power of another unit."""
+        found = dict(self.powers)
+        for symbol, its in other.powers:
+            found[symbol] = found.get(symbol, Fraction(0)) + its * power
+        return Unit.of(found)
+
+    def __str__(self) -> str:
+        if not self.powers:
+            return "1"
+        # Numbers first: one right behind a symbol is read as its exponent.
+        ordered = sorted(self.powers, key=lambda each: not is_factor(each[0]))
+        above = [_power(symbol, power) for symbol, power in ordered if power > 0]
+        below = [_power(symbol, -power) for symbol, power in ordered if power < 0]
+        divisor = below[0] if len(below) == 1 else f"({' '.join(below)})"
+        return (" ".join(above) or "1") + (f"/{divisor}" if below else "")
+
+
+NO_UNIT: Final = Unit()
+
+
+def _power(symbol: str, power: Fraction) -> str:
+    if power == 1:
+        return symbol
+    return f"{symbol}^{power}" if power.denominator == 1 else f"{symbol}^({power})"
+
+
+def parse_unit(text: str) -> Unit:
+    """Return the unit that a text says; ``1`` and ``-`` are none.
+
+    Raises:
+        UsageError: it is no product of powers.
+    """
+    if text.strip() in _NONE:
+        return NO_UNIT
+    if len(text) > _LONGEST:
+        raise UsageError(_fault(text))
+    tokens: list[tuple[str, str]] = []
+    place, end = 0, len(text.rstrip())
+    while place < end:
+        match = _TOKEN.match(text, place)
+        if match is None or match.lastgroup is None:
+            raise UsageError(_fault(text))
+        tokens.append((match.lastgroup, match[match.lastgroup]))
+        place = match.end()
+    parser = _Parser(text, tokens)
+    found = parser.product()
+    if parser.left:
+        raise UsageError(_fault(text))
+    return found
+
+
+def _fault(text: str) -> str:
+    shown = text if len(text) <= _LONGEST else text[:30] + "…"
+    return f"{shown!r} is no unit; write a product of powers such as m/s^2 or mol/(L h)"
+
+
+class _Parser:
+    """Reads a product from left to right; a slash divides by what follows it up to the next sign or bracket."""
+
+    def __init__(self, text: str, tokens: list[tuple[str, str]]) -> None:
+        self._text = text
+        self._tokens = tokens
+        self._place = 0
+
+    @property
+    def left(self) -> bool:
+        """Whether something was not read."""
+        return self._place < len(self._tokens)
+
+    def product(self) -> Unit:
+        """Return the product up to a closing bracket or the end."""
+        found, side = NO_UNIT, 1
+        while self.left and self._next() != ("sign", ")"):
+            kind, value = self._next()
+            if kind == "sign" and value in "*·⋅×.":
+                self._place, side = self._place + 1, 1
+            elif kind == "sign" and value == "/" and side > 0:
+                self._place, side = self._place + 1, -1
+            else:
+                found, side = found.times(self._factor(), side), 1
+        if side < 0:
+            raise UsageError(_fault(self._text))
+        return found
+
+    def _next(self) -> tuple[str, str]:
+        if not self.left:
+            raise UsageError(_fault(self._text))
+        return self._tokens[self._place]
+
+    def _factor(self) -> Unit:
+        kind, value = self._next()
+        self._place += 1
+        if kind == "symbol":
+            base = NO_UNIT if value in _NONE else Unit(((value, Fraction(1)),))
+        elif kind == "number":
+            base = Unit.of(_factored(Fraction(value), self._text))
+        elif (kind, value) == ("sign", "("):
+            base = self.product()
+            if self._next() != ("sign", ")"):
+                raise UsageError(_fault(self._text))
+            self._place += 1
+        else:
+            raise UsageError(_fault(self._text))
+        return NO_UNIT.times(base, self._exponent(is_symbol=kind != "number"))
+
+    def _exponent(self, *, is_symbol: bool) -> Fraction:
+        """Return the exponent that follows, 1 where there is none; a number right behind a symbol is one, too."""
+        if not self.left:
+            return Fraction(1)
+        kind, value = self._tokens[self._place]
+        if kind == "raised":
+            self._place += 1
+            return Fraction(value.translate(_RAISED))
+        if kind == "power":
+            self._place += 1
+            return self._number()
+        is_negative = kind == "sign" and value in "-−" and is_symbol
+        return self._number() if is_symbol and (kind == "number" or is_negative) else Fraction(1)
+
+    def _number(self) -> Fraction:
+        kind, value = self._next()
+        self._place += 1
+        if (kind, value) == ("sign", "("):
+            found = self._number()
+            if self._next() == ("sign", "/"):
+                self._place += 1
+                divisor = self._number()
+                if not divisor:
+                    raise UsageError(_fault(self._text))
+                found /= divisor
+            if self._next() != ("sign", ")"):
+                raise UsageError(_fault(self._text))
+            self._place += 1
+            return found
+        if kind == "sign" and value in "+-−":
+            return self._number() * (1 if value == "+" else -1)
+        if kind == "number":
+            return Fraction(value)
+        if kind == "raised":
+            return Fraction(value.translate(_RAISED))
+        raise UsageError(_fault(self._text))
+
+
+def _factored(number: Fraction, text: str) -> dict[str, Fraction]:
+    """Return a number as powers of small primes; raises UsageError for any other."""
+    found: dict[str, Fraction] = {}
+    for part, sign in ((number.numerator, 1), (number.denominator, -1)):
+        rest = part
+        if rest <= 0:
+            raise UsageError(_fault(text))
+        for prime in _PRIMES:
+            while rest % prime == 0:
+                found[str(prime)] = found.get(str(prime), Fraction(0)) + sign
+                rest //= prime
+        if rest != 1:
+            raise UsageError(_fault(text))
+    return found
+
+
+def is_factor(symbol: str) -> bool:
+    """Tell whether a symbol of an expanded unit is a number."""
+    return symbol in _FACTORS
+
+
+def expanded(unit: Unit) -> dict[str, Fraction]:
+    """Return a unit by the symbols of the SI, and powers of small primes for its factor."""
+    found: dict[str, Fraction] = {}
+    for symbol, power in unit.powers:
+        for base, its in _expanded(symbol).items():
+            found[base] = found.get(base, Fraction(0)) + its * power
+    return {base: power for base, power in found.items() if power}
+
+
+def _expanded(symbol: str) -> dict[str, Fraction]:
+    if symbol in _PLAIN:
+        return expanded(parse_unit(_PLAIN[symbol]))
+    if symbol in _BASE.split() or symbol in _THEMSELVES or is_factor(symbol):
+        return {symbol: Fraction(1)}
+    if symbol in _DERIVED:
+        return expanded(parse_unit(_DERIVED[symbol]))
+    for prefix, tens in _PREFIXES.items():
+        rest = symbol.removeprefix(prefix)
+        if rest != symbol and (rest in _BASE.split() or rest in _DERIVED):
+            found = _expanded(rest)
+            for prime in ("2", "5"):
+                found[prime] = found.get(prime, Fraction(0)) + tens
+            return found
+    return {symbol: Fraction(1)}

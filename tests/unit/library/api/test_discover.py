@@ -1,0 +1,147 @@
+"""Keyword arguments mean what the options of ``run`` mean; a Ctrl-C keeps the best so far."""
+
+import argparse
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from atoll.api import discover
+from atoll.api.discover import config_of
+from atoll.cli.options.job_config import job_config
+from atoll.cli.options.parser import build_parser, parse
+from atoll_core.errors import RefusedError, UsageError
+from atoll_core.wire.messages.views import JobView
+from tests.unit.library.model.results import result
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, []),
+        ({"seed": 3, "robust": True, "stochastic": False, "target": None}, ["--seed", "3", "--robust"]),
+        ({"states": ["x", "y"], "inputs": "u"}, ["--states", "x,y", "--inputs", "u"]),
+        ({"known": {"dx": "-x"}, "guess": ["dy=x", "dy=-x"]}, ["--known=dx=-x", "--guess=dy=x", "--guess=dy=-x"]),
+        ({"operators": ["+", "-"], "max_time": 90}, ["--operators=+,-", "--max-time", "90"]),
+        ({"operators": {"x": ["+", "*"]}, "allow": {"x": ["x", "y"]}}, ["--operators=x=+,*", "--allow=x=x,y"]),
+        ({"bound": ["c > 0", "x: x*y < 0"]}, ["--bound=c > 0", "--bound=x: x*y < 0"]),
+        (
+            {"bound": {"x": ["c > 0", "|c| < 5"], "y": "c < 1"}},
+            ["--bound=x:c > 0", "--bound=x:|c| < 5", "--bound=y:c < 1"],
+        ),
+        ({"require": {"x": ["y", "z"]}, "unit": {"x": "m/s"}}, ["--require=x=y,z", "--unit=x=m/s"]),
+        ({"group": "strain"}, ["--group", "strain"]),
+        ({"per_trajectory": True}, ["--per-trajectory"]),
+        ({"max_epochs": {"x": 20, "y": 12}, "angle": "a:deg"}, ["--max-epochs", "x=20,y=12", "--angle=a:deg"]),
+    ],
+)
+def test_keywords_are_the_options_of_run(options: dict, words: list[str]) -> None:
+    assert config_of(options) == job_config(parse(["run", "data", *words]))
+
+
+@pytest.mark.parametrize("options", [{"sead": 3}, {"seed": "x"}, {"out": "folder"}, {"json": True}, {"report": True}])
+def test_what_is_no_option_is_refused(options: dict) -> None:
+    with pytest.raises(UsageError):
+        config_of(options)
+
+
+def test_every_option_of_run_changes_the_job_or_is_refused() -> None:
+    """None is taken and ignored: those that describe a job are in groups of their own, and a job file."""
+    verbs = next(each for each in build_parser()._actions if isinstance(each, argparse._SubParsersAction))
+    described = {"data", "search", "budget"}
+    for group in verbs.choices["run"]._action_groups:
+        for action in group._group_actions:
+            if group.title not in described and action.option_strings and action.dest != "config":
+                with pytest.raises(UsageError, match="is no option here"):
+                    config_of({action.dest: True})
+
+
+def test_a_page_is_written_by_the_model() -> None:
+    with pytest.raises(UsageError, match=r"report is no option here; .* model.report\(path\)"):
+        config_of({"report": True})
+
+
+VIEW = JobView(
+    job="j", name="data", state="running", seed=0, preset="default", submitted="", elapsed=1.0, workers=1,
+    point_evaluations=0,
+)  # fmt: skip
+
+
+class Client:
+    """Stands for a connection to a coordinator with one job, which has found `found` when it is cancelled."""
+
+    def __init__(self, found: dict[str, Any] | None) -> None:
+        self.found = found
+        self.is_cancelled = False
+
+    def hand_in(self, *given: object) -> None:
+        self.given = given
+
+    def now(self) -> float:
+        return 0.0
+
+    def pause(self, _: float) -> None:
+        pass
+
+    def cancel(self, _: str) -> JobView:
+        self.is_cancelled = True
+        return VIEW
+
+    def status(self, _: str) -> JobView:
+        return VIEW.model_copy(update={"state": "cancelled" if self.is_cancelled else "running"})
+
+    def workers(self) -> tuple[()]:
+        raise KeyboardInterrupt  # whenever the progress is looked at
+
+    def result(self, _: str) -> dict[str, Any]:
+        if self.found is None:
+            raise RefusedError("nothing was found yet")
+        return self.found
+
+
+@pytest.mark.parametrize("has_found", [True, False])
+def test_an_interrupt_ends_the_job_and_keeps_the_best_so_far(
+    has_found: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    client = Client(result({"x": "-x"}) if has_found else None)
+
+    @contextlib.contextmanager
+    def connected(*_: object) -> Iterator[Client]:
+        yield client
+
+    monkeypatch.setattr(discover, "connected", connected)
+    table = {"t": [0.0, 1.0], "x": [1.0, 2.0]}
+    if has_found:
+        assert str(discover.discover(table, connect="tcp/h:1")) == "dx/dt = -x"
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            discover.discover(table, connect="tcp/h:1")
+    assert client.is_cancelled
+    assert client.given[-1] == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_a_priority_goes_with_the_job_and_a_wrong_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    client = Client(None)
+    monkeypatch.setattr(discover, "connected", lambda *_: contextlib.nullcontext(client))
+    table = {"t": [0.0, 1.0], "x": [1.0, 2.0]}
+    discover.submit(table, connect="tcp/h:1", priority=-3)
+    assert client.given[-1] == -3
+    for wrong in (11, -11, 0.5, True, "2"):
+        with pytest.raises(UsageError, match="priority must be a whole number from -10 to 10, but"):
+            discover.submit(table, connect="tcp/h:1", priority=wrong)  # type: ignore[arg-type]
+
+
+def test_who_is_interrupted_while_a_job_is_handed_in_learns_its_id(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Impatient(Client):
+        def hand_in(self, *given: object) -> None:
+            self.given = given
+            raise KeyboardInterrupt
+
+    client = Impatient(None)
+    monkeypatch.setattr(discover, "connected", lambda *_: contextlib.nullcontext(client))
+    with pytest.raises(KeyboardInterrupt) as caught:
+        discover.submit({"t": [0.0, 1.0], "x": [1.0, 2.0]}, connect="tcp/h:1")
+    (note,) = caught.value.__notes__
+    assert note.endswith(f"coordinator status {client.given[0]} --connect tcp/h:1")

@@ -1,0 +1,322 @@
+"""What the doctor finds, what it advises, and that nothing it looks at can break it."""
+
+import json
+import subprocess
+import sys
+from argparse import Namespace
+from collections.abc import Iterable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from atoll.cli.doctor import doctor
+from atoll.cli.doctor import machine as doctor_machine
+from atoll.cli.doctor import network as doctor_network
+from atoll.cli.doctor.data import check_data
+from atoll.cli.doctor.finding import Finding, as_text, as_tree, fine
+from atoll.cli.options import parser as arguments
+from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.store.store import Store
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.wire.addresses import destination
+from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_router
+from atoll_core.wire.messages.handshake import Welcome
+from atoll_core.wire.messages.views import WorkerView
+from atoll_core.wire.security.credentials import load
+from tests.certificates import Lab
+from tests.unit.documents import ROOT
+
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+DATA = str(ROOT / "examples" / "lotka_volterra.csv")
+
+
+@pytest.fixture(autouse=True)
+def _no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ATOLL_CONNECT", raising=False)
+
+
+def options(*words: str) -> Namespace:
+    return arguments.parse(["doctor", *words])
+
+
+def grades(findings: Iterable[Finding]) -> list[str]:
+    return [each.grade for each in findings]
+
+
+def worker(name: str, **changes: object) -> WorkerView:
+    fields = {"host": "lab", "pid": 1, "state": "ready", "islands": 0, "silent": 0.2, "version": VERSION, "detail": ""}
+    return WorkerView.model_validate({"worker": name, **fields, **changes})
+
+
+def test_a_machine_in_order_ends_with_0_and_every_finding_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert doctor.doctor(options(DATA, "--state", str(tmp_path), "--listen", "tcp/127.0.0.1:0", "--json")) == 0
+    tree = json.loads(capsys.readouterr().out)
+    subjects = {each["subject"] for each in tree["findings"]}
+    assert {"versions", "cores", "memory", "kernels", "state folder", "port", "coordinator", "data"} <= subjects
+    assert tree["fine"] is True
+
+
+def test_problems_end_with_1_and_each_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert doctor.doctor(options("missing.csv", "--connect", "tcp/127.0.0.1:9", "--listen", "tcp/192.0.2.1:1")) == 1
+    out = capsys.readouterr().out
+    assert out.count("PROBLEM") == 3
+    assert out.count("-> ") >= 3
+    assert "3 problems" in out.splitlines()[-1]
+
+
+def test_a_check_that_breaks_is_a_finding_and_the_others_are_made() -> None:
+    def check_moon(_: Namespace) -> list[Finding]:
+        raise ZeroDivisionError("no moon")
+
+    found = doctor.examine(options(), [check_moon, lambda _: [fine("sun", "shines")]])
+    assert grades(found) == ["problem", "fine"]
+    assert found[0].subject == "moon"
+    assert "no moon" in found[0].found
+
+
+def test_text_and_json_say_the_same() -> None:
+    findings = [fine("a", "one\ntwo"), Finding("long", "warning", "three", "four")]
+    assert as_text(findings).splitlines() == [
+        "ok       a     one",
+        "               two",
+        "warning  long  three",
+        "               -> four",
+        "0 problems, 1 warning",
+    ]
+    tree = as_tree(findings)
+    assert tree["fine"] is True
+    assert tree["findings"][1] == {"subject": "long", "grade": "warning", "found": "three", "advice": "four"}  # type: ignore[index]
+
+
+# ------------------------------------------------------------------------------------------- the machine
+
+
+@pytest.mark.parametrize(
+    ("free", "grade"),
+    [(64 * doctor_machine.GB, "fine"), (400 * doctor_machine.MB, "warning"), (0, "problem"), (None, "fine")],
+)
+def test_memory_must_do_for_a_worker_per_core(free: int | None, grade: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor_machine, "available_memory", lambda: free)
+    monkeypatch.setattr(doctor_machine, "usable_cores", lambda _: (4, "four"))
+    (finding,) = doctor_machine.check_memory(options())
+    assert finding.grade == grade
+    assert ("--processes 1" in finding.advice) == (grade != "fine")
+
+
+def test_memory_is_what_system_and_control_group_leave(tmp_path: Path) -> None:
+    meminfo = tmp_path / "meminfo"
+    meminfo.write_text("MemTotal: 100 kB\nMemAvailable: 50 kB\n")
+    assert doctor_machine.available_memory(meminfo, tmp_path) == 50 * 1024
+    (tmp_path / "memory.max").write_text("30000\n")
+    (tmp_path / "memory.current").write_text("10000\n")
+    assert doctor_machine.available_memory(meminfo, tmp_path) == 20000
+    (tmp_path / "memory.max").write_text("max\n")
+    assert doctor_machine.available_memory(meminfo, tmp_path) == 50 * 1024
+    assert doctor_machine.available_memory(tmp_path / "none", tmp_path) is None
+
+
+@pytest.mark.parametrize(("soft", "grade"), [(256, "warning"), (1024, "fine"), (-1, "fine")])
+def test_few_open_files_are_pointed_out(soft: int, grade: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    import resource
+
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (soft, 4096))
+    (finding,) = doctor_machine.check_open_files(options())
+    assert finding.grade == grade
+    assert ("ulimit -n" in finding.advice) == (grade == "warning")
+
+
+def test_kernels_are_compiled_or_can_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from atoll_core.compilation.cache import marker
+
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path))
+    (before,) = doctor_machine.check_kernels(options())
+    assert (before.grade, "not compiled yet" in before.found) == ("fine", True)
+    monkeypatch.setattr(doctor_machine.os, "access", lambda *_: False)
+    (locked,) = doctor_machine.check_kernels(options())
+    assert locked.grade == "problem"
+    assert "ATOLL_KERNEL_CACHE" in locked.advice
+    marker("atoll_island_worker").parent.mkdir()
+    marker("atoll_island_worker").touch()
+    (after,) = doctor_machine.check_kernels(options())
+    assert after.found.startswith("compiled")
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    assert grades(doctor_machine.check_kernels(options())) == ["warning"]
+
+
+def test_the_state_folder_must_have_room_and_may_not_be_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = tmp_path / "new" / "state"
+    assert grades(doctor_machine.check_state(options("--state", str(place)))) == ["fine"]
+    assert not place.parent.exists(), "nothing is made"
+    for free, grade in ((500 * doctor_machine.MB, "warning"), (5, "problem")):
+        monkeypatch.setattr(doctor_machine.shutil, "disk_usage", lambda _, free=free: Namespace(free=free))
+        assert grades(doctor_machine.check_state(options("--state", str(place)))) == [grade]
+    (tmp_path / "file").touch()
+    assert grades(doctor_machine.check_state(options("--state", str(tmp_path / "file")))) == ["problem"]
+
+
+def test_a_network_file_system_is_pointed_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mounts = tmp_path / "mounts"
+    mounts.write_text(f"/dev/a / ext4 rw 0 0\nserver:/b {tmp_path.resolve()} nfs4 rw 0 0\n")
+    assert doctor_machine.file_system(tmp_path / "x", mounts) == "nfs4"
+    assert doctor_machine.file_system(Path("/usr"), mounts) == "ext4"
+    assert doctor_machine.file_system(Path("/usr"), tmp_path / "none") is None
+    monkeypatch.setattr(doctor_machine, "file_system", lambda _: "nfs4")
+    assert grades(doctor_machine.check_state(options("--state", str(tmp_path))))[-1] == "warning"
+
+
+# ------------------------------------------------------------------------------------------- the network
+
+
+@pytest.fixture
+def router() -> Iterable[ZenohBus]:
+    with open_router("tcp/127.0.0.1:0") as bus:
+        yield bus
+
+
+def test_a_port_in_use_is_a_problem_and_a_free_one_is_not(router: ZenohBus) -> None:
+    (finding,) = doctor_network.check_listen(options("--listen", router.endpoint))
+    assert finding.grade == "problem"
+    assert "in use" in finding.found
+    assert "--listen" in finding.advice
+    assert grades(doctor_network.check_listen(options())) == []
+
+
+def test_an_address_that_is_none_is_a_problem() -> None:
+    (finding,) = doctor_network.check_coordinator(options("--connect", "lab1:7447"))
+    assert finding.grade == "problem"
+
+
+def test_a_coordinator_in_order_is_greeted_and_its_workers_are_missed(router: ZenohBus, tmp_path: Path) -> None:
+    import threading
+
+    stop = threading.Event()
+    with Store.open(tmp_path) as store:
+        service = Service(router, store)
+        service.start()
+        loop = threading.Thread(target=service.work, args=(stop,))
+        loop.start()
+        try:
+            found = {
+                each.subject: each for each in doctor_network.check_coordinator(options("--connect", router.endpoint))
+            }
+        finally:
+            stop.set()
+            loop.join()
+    assert {name: each.grade for name, each in found.items()} == {
+        "address": "fine", "coordinator": "fine", "clock": "fine", "workers": "warning",
+    }  # fmt: skip
+    assert VERSION in found["coordinator"].found
+    assert router.endpoint in found["workers"].advice
+
+
+def test_a_router_without_a_coordinator_is_a_problem(router: ZenohBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor_network, "LIMIT_S", 0.5)
+    found = list(doctor_network.check_coordinator(options("--connect", router.endpoint)))
+    assert grades(found) == ["fine", "problem"]
+    assert "did not answer" in found[1].found
+
+
+def test_another_version_is_a_problem_for_workers() -> None:
+    ours = Welcome(realm="r", incarnation=1, protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION)
+    assert list(doctor_network.version_findings(ours)) == []
+    (finding,) = doctor_network.version_findings(ours.model_copy(update={"version": "9.9"}))
+    assert finding.grade == "problem"
+    assert "9.9" in finding.advice
+
+
+@pytest.mark.parametrize(("seconds", "grade"), [(0, "fine"), (4, "fine"), (-90, "warning"), (90, "warning")])
+def test_clocks_are_compared(seconds: float, grade: str) -> None:
+    (finding,) = doctor_network.clock_findings((NOW + timedelta(seconds=seconds)).isoformat(), NOW)
+    assert finding.grade == grade
+    assert ("ahead" in finding.found, "behind" in finding.found) == (seconds > 5, seconds < -5)
+
+
+def test_a_coordinator_that_does_not_tell_its_time_is_not_judged_by_it() -> None:
+    assert list(doctor_network.clock_findings("", NOW)) == []
+
+
+def test_workers_that_hang_or_are_not_ready_are_named() -> None:
+    workers = [worker("a"), worker("b", silent=9.0), worker("c", state="compiling", detail="compiling kernels")]
+    found = list(doctor_network.worker_findings([*workers, worker("d", state="lost")], "tcp/a:1"))
+    assert grades(found) == ["fine", "warning", "fine"]
+    assert found[0].found == "3 on 1 machine"
+    assert "b on lab has been silent for 9 s" in found[1].found
+    assert "compiling kernels" in found[2].found
+
+
+# ------------------------------------------------------------------------------------------------- data
+
+
+def test_a_data_file_is_described_as_submit_would_take_it() -> None:
+    (finding,) = check_data(options(DATA))
+    assert finding.grade == "fine"
+    assert "states: x, y" in finding.found
+    (finding,) = check_data(options(DATA, "--states", "x"))
+    assert "states: x" in finding.found
+    assert list(check_data(options())) == []
+
+
+def test_data_that_cannot_be_used_is_a_problem_with_the_readers_words(tmp_path: Path) -> None:
+    file = tmp_path / "bad.csv"
+    file.write_text("t,x\n0,1\n0,2\n0,3\n")
+    (finding,) = check_data(options(str(file)))
+    assert finding.grade == "problem"
+    assert finding.found
+    (finding,) = check_data(options(DATA, "--states", "nothing"))
+    assert (finding.grade, "nothing" in finding.found) == ("problem", True)
+
+
+# ------------------------------------------------------------------------------------------- certificates
+
+
+def test_a_certificate_is_examined_before_anybody_is_dialled(lab: Lab, other_lab: Lab) -> None:
+    (good,) = doctor_network.check_certificates(options(*lab.options("ann")))
+    assert (good.grade, good.found.split(",")[0]) == ("fine", "of ann")
+    (serving,) = doctor_network.check_certificates(options("--listen", "tls/0.0.0.0:0", *lab.options("coordinator")))
+    assert "lab.example" in serving.found
+    authority, certificate, key = other_lab.files("ann")[0], *lab.files("ann")[1:]
+    words = ["--tls-ca", str(authority), "--tls-cert", str(certificate), "--tls-key", str(key)]
+    (foreign,) = doctor_network.check_certificates(options(*words))
+    assert (foreign.grade, "was not issued by the authority" in foreign.found) == ("problem", True)
+    assert foreign.advice
+    assert list(doctor_network.check_certificates(options())) == []
+
+
+def test_a_certificate_that_expires_soon_is_pointed_out(lab: Lab) -> None:
+    files = load(*lab.files("ann"), use="connect")
+    assert files.expires is not None
+    soon = doctor_network.certificate_finding(files, files.expires - 86400.0)
+    assert soon.grade == "warning"
+    assert "--renew ann" in soon.advice
+
+
+def test_an_address_with_tls_and_no_certificate_is_a_problem(lab: Lab) -> None:
+    with open_router(destination("tls/127.0.0.1:0", load(*lab.files("coordinator"), use="serve"))) as bus:
+        found = list(doctor_network.check_coordinator(options("--connect", bus.endpoint)))
+    assert grades(found) == ["fine", "problem"]
+    assert "needs certificates" in found[1].found
+
+
+# ------------------------------------------------------------------------------------------------ quick
+
+
+def test_a_quick_look_is_at_the_address_only(router: ZenohBus, capsys: pytest.CaptureFixture[str]) -> None:
+    assert doctor.doctor(options("--quick", "--connect", router.endpoint)) == 0
+    assert capsys.readouterr().out.splitlines()[0].startswith("ok       address")
+    assert doctor.doctor(options("--quick", "--connect", "tcp/127.0.0.1:9")) == 1
+    assert doctor.doctor(options("--quick")) == 1
+
+
+def test_a_quick_look_loads_nothing_heavy() -> None:
+    code = (
+        "import sys; from atoll.cli.main import main;"
+        "assert main(['doctor', '--quick', '--connect', 'tcp/127.0.0.1:9']) == 1;"
+        "heavy = {'numba', 'numpy', 'zenoh', 'pydantic', 'sympy'} & set(sys.modules);"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

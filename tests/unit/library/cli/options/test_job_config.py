@@ -1,0 +1,214 @@
+"""From options and a job file to a configuration."""
+
+from pathlib import Path
+
+import pytest
+
+from atoll.cli.options.job_config import epochs, job_config, names, seconds
+from atoll.cli.options.names import job_id
+from atoll.cli.options.parser import parse
+from atoll_core.config import PRESETS, JobConfig
+from atoll_core.errors import UsageError
+
+
+def config_of(line: str) -> JobConfig:
+    return job_config(parse(["run", "data.csv", *line.split()]))
+
+
+def test_without_options_the_job_is_the_default_preset() -> None:
+    assert config_of("") == PRESETS["default"]
+
+
+def test_the_paper_preset_is_the_paper_preset() -> None:
+    assert config_of("--preset paper") == PRESETS["paper"]
+
+
+@pytest.mark.parametrize(
+    ("line", "group", "key", "value"),
+    [
+        ("--time sec", "data", "time", "sec"),
+        ("--states x,y", "data", "states", ("x", "y")),
+        ("--inputs u", "data", "inputs", ("u",)),
+        ("--trajectory run", "data", "trajectory", "run"),
+        ("--target y", "data", "target", "y"),
+        ("--derivatives dx,dy", "data", "derivatives", ("dx", "dy")),
+        ("--order 2", "data", "order", 2),
+        ("--only x", "data", "only", ("x",)),
+        ("--missing drop", "data", "missing", "drop"),
+        ("--robust", "data", "robust", True),
+        ("--holdout 2", "data", "holdout", 2),
+        ("--holdout run=4", "data", "holdout", "run=4"),
+        ("--operators +,*,sin", "space", "operators", ("+", "*", "sin")),
+        ("--operators x=+,- --operators dy=*", "space", "operators_of", {"x": ("+", "-"), "dy": ("*",)}),
+        ("--allow x=x,y", "space", "variables_of", {"x": ("x", "y")}),
+        ("--require x=y,z", "space", "required_of", {"x": ("y", "z")}),
+        (
+            "--bound c>0 --bound dx/dt:x*y<0 --bound x:|c|<5",
+            "prior",
+            "bounds",
+            {"*": ("c>0",), "dx/dt": ("x*y<0",), "x": ("|c|<5",)},
+        ),
+        ("--group strain", "data", "group", "strain"),
+        ("--per-trajectory", "data", "per_trajectory", True),
+        ("--unit x=m/s --unit t=s", "data", "units", {"x": "m/s", "t": "s"}),
+        ("--guess dx=x --guess dy/dt=y --guess dx=2*x", "prior", "guesses", {"dx": ("x", "2*x"), "dy/dt": ("y",)}),
+        ("--known y'=-x/10", "prior", "known", {"y'": "-x/10"}),
+        ("--max-size 15", "space", "max_size", 15),
+        ("--islands 3", "evolution", "islands", 3),
+        ("--max-time 1.5h", "budget", "max_time", 5400.0),
+        ("--target-error 1e-4", "budget", "target_error", 1e-4),
+        ("--max-epochs 7", "budget", "max_epochs", 7),
+        ("--max-epochs x=20,y=12", "budget", "max_epochs_of", {"x": 20, "y": 12}),
+    ],
+)
+def test_every_option_sets_its_key_and_nothing_else(line: str, group: str, key: str, value: object) -> None:
+    config = config_of(line)
+    assert getattr(getattr(config, group), key) == value
+    default = PRESETS["default"]
+    untouched = default.model_copy(update={group: getattr(config, group).model_copy(update={key: None})})
+    expected = default.model_copy(update={group: getattr(default, group).model_copy(update={key: None})})
+    assert untouched == expected
+
+
+def test_angles_are_repeatable_and_may_be_in_degrees() -> None:
+    angles = config_of("--angle theta:deg --angle phi").data.angles
+    assert [(angle.column, angle.degrees) for angle in angles] == [("theta", True), ("phi", False)]
+
+
+def test_a_job_file_has_the_keys_of_the_configuration_and_options_override_it(tmp_path: Path) -> None:
+    file = tmp_path / "job.toml"
+    file.write_text('seed = 4\n[data]\nstates = ["x", "y"]\n[evolution]\nislands = 2\npopulation = 32\n')
+    config = config_of(f"--config {file} --islands 5")
+    assert (config.seed, config.data.states) == (4, ("x", "y"))
+    assert (config.evolution.islands, config.evolution.population) == (5, 32)
+
+
+def test_a_job_file_may_choose_the_preset_it_changes(tmp_path: Path) -> None:
+    file = tmp_path / "job.toml"
+    file.write_text('preset = "paper"\n[predictors]\nenabled = false\n')
+    config = config_of(f"--config {file}")
+    assert config.evolution == PRESETS["paper"].evolution
+    assert (config.predictors.enabled, config.predictors.rows) == (False, 16)
+
+
+def test_a_job_file_may_hold_what_is_known_beforehand(tmp_path: Path) -> None:
+    file = tmp_path / "job.toml"
+    file.write_text(
+        '[prior]\nguesses = {x = ["2*x", "y"]}\nknown = {"dy/dt" = "-x"}\n[space.operators_of]\nx = ["+"]\n'
+    )
+    config = config_of(f"--config {file} --known dz=0 --operators +,-")
+    assert config.prior.guesses == {"x": ("2*x", "y")}
+    assert config.prior.known == {"dz": "0"}
+    assert (config.space.operators_of, config.space.operators) == ({"x": ("+",)}, ("+", "-"))
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("--islands 0", ["--islands", "1", "0 was given"]),
+        ("--islands many", ["--islands", "whole number", "'many'"]),
+        ("--seed -1", ["--seed", "greater than or equal to 0", "-1"]),
+        ("--max-epochs 0", ["--max-epochs"]),
+        (f"--max-epochs {2**63}", ["--max-epochs", f"less than {2**63}"]),  # more than a message can carry
+        (f"--max-epochs x={2**70}", ["--max-epochs", f"less than {2**63}"]),
+        (f"--holdout {2**63}", ["--holdout", f"less than {2**63}"]),
+        ("--max-epochs x=0", ["--max-epochs"]),
+        ("--max-epochs x=", ["--max-epochs", "whole number"]),
+        ("--max-time 5x", ["--max-time", "60s", "'5x'"]),
+        ("--max-time 0", ["--max-time", "above zero"]),
+        ("--target-error 0", ["--target-error", "greater than 0"]),
+        ("--target-error small", ["--target-error", "number"]),
+        ("--max-size 500", ["--max-size", "120"]),
+        ("--operators +,foo", ["'foo'", "unknown", "tanh"]),
+        ("--operators +,+", ["'+'", "twice", "every operator"]),
+        ("--operators ,", ["--operators", "operator names"]),
+        ("--operators x=+,foo", ["'foo'", "unknown", "tanh"]),
+        ("--operators + --operators *", ["--operators", "two lists", "x=+,-,*"]),
+        ("--operators x=+ --operators x=*", ["--operators", "'x'", "twice"]),
+        ("--operators x=", ["--operators", "x=+,-,*", "'x='"]),
+        ("--guess x", ["--guess", "dx=3*x-2*x*y", "'x'"]),
+        ("--guess =x", ["--guess", "dx=3*x-2*x*y", "'=x'"]),
+        ("--known dy=", ["--known", "dy=-x/10", "'dy='"]),
+        ("--known dy=1 --known dy=2", ["--known", "'dy'", "twice"]),
+        ("--allow x", ["--allow", "x=x,y", "'x'"]),
+        ("--allow x=y,y", ["--allow", "'y'", "twice", "every variable"]),
+        ("--require x", ["--require", "x=y", "'x'"]),
+        ("--bound x:", ["--bound", "c > 0", "'x:'"]),
+        ("--bound :c>0", ["--bound", "c > 0", "':c>0'"]),
+        ("--unit x=m --unit x=s", ["--unit", "the unit of 'x' twice"]),
+        ("--group x --states x", ["'x'", "--group", "--states"]),
+        ("--max-epochs x=3,x=4", ["--max-epochs", "two numbers", "x"]),
+        ("--max-epochs 3,4", ["--max-epochs", "two numbers", "all equations"]),
+        ("--angle x --angle x:deg", ["--angle", "'x'", "twice"]),
+        ("--preset fast", ["--preset", "'default' or 'paper'", "'fast'"]),
+        ("--order 3", ["--order", "1 or 2"]),
+        ("--missing ignore", ["--missing", "'refuse' or 'drop'"]),
+        ("--holdout last", ["--holdout must be a number of trajectories or COLUMN=VALUE, but 'last' was given"]),
+        ("--holdout 0", ["--holdout must be greater than or equal to 1, but 0 was given"]),
+        ("--holdout =3", ["--holdout", "'=3' was given"]),
+        ("--holdout 1 --target y", ["--holdout and --target contradict each other"]),
+        ("--states x,x", ["--states", "twice"]),
+        ("--states x,,y", ["--states", "separated by commas"]),
+        ("--target y --derivatives dx", ["--target", "--derivatives", "contradict"]),
+        ("--target y --order 2", ["--order 2", "--target", "contradict"]),
+        ("--derivatives dx --order 2", ["--order 2", "--derivatives", "contradict"]),
+        ("--states x,y --derivatives dx", ["1 columns for 2 states"]),
+        ("--states x,y --inputs y", ["'y'", "--states", "--inputs", "one role"]),
+        ("--states x,run --trajectory run", ["'run'", "one role"]),
+        ("--time x --states x", ["'x'", "--time", "--states"]),
+        ("--config missing.toml", ["missing.toml", "cannot be read"]),
+    ],
+)
+def test_a_wrong_option_is_one_sentence_that_names_it(line: str, words: list[str]) -> None:
+    with pytest.raises(UsageError) as caught:
+        config_of(line)
+    sentence = str(caught.value)
+    assert "\n" not in sentence
+    assert [word for word in words if word not in sentence] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[evolution]\npopulation = 7\n", ["evolution.population in", "multiple of 2", "7"]),
+        ("[evolution]\npopulaton = 8\n", ["evolution.populaton in", "not a known setting", "population"]),
+        ("speed = 1\n", ["speed in", "not a known setting", "seed"]),
+        ('[data]\nstates = "x,y"\n', ["data.states in", "a list"]),
+        ("[evolution\n", ["not valid TOML"]),
+        ("evolution = 3\n", ["evolution in"]),
+        ('[prior]\nguesses = {x = "2*x"}\n', ["prior.guesses.x in", "a list"]),
+        ('[prior]\nguess = {x = ["2*x"]}\n', ["prior.guess in", "not a known setting", "guesses"]),
+        ("[space]\noperators_of = {x = []}\n", ["the list of operators is empty"]),
+        ('preset = "fast"\n', ["preset in", "'default' or 'paper'"]),
+    ],
+)
+def test_a_wrong_job_file_is_one_sentence_that_names_the_key(text: str, words: list[str], tmp_path: Path) -> None:
+    file = tmp_path / "job.toml"
+    file.write_text(text)
+    with pytest.raises(UsageError) as caught:
+        config_of(f"--config {file}")
+    assert [word for word in words if word not in str(caught.value)] == []
+
+
+def test_time_may_be_the_time_column_and_an_input_at_once() -> None:
+    assert config_of("--time t --inputs t").data.inputs == ("t",)
+
+
+@pytest.mark.parametrize(("text", "value"), [("90", 90), ("60s", 60), ("10m", 600), ("1h", 3600), ("250ms", 0.25)])
+def test_times_are_read_with_their_units(text: str, value: float) -> None:
+    assert seconds(text) == value
+
+
+def test_a_column_name_with_a_comma_is_quoted() -> None:
+    assert names('"a,b", c', "--states") == ("a,b", "c")
+
+
+def test_epochs_may_be_given_for_all_and_for_some() -> None:
+    assert epochs("50,x=20") == {"max_epochs": 50, "max_epochs_of": {"x": 20}}
+
+
+def test_a_job_id_is_checked_or_made() -> None:
+    assert job_id("lotka-1") == "lotka-1"
+    assert len({job_id(None) for _ in range(100)}) == 100
+    with pytest.raises(UsageError, match="--id must be"):
+        job_id("a/b")

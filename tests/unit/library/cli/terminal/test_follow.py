@@ -1,0 +1,172 @@
+"""Following a job: what is shown, when it ends, what the end means."""
+
+from collections.abc import Sequence
+
+import pytest
+
+from atoll.cli.terminal.follow import PATIENCE_S, Follower, Timeline, ending, exit_code, phase
+from atoll_core.errors import UnreachableError
+from atoll_core.wire.messages.views import JobView, VariableView, WorkerView
+from tests.views import job_view
+
+
+def worker_of(**changes: object) -> WorkerView:
+    view = WorkerView(worker="w0", host="h", pid=1, state="computing", islands=8, silent=0.0, version="0.1.0")
+    return view.model_copy(update=changes)
+
+
+class ScriptedClient:
+    """Gives one of `views` at each look, the last for ever; an exception is raised."""
+
+    def __init__(self, *views: JobView | Exception) -> None:
+        self._views = list(views)
+        self._now = 0.0
+
+    def status(self, job: str) -> JobView:
+        view = self._views.pop(0) if len(self._views) > 1 else self._views[0]
+        if isinstance(view, Exception):
+            self._now += 10.0
+            raise view
+        return view
+
+    def workers(self) -> tuple[WorkerView, ...]:
+        return (worker_of(),)
+
+    def pause(self, seconds: float) -> None:
+        self._now += seconds
+
+    def now(self) -> float:
+        return self._now
+
+
+class Recorder:
+    """A display that keeps what it was given."""
+
+    def __init__(self) -> None:
+        self.states: list[str] = []
+        self.sentences: list[str] = []
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+        self.states.append(view.state)
+
+    def print_note(self, sentence: str) -> None:
+        self.sentences.append(sentence)
+
+
+def follow(*views: JobView | Exception) -> tuple[JobView, Recorder]:
+    display = Recorder()
+    follower = Follower(ScriptedClient(*views), "j1", display)  # type: ignore[arg-type]
+    return follower.follow(), display
+
+
+def test_a_job_is_shown_until_it_ends() -> None:
+    view, display = follow(job_view(state="queued"), job_view(), job_view(state="done"))
+    assert view.state == "done"
+    assert display.states == ["queued", "running", "done"]
+
+
+def test_each_warning_is_said_once() -> None:
+    warned = job_view(warnings=("8 rows were left out",))
+    _, display = follow(warned, warned, job_view(state="done"))
+    assert display.sentences == ["note: 8 rows were left out"]
+
+
+def test_a_short_silence_of_the_coordinator_is_borne() -> None:
+    view, display = follow(UnreachableError("silent"), job_view(state="done"))
+    assert view.state == "done"
+    assert "does not answer" in display.sentences[0]
+
+
+def test_a_long_silence_is_an_error_that_says_the_job_may_go_on() -> None:
+    with pytest.raises(UnreachableError, match="coordinator status j1"):
+        follow(UnreachableError("silent"))
+    assert PATIENCE_S > 0
+
+
+def test_what_the_check_returns_is_printed_and_what_it_raises_ends_the_following() -> None:
+    display = Recorder()
+    sayings = [["worker w1 ended"], []]
+
+    def check() -> list[str]:
+        if not sayings:
+            raise RuntimeError("gone")
+        return sayings.pop(0)
+
+    with pytest.raises(RuntimeError, match="gone"):
+        Follower(ScriptedClient(job_view()), "j1", display, check).follow()  # type: ignore[arg-type]
+    assert display.sentences == ["worker w1 ended"]
+
+
+def finished(converged: bool) -> tuple[VariableView, ...]:
+    return (VariableView(variable="x", lhs="dx/dt", epoch=3, converged=converged, finished=True),)
+
+
+FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=3, expression="2.0*x"),)
+
+
+@pytest.mark.parametrize(
+    ("changes", "target", "code", "words"),
+    [
+        ({"state": "done", "variables": finished(True)}, None, 0, None),
+        ({"state": "done", "variables": finished(False)}, None, 0, None),
+        ({"state": "done", "variables": finished(True)}, 1e-4, 0, None),
+        ({"state": "done", "variables": finished(False)}, 1e-4, 4, "--target-error 0.0001 was not met"),
+        ({"state": "failed", "reason": "two workers diverged", "fault": "diverged"}, None, 1, "two workers diverged"),
+        ({"state": "failed", "reason": "column x is constant", "fault": "data"}, None, 2, "column x is constant"),
+        ({"state": "cancelled"}, None, 130, "was cancelled, before it found any equation"),
+        ({"state": "cancelled", "variables": FOUND}, None, 130, "was cancelled; what it had found is kept"),
+    ],
+)
+def test_the_end_of_a_job_decides_the_exit_code(
+    changes: dict[str, object], target: float | None, code: int, words: str | None
+) -> None:
+    view = job_view(**changes)
+    assert exit_code(view, target) == code
+    sentence = ending(view, target)
+    assert (sentence is None) == (words is None)
+    assert words is None or words in (sentence or "")
+
+
+def test_time_is_counted_for_the_phase_that_was_seen() -> None:
+    timeline = Timeline()
+    for name, now in (("starting", 0.0), ("compiling", 1.0), ("compiling", 3.0), ("searching", 3.5)):
+        timeline.mark(name, now)
+    assert timeline.phases == {"compiling": 3.0, "searching": 0.5}
+
+
+READY: dict[str, object] = {"state": "ready"}
+LOADING: dict[str, object] = {"state": "compiling", "detail": "loading kernels"}
+COMPILING: dict[str, object] = {"state": "compiling", "detail": "compiling kernels, first time on this machine"}
+FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=1),)
+
+
+@pytest.mark.parametrize(
+    ("changes", "workers", "name"),
+    [
+        ({"state": "queued"}, [], "starting"),
+        ({"state": "preparing"}, [LOADING], "loading kernels"),
+        ({"state": "running"}, [LOADING, COMPILING], "compiling kernels"),
+        ({"state": "preparing"}, [READY], "preparing"),
+        ({"state": "running"}, [READY, READY], "searching"),
+        ({"state": "running", "variables": FOUND}, [READY, LOADING], "searching"),
+        ({"state": "refining", "variables": FOUND}, [READY], "refining"),
+    ],
+)
+def test_time_goes_into_phases(changes: dict[str, object], workers: list[dict[str, object]], name: str) -> None:
+    assert phase(job_view(**changes), [worker_of(**worker) for worker in workers]) == name
+
+
+def test_a_known_equation_misses_no_target() -> None:
+    known = VariableView(variable="y", lhs="dy/dt", epoch=0, finished=True, why="known", normalized_error=0.5)
+    found = VariableView(variable="x", lhs="dx/dt", epoch=1, finished=True, why="target", converged=True)
+    missed = found.model_copy(update={"converged": False, "why": "max-epochs"})
+    view = job_view(state="done", variables=(known, found))
+    assert (exit_code(view, 1e-6), ending(view, 1e-6)) == (0, None)
+    view = job_view(state="done", variables=(known, missed))
+    assert exit_code(view, 1e-6) == 4
+    assert ending(view, 1e-6) == "--target-error 1e-06 was not met within the budget by dx/dt"

@@ -1,0 +1,111 @@
+"""What is worth trying after a run, by what came of it."""
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from atoll.cli.options.parser import parse
+from atoll.cli.terminal.next_step import next_step
+
+WORDS = ["run", "my data.csv", "--seed", "3", "--out", "here"]
+ENDED_BY_EPOCHS = {"why": "max-epochs", "config": {"budget": {"max_epochs": 20}}}
+ENDED_BY_TIME = {"why": "max-time", "config": {"budget": {"max_time": 60.0}}}
+SIMULATED = {"simulation": {"trajectories": [{"name": "1"}]}}
+AGAIN = "coordinator run 'my data.csv' --seed 3"
+
+
+def after(
+    verdict: str = "good", reason: str = "", why: str = "law", loose: bool = False, rivals: int = 0, **changes: Any
+) -> str | None:
+    equation = {
+        "verdict": verdict,
+        "reason": reason,
+        "why": why,
+        "constants": [{"identifiable": True}, {"identifiable": not loose}],
+        "candidates": [{"nats": 0.5}] * rivals,
+    }
+    result = {"state": "done", "equations": [equation], "warnings": [], "system": {"kind": "dynamics", "inputs": []}}
+    return next_step({**result, "config": {}, **changes}, Path("here"), changes.pop("words", WORDS))
+
+
+@pytest.mark.parametrize(
+    ("proposed", "outcome"),
+    [
+        ("coordinator analyse here", {}),
+        ("coordinator analyse here", {"rivals": 1}),
+        (AGAIN, {"state": "cancelled", "refining": "not refined"}),
+        ("coordinator suggest here", {"verdict": "doubtful", "rivals": 1}),
+        ("coordinator analyse here --identifiability", {"verdict": "doubtful", "loose": True, "rivals": 1}),
+        (
+            "coordinator simulate here -o here/simulation.csv",
+            {"system": {"kind": "process", "inputs": []}, **SIMULATED},
+        ),
+        (
+            "coordinator simulate here -o here/simulation.csv",
+            {"system": {"kind": "dynamics", "inputs": ["u"]}, **SIMULATED},
+        ),
+        ("coordinator analyse here", {"system": {"kind": "dynamics", "inputs": ["u"]}, "simulation": None}),
+        ("coordinator result here/result.json --format latex", {"system": {"kind": "regression", "inputs": ["u"]}}),
+        (f"{AGAIN} --robust", {"warnings": ["Some look like outliers; --robust takes their weight away."]}),
+        (f"{AGAIN} --stochastic", {"reason": "It grows like a random walk: with --stochastic, drift and diffusion"}),
+        (f"{AGAIN} --operators '+,-,*,/,sin,cos,exp,sqrt,tanh'", {"verdict": "no model"}),
+        ("coordinator result here/result.json", {"verdict": "no model", "config": {"space": {"max_size": 9}}}),
+        (
+            f"{AGAIN} --max-epochs 40",
+            {"verdict": "doubtful", "why": "max-epochs", "config": {"budget": {"max_epochs": 20}}},
+        ),
+        (
+            f"{AGAIN} --max-time 120s",
+            {"verdict": "no model", "why": "max-time", "config": {"budget": {"max_time": 60.0}}},
+        ),
+        *(
+            (
+                f"{AGAIN} --max-time 120s  # the time was over before the equations were fitted",
+                {"verdict": "doubtful", "refining": end, "config": {"budget": {"max_time": 60.0}}},
+            )
+            for end in ("not refined", "max-time")
+        ),
+        ("coordinator analyse here", {"refining": "max-time", "config": {"budget": {"max_time": 60.0}}}),
+        ("coordinator analyse here", ENDED_BY_EPOCHS),
+        (
+            "coordinator analyse here",
+            {"warnings": ["with --stochastic, drift"], "config": {"data": {"weights": "w"}}},
+        ),
+    ],
+)
+def test_the_command_suits_the_outcome(proposed: str, outcome: dict[str, Any]) -> None:
+    found = after(**outcome)
+    assert found is not None
+    assert found.startswith(f"{proposed}  #" if "#" not in proposed else proposed)
+
+
+def test_a_budget_that_was_given_is_replaced() -> None:
+    words = ["run", "a.csv", "--max-epochs", "20", "--id=old"]
+    found = after("doubtful", **ENDED_BY_EPOCHS, words=words)  # type: ignore[arg-type]
+    assert found is not None
+    assert found.startswith("coordinator run a.csv --max-epochs 40  #")
+    found = after(
+        "doubtful", why="max-time", config={"budget": {"max_time": 58.6}}, words=["run", "a", "--max-time", "1m"]
+    )
+    assert found is not None
+    assert found.startswith("coordinator run a --max-time 120s  #")
+
+
+@pytest.mark.parametrize("changes", [{"state": "cancelled"}, {"state": "failed"}, {"equations": []}])
+def test_nothing_is_proposed_where_there_is_no_outcome(changes: dict[str, Any]) -> None:
+    assert after(**changes) is None
+
+
+def test_what_is_proposed_can_be_said() -> None:
+
+    for outcome in (
+        {},
+        {"verdict": "no model"},
+        {"system": {"kind": "process"}},
+        {"verdict": "doubtful", "loose": True},
+    ):
+        found = after(**outcome)  # type: ignore[arg-type]
+        assert found is not None
+        assert parse(shlex.split(found.partition("  # ")[0])[1:]).verb

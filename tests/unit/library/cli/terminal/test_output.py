@@ -1,0 +1,93 @@
+"""Numbers, tables and result files as people meet them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from atoll.cli.terminal.output import (
+    as_json,
+    clipped,
+    count,
+    duration,
+    note,
+    refuse_existing_result,
+    shortened,
+    table,
+    write_result,
+)
+from atoll_core.errors import UsageError
+from tests.unit.common.test_command_line import Full
+
+
+@pytest.mark.parametrize(
+    ("expression", "short"),
+    [
+        ("3.0000000000000004*x - x**2", "3*x - x**2"),
+        ("x_1.5", "x_1.5"),
+        ("1.0*u - 1.0*x*(1.0*y + 2.1*x)", "u - x*(y + 2.1*x)"),
+        ("x**1.0*u + 2/1.0*u + 1.0**u + 1e-11*u", "x**1*u + 2/1*u + 1**u + 1e-11*u"),
+        ("x12345678*0.12345678901", "x12345678*0.123457"),
+        ("1.23456789e-07*sin(x2)", "1.23457e-07*sin(x2)"),
+        ("12345678*x", "12345678*x"),
+    ],
+)
+def test_constants_are_rounded_and_names_are_not(expression: str, short: str) -> None:
+    assert shortened(expression) == short
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.04, "0.0 s"), (59.94, "59.9 s"), (185.0, "3:05"), (7800.0, "2:10:00")]
+)
+def test_durations(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_counts_have_three_digits() -> None:
+    assert [count(number) for number in (None, 0, 999, 4_260_000)] == ["-", "0", "999", "4.26e+06"]
+
+
+def test_long_texts_are_clipped_with_a_sign() -> None:
+    assert clipped("abcdef", 4) == "abc…"
+    assert clipped("abcd", 4) == "abcd"
+
+
+def test_a_table_is_aligned_and_has_no_trailing_blanks() -> None:
+    assert table(("ID", "STATE"), [("abcdef", "done"), ("x", "-")]) == "ID      STATE\nabcdef  done\nx       -"
+
+
+def test_json_has_no_nan() -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        as_json({"error": float("nan")})
+
+
+def test_a_result_is_written_once_and_never_over_another(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "b"
+    path = write_result(folder, {"job": "one", "symbol": "θ"})
+    with pytest.raises(UsageError, match="exists already"):
+        write_result(folder, {"job": "two"})
+    assert json.loads(path.read_text("utf-8")) == {"job": "one", "symbol": "θ"}
+    with pytest.raises(UsageError, match="exists already"):
+        refuse_existing_result(folder)
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    with pytest.raises(UsageError, match="is a file"):
+        refuse_existing_result(tmp_path / "out")
+    with pytest.raises(UsageError, match="cannot be written"):
+        write_result(tmp_path / "out" / "deeper", {})
+
+
+def test_rows_of_numbers_stand_on_one_line_and_stay_the_same():
+    value = {"times": [1.0, 2.5e-7, None], "nested": [[1, 2], []], "texts": ["[\n 1,\n 2]"], "objects": [{"a": [3]}]}
+    text = as_json(value)
+    assert json.loads(text) == value
+    assert '"times": [1.0, 2.5e-07, null]' in text
+    assert "    [1, 2]," in text
+    assert "3" in next(line for line in text.splitlines() if '"a"' in line)
+
+
+def test_notes_that_cannot_be_written_stop_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stderr", Full())
+    note("progress")

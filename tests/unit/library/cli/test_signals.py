@@ -1,0 +1,44 @@
+"""How programs meet signals that whoever started them has them ignore."""
+
+import signal
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from atoll.cli.signals import raising_interrupts, stopping
+
+
+@pytest.fixture
+def _in_the_background() -> Iterator[None]:
+    """Ignore Ctrl-C as a command that a script starts with ``&`` does, and hang-ups as ``nohup`` has it."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGHUP)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("_in_the_background")
+def test_a_hang_up_that_is_ignored_stays_ignored() -> None:
+    stop = threading.Event()
+    with raising_interrupts():
+        signal.raise_signal(signal.SIGHUP)
+    with stopping(stop):
+        signal.raise_signal(signal.SIGHUP)
+    assert not stop.is_set()
+
+
+@pytest.mark.usefixtures("_in_the_background")
+def test_an_interrupt_that_somebody_sends_counts_also_in_the_background() -> None:
+    with pytest.raises(KeyboardInterrupt), raising_interrupts():
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_without_that_all_of_them_end_a_program_alike(number: signal.Signals) -> None:
+    stop = threading.Event()
+    with stopping(stop):
+        signal.raise_signal(number)
+    assert stop.is_set()
+    with pytest.raises(KeyboardInterrupt), raising_interrupts():
+        signal.raise_signal(number)

@@ -1,0 +1,54 @@
+"""How many workers a local run starts, and that a dry run starts none."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from atoll.cli.main import main
+from atoll.cli.options.parser import parse
+from atoll.cli.verbs import run as module
+
+
+class Started(Exception):
+    """Ends a run when its workers would be started."""
+
+
+@pytest.mark.parametrize(("options", "number"), [([], 1), (["--workers", "3"], 3)])
+def test_workers_are_as_many_as_the_cores_that_may_be_used(
+    options: list[str], number: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+) -> None:
+    def workers(endpoint: str, number: int, log: Any) -> None:
+        raise Started(number)
+
+    monkeypatch.setenv("SLURM_CPUS_PER_TASK", "1")
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(8)))
+    monkeypatch.setattr(module, "LocalWorkers", workers)
+    with pytest.raises(Started) as started:
+        module.run(parse(["run", "data.csv", "--out", str(tmp_path / "out"), *options]))
+    assert started.value.args == (number,)
+
+
+@pytest.mark.parametrize("verb", ["run", "submit"])
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(
+    verb: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("ATOLL_CONNECT", raising=False)
+    Path("a.txt").write_text("# t x\n" + "".join(f"{row} {row * row}\n" for row in range(20)))
+    assert main([verb, "a.txt", "--dry-run"]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.startswith("1 equation would be searched:\n  dx/dt = f(x) of + - * / sin cos\n")
+    assert "read as text with spaces; header in a comment\n" in printed.err
+    assert main([verb, "a.txt", "--dry-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["equations"][0]["lhs"] == "dx/dt"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_dry_run_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.csv").write_text("t,x\n0,1\n1,two\n")
+    assert main(["run", str(tmp_path / "a.csv"), "--dry-run"]) == 2
+    assert (
+        capsys.readouterr().err == "coordinator: column 'x' of a.csv holds 'two' in line 3 where a number is expected\n"
+    )

@@ -1,0 +1,46 @@
+"""Pictures of a model show what its result has; they need matplotlib, and are tested where it is installed."""
+
+import numpy as np
+import pytest
+
+from atoll.model.model import Model
+from atoll_core.errors import UsageError
+from tests.unit.library.model.results import result
+
+matplotlib = pytest.importorskip("matplotlib")
+
+
+@pytest.fixture
+def model() -> Model:
+    matplotlib.use("agg")
+    times = [0.0, 0.5, 1.0]
+    curves = {"x": [1.0, 0.5, 0.0], "y": [0.0, 0.5, None]}
+    found = result({"x": "-y", "y": "x"})
+    measured = {"x": [1.0, 0.7, None], "y": [0.0, 0.5, 1.0]}
+    part = {"name": "1", "times": times, "values": curves, "lower": curves, "upper": curves, "measured": measured}
+    found["simulation"] = {"trajectories": [part]}
+    found["equations"][0]["front"] = [{"complexity": 3, "normalized_error": 0.1, "selected": True}]
+    return Model(found)
+
+
+def test_residuals_are_measured_less_simulated(model: Model) -> None:
+    axes, _ = model.plot_residuals()
+    assert axes.lines[0].get_ydata() == pytest.approx([0.0, 0.2, np.nan], nan_ok=True)
+
+
+def test_states_are_drawn_below_each_other_with_their_measurements(model: Model) -> None:
+    above, below = model.plot_fit()
+    assert [len(above.lines), len(below.lines)] == [2, 2]
+    assert (above.get_ylabel(), below.get_xlabel()) == ("x", "t")
+
+
+def test_a_phase_plane_and_a_front_are_drawn_into_given_axes(model: Model) -> None:
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots(1, 2)
+    model.plot_phase(axes[0])
+    assert (axes[0].get_xlabel(), axes[0].get_ylabel()) == ("x", "y")
+    model.plot_front(axes)
+    assert axes[0].lines[-1].get_xdata().tolist() == [3]
+    with pytest.raises(UsageError, match="1 axes are needed, but 2 were given"):
+        model.plot_phase(axes)

@@ -1,0 +1,302 @@
+"""The page of a result shows what the result holds, loads nothing, and takes every name for text."""
+
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pytest
+
+from atoll.experiments.determination import Direction, Identifiability, ProfiledConstant
+from atoll.experiments.suggestion import Candidate, Suggestion, Suggestions
+from atoll.model.model import Model
+from atoll.report.choice import choice
+from atoll.report.constants import constants
+from atoll.report.dynamics import dynamics as section_of_dynamics
+from atoll.report.findings import MOST_PROFILES, Findings
+from atoll.report.markup import Element, table, to_text
+from atoll.report.origin import origin
+from atoll.report.overview import overview
+from atoll.report.page import as_html
+from atoll.report.trajectories import trajectories
+from tests.unit.library.report.results import dynamics, process, regression
+
+
+class Reader(HTMLParser):
+    """Collects the tags, the texts of cells, and the identifiers of a page."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.links: list[str] = []
+        self.sections: list[str] = []
+        self.texts: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        found = dict(attrs)
+        self.links += [str(found[name]) for name in ("href", "src") if name in found]
+        if tag == "section":
+            self.sections.append(str(found["id"]))
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+@pytest.fixture(scope="module")
+def page() -> Reader:
+    return Reader(as_html(dynamics()))
+
+
+def test_all_that_is_known_of_dynamics_has_a_section(page: Reader) -> None:
+    expected = [
+        "found",
+        "fit",
+        "residuals",
+        "errors",
+        "constants",
+        "candidates",
+        "front",
+        "dynamics",
+        "search",
+        "origin",
+    ]
+    assert page.sections == expected
+    assert page.links == ["data:,", *(f"#{name}" for name in expected)]
+
+
+def test_nothing_is_loaded_and_no_script_runs(page: Reader) -> None:
+    assert not {"script", "img", "iframe", "object"} & page.tags
+    assert {"math", "svg", "table", "details"} <= page.tags
+
+
+def test_numbers_stand_behind_the_pictures(page: Reader) -> None:
+    assert {"1.25", "0.25", "1e-09", "x - y", "2.5", "yes"} <= set(page.texts)  # fit, residual, front, candidate
+
+
+def test_fixed_points_are_listed_with_their_kinds(page: Reader) -> None:
+    assert {"(1, 1)", "saddle", "(3, 0)", "stable node"} <= set(page.texts)
+
+
+def test_names_from_data_are_text_wherever_they_stand() -> None:
+    hostile = "<img src=x onerror=alert(1)>"
+    found = dynamics(warnings=[hostile], command=hostile, job=hostile)
+    found["data"]["files"] = [hostile]
+    found["system"] |= {"time": hostile, "states": [hostile, "y"]}
+    found["symbols"] = {hostile: "x", "y": "y"}
+    found["equations"][0] |= {"variable": hostile, "lhs": f"d{hostile}/dt", "reason": hostile}
+    found["simulation"]["trajectories"][0]["name"] = hostile
+    for key in ("values", "lower", "upper", "measured", "r2", "start"):
+        part = found["simulation"]["trajectories"][0]
+        part[key] = {hostile if name == "x" else name: value for name, value in part[key].items()}
+    page = Reader(as_html(found))
+    assert "img" not in page.tags
+    assert f"Equations of {hostile}" in page.texts
+
+
+def test_what_repeats_a_run_is_not_the_clock() -> None:
+    found = dynamics()
+    assert any(
+        "same digest on any number" in text and "clock" not in text
+        for text in read([origin(Findings(found, None))]).texts
+    )
+    found["equations"][0] |= {"why": "max-time", "epoch": 12}
+    assert any(
+        "--max-epochs x=12 in the place of --max-time" in text for text in read([origin(Findings(found, None))]).texts
+    )
+
+
+def test_an_equation_that_was_not_found_leaves_the_rest_of_the_page() -> None:
+    found = dynamics(simulation=None)
+    found["equations"][1] |= {"expression": None, "verdict": "no model", "reason": "Nothing.", "front": []}
+    page = Reader(as_html(found))
+    assert "dy/dt: no equation" in page.texts
+    assert any("not analysed" in text for text in page.texts)
+
+
+def read(sections: list[Element]) -> Reader:
+    return Reader("".join(map(to_text, sections)))
+
+
+def test_a_verdict_is_explained_once_however_many_equations_have_it() -> None:
+    page = read([overview(Findings(dynamics(), None))])
+    assert sum("can be relied on within" in text for text in page.texts) == 1
+
+
+def test_a_page_says_what_the_equation_of_noise_is() -> None:
+    said = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time."
+    assert said in read([overview(Findings(process(), None))]).texts
+    assert said not in read([overview(Findings(dynamics(), None))]).texts
+
+
+def test_columns_without_any_entry_are_left_out() -> None:
+    page = read([table("some", ["name", "never", "value"], [["a", "", "1"], ["b", "", ""]])])
+    assert page.texts == ["some", "name", "value", "a", "1", "b"]
+    assert "never" in read([table("none", ["never"], [])]).texts
+
+
+def test_many_constants_are_not_profiled_for_a_page() -> None:
+    found = dynamics()
+    found["equations"][0]["constants"] *= MOST_PROFILES + 1
+    page = read(constants(Findings(found, None)))
+    assert any("coordinator analyse --identifiability" in text for text in page.texts)
+
+
+def test_profiles_say_what_the_data_determine_of_each_constant() -> None:
+    values, ends = np.array([1.0, 2.0, 3.0]), (1.25, 2.75)
+    its = ProfiledConstant("c1", "x", True, 2.0, 0.25, ends, ends, "open above", (False, False), values, values - 1.0)
+    open_one = Direction(9.0, values, True, "only c1/c2 is determined")
+    found = Findings(dynamics(), None, identifiability=Identifiability(0.95, 9.0, 2.0, (its,), (open_one,), "", 3))
+    page = read(constants(found))
+    assert {"c1 = 2, open above: at least 1.25", "only c1/c2 is determined"} <= set(page.texts)
+    assert "svg" in page.tags
+
+
+def test_constants_are_called_as_those_of_the_model() -> None:
+    found = dynamics(correlations=[{"first": {"variable": "x", "constant": 0}, "value": -0.99,
+                                    "second": {"variable": "y", "constant": 0}}])  # fmt: skip
+    found["equations"][1]["constants"] = [{**found["equations"][1]["constants"][0], "value": 2.0}]
+    page = read(constants(Findings(found, None)))
+    names = [name for name, its in Model(found).params.items() if its.stderr is not None]
+    assert [text for text in page.texts if text in Model(found).params] == names
+    assert f"{names[0]} and {names[1]} are hardly told apart: correlation -0.99." in page.texts
+
+
+def test_the_next_experiment_stands_with_the_candidates() -> None:
+    rivals = tuple(Candidate({"dx/dt": text}, "candidate", 0.5, 0.0) for text in ("x", "2*x"))
+    one = Suggestion({"x": 1.5}, {"u": 2.5}, (0.0, 4.0), 1.0, 3.0, 0.625, 7.5)
+    found = Suggestions("discrimination", "2 candidates differ", 0.7, rivals, (one,), {}, (), "trajectory", "")
+    page = read(choice(Findings(dynamics(), None, suggestions=found)))
+    assert {"x = 1.5, u = 2.5", "2, from 0 to 4", "0.625", "7.5", "dx/dt = 2*x"} <= set(page.texts)
+
+
+@pytest.mark.parametrize(("found", "section", "number"), [(regression(), "fit", "0.5"), (process(), "process", "0.75")])
+def test_regressions_and_processes_have_sections_of_their_own(found: dict[str, Any], section: str, number: str) -> None:
+    page = Reader(as_html(found))
+    assert section in page.sections
+    assert number in page.texts
+    assert ("dynamics" in page.sections) == (section == "process")
+
+
+def of_groups() -> dict[str, Any]:
+    """Return the result of two species, x growing at 2.5 in group a and at 3.5 in group <b>."""
+    found = dynamics()
+    equation = found["equations"][0]
+    mean, whole = equation["constants"][0], equation["expression"]
+    equation["groups"] = [
+        {
+            "group": name,
+            "expression": whole.replace("3.0", str(value)),
+            "constants": [{**mean, "value": value, "std_error": 0.25}],
+        }
+        for name, value in (("a", 2.5), ("<b>", 3.5))
+    ]
+    found["groups"] = [{"group": name, "trajectories": ["1"], "covariance": None} for name in ("a", "<b>")]
+    return found
+
+
+def test_constants_of_each_group_are_listed() -> None:
+    read = Reader(as_html(of_groups()))
+    place = read.texts.index("<b>")
+    assert read.texts[read.texts.index("a") : place + 2].count("2.5") == 1
+    assert "3.5" in read.texts[place : place + 4]
+    assert "0.25" in read.texts[place : place + 6]
+    assert any("differ between the groups a, <b>; coordinator report --group NAME" in text for text in read.texts)
+    assert any("means over them; the groups are a, <b>." in text for text in read.texts)
+
+
+def test_the_page_of_one_group_is_analysed() -> None:
+    found = Findings.of(Model(of_groups()).of_group("<b>").result)
+    assert found.analysis is not None
+    assert found.analysis.field.values(np.array([[1.0, 0.0]]))[0, 0] == pytest.approx(2.5)
+    assert "<b>" in Reader(to_text(overview(found))).texts
+
+
+def test_figures_have_the_digits_that_their_errors_leave() -> None:
+    found = dynamics()
+    found["equations"][0]["constants"][0] |= {"std_error": 0.00016, "interval": [1.999562, 2.000193]}
+    (part,) = found["simulation"]["trajectories"]
+    part["r2"] = {"x": 0.99999919, "y": 1.0}
+    found["equations"][0]["candidates"][0]["r2"] = 0.99999919
+    its = Findings(found, None)
+    assert "1.99956 to 2.00019" in to_text(constants(its)[0])
+    assert "R² at least 0.9999" in to_text(overview(its))
+    assert all(">0.9999<" in to_text(each) for each in (trajectories(its)[0], choice(its)[0]))
+
+
+def test_dynamics_of_equations_that_do_not_fit_are_said_to_be_so() -> None:
+    found = dynamics()
+    found["equations"][1]["verdict"] = "no model"
+    analysis = Model(found).analyse()
+    assert str(analysis).startswith("The verdict on dy/dt is no model:")
+    section = to_text(section_of_dynamics(Findings(found, Model(found), analysis))[0])
+    assert section.index("The verdict on dy/dt is no model:") < section.index("<svg")
+
+
+def test_constants_of_the_result_stand_beside_those_fitted_again() -> None:
+    shown = Candidate({"dx/dt": "2.5*x"}, "shown", 1.0, 0.0, written={"dx/dt": "2*x"})
+    its = Suggestions("precision", "there is one", 0.0, (shown,), (), {}, (), "trajectory", "1 trajectory")
+    lines = str(its).splitlines()
+    assert "fitted again" in lines[0]
+    assert lines[2].strip() == "with the constants of the result  dx/dt = 2*x"
+    text = to_text(choice(Findings(dynamics(), None, suggestions=its))[0])
+    assert "shown, with the constants of the result" in text
+    assert "2*x" in text
+
+
+def test_constants_are_stacked_on_narrow_pages() -> None:
+    text = to_text(constants(Findings(dynamics(), None))[0])
+    assert '<table class="stacked">' in text
+    assert 'data-head="standard error"' in text
+
+
+HOSTILE = (
+    "'\"><script>alert(1)</script><img src=x onerror=alert(1)></title></style>&<![CDATA[\\href{javascript:alert(1)}{x}"
+)
+KEPT = {"expression", "program", "kind", "discretisation", "group", "variable"}
+"""What is read again, not shown: formulas, kinds, and names by which parts of a result find each other."""
+
+
+def hostile(value: Any, key: str = "") -> Any:
+    """Return a part of a result with that text in every text that it may be in, and in names of columns."""
+    if isinstance(value, dict):
+        return {HOSTILE + name if name in {"x", "y"} else name: hostile(its, name) for name, its in value.items()}
+    if isinstance(value, list):
+        return [hostile(each, key) for each in value]
+    if key in {"variable", "lhs", "states", "time", "inputs", "target"} and isinstance(value, str):
+        return value.replace("x", HOSTILE + "x").replace("y", HOSTILE + "y") if key != "time" else HOSTILE
+    return HOSTILE if isinstance(value, str) and key not in KEPT | {"x", "y"} else value
+
+
+def dangers(text: str) -> list[str]:
+    """Return what of markup would run or load something."""
+    found = []
+
+    class Watch(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            its = [name for name, value in attrs if name.startswith("on") or "javascript:" in str(value).split("=")[0]]
+            if tag in {"script", "img", "iframe", "object", "embed"} or its:
+                found.append(f"{tag} {its}")
+
+    Watch().feed(text)
+    return found
+
+
+@pytest.mark.parametrize("kind", [dynamics, regression, process])
+def test_no_text_of_a_result_is_taken_for_markup(kind: Any) -> None:
+    assert dangers(HOSTILE)
+    found = hostile(kind())
+    model = Model(found)
+    page = as_html(found)
+    for text in (model._repr_html_(), model.mathml(), page):
+        assert dangers(text) == []
+    assert page.count("&lt;script&gt;") > 20
+    assert r"\href" not in model.latex()
+
+
+def test_simple_numbers_together_have_a_sentence_below_the_constants() -> None:
+    found = dynamics()
+    together = {"constants": [0], "values": [3.0], "odds": 14.7, "chi_square": 0.61}
+    found["equations"][0]["simple_together"] = together
+    page = read(constants(Findings(found, None)))
+    assert "c1 = 3, judged together: odds 15 against all other numbers (chi-square 0.61)." in page.texts

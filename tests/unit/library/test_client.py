@@ -1,0 +1,228 @@
+"""The client: what it asks, what it understands, and that it never waits for ever."""
+
+import hashlib
+import json
+from collections.abc import Callable
+
+import pytest
+
+from atoll.client import ANSWER_LIMIT_S, Client
+from atoll_core.config import JobConfig
+from atoll_core.errors import AtollError, DataError, RefusedError, UnreachableError
+from atoll_core.wire.bus.interface import Event, Message, Reply
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.clients import (
+    Answer,
+    Ask,
+    Cancel,
+    Failure,
+    FailureKind,
+    GetResult,
+    JobFound,
+    JobList,
+    Jobs,
+    JobStatus,
+    Result,
+    Status,
+    Submit,
+    Upload,
+    Uploaded,
+    WorkerList,
+    Workers,
+)
+from atoll_core.wire.messages.handshake import GreetingAnswer, Refusal, Welcome
+from atoll_core.wire.messages.limits import CHUNK_SIZE
+from tests.views import job_view
+
+Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel
+AnswerBody = Uploaded | JobList | JobStatus | WorkerList | Result | Failure
+WELCOME = Welcome(realm="r1", incarnation=1, protocol=1, version="0.1.0", engine=1)
+
+
+class AnsweringBus:
+    """A bus on which `answer` replies at once to every question; virtual time passes only in `receive`."""
+
+    def __init__(self, answer: Callable[[str, bytes], bytes | None]) -> None:
+        self._answer = answer
+        self._events: list[Event] = []
+        self._now = 0.0
+        self.keys: list[str] = []
+
+    def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int:
+        self.keys.append(key)
+        self._events += [Message("atoll/noise", b""), Reply(len(self.keys), self._answer(key, payload))]
+        return len(self.keys)
+
+    def receive(self, timeout_s: float) -> Event | None:
+        if self._events:
+            return self._events.pop(0)
+        self._now += timeout_s
+        return None
+
+    def now(self) -> float:
+        return self._now
+
+
+def client_with(handle: Callable[[Body], AnswerBody | None]) -> tuple[Client, AnsweringBus]:
+    def answer(key: str, payload: bytes) -> bytes | None:
+        if key.startswith("atoll/hello/client-"):
+            return encode(GreetingAnswer(body=WELCOME))
+        body = handle(decode(payload, Ask).body)
+        return None if body is None else encode(Answer(body=body))
+
+    bus = AnsweringBus(answer)
+    return Client(bus, "tcp/there:7447"), bus  # type: ignore[arg-type]
+
+
+def test_questions_go_under_the_realm_and_the_clients_own_name() -> None:
+    client, bus = client_with(lambda body: WorkerList(workers=()))
+    assert client.workers() == ()
+    assert bus.keys[0] == f"atoll/hello/{bus.keys[1].split('/')[3]}"
+    assert bus.keys[1].startswith("atoll/r1/client/client-")
+
+
+def test_an_upload_sends_exactly_the_missing_chunks_and_returns_the_digest() -> None:
+    data = bytes(range(256)) * (CHUNK_SIZE // 128)
+    sent: dict[int, bytes] = {}
+
+    def handle(body: Body) -> AnswerBody:
+        assert isinstance(body, Upload)
+        if body.data is not None:
+            assert hashlib.sha256(body.data).hexdigest() == body.sha256
+            sent[body.index] = body.data
+        return Uploaded(blob=body.blob, missing=tuple(i for i in (0, 1) if i not in sent))
+
+    client, _ = client_with(handle)
+    digest = client.upload(data)
+    assert digest == hashlib.sha256(data).hexdigest()
+    assert sent[0] + sent[1] == data
+    bodies = len(sent)
+    client.upload(data)
+    assert len(sent) == bodies
+
+
+def test_an_upload_goes_by_what_the_coordinator_says_is_missing() -> None:
+    """One whose chunks were deleted meanwhile is sent again; one that is never kept is given up."""
+    data = bytes(range(256)) * (CHUNK_SIZE // 128)
+    told = iter([(0, 1), (1,), (0, 1), (1,), ()])
+    sent: list[int] = []
+
+    def handle(body: Body) -> AnswerBody:
+        assert isinstance(body, Upload)
+        sent.extend([body.index] if body.data is not None else [])
+        return Uploaded(blob=body.blob, missing=next(told, (0, 1)))
+
+    client, _ = client_with(handle)
+    client.upload(data)
+    assert sent == [0, 1, 0, 1]
+    with pytest.raises(RefusedError, match="does not keep what is uploaded: 2 of 2 parts are still missing"):
+        client.upload(data)
+
+
+def test_a_table_that_was_deleted_before_its_job_came_is_uploaded_again() -> None:
+    seen: list[str] = []
+
+    def handle(body: Body) -> AnswerBody:
+        seen.append(body.kind)
+        if isinstance(body, Upload):
+            return Uploaded(blob=body.blob, missing=())
+        if seen.count("submit") == 1:
+            return Failure(failure="no-table", sentence="the table of job j1 has not been uploaded")
+        return JobStatus(job=job_view(job="j1"))
+
+    client, _ = client_with(handle)
+    assert client.hand_in("j1", "name", JobConfig(), b"t,x").job == "j1"
+    assert seen == ["upload", "submit", "upload", "submit"]
+
+
+def test_a_job_is_submitted_under_the_clients_id() -> None:
+    seen: list[Submit] = []
+
+    def handle(body: Body) -> AnswerBody:
+        assert isinstance(body, Submit)
+        seen.append(body)
+        return JobStatus(job=job_view(job=body.job))
+
+    client, _ = client_with(handle)
+    assert client.submit("j1", "name", JobConfig(seed=3), "0" * 64).job == "j1"
+    assert (seen[0].config.seed, seen[0].table) == (3, "0" * 64)
+
+
+def test_a_result_is_the_contents_of_result_json() -> None:
+    client, _ = client_with(lambda body: Result(json_text=json.dumps({"schema": 1})))
+    assert client.result("j1") == {"schema": 1}
+
+
+@pytest.mark.parametrize(
+    ("failure", "error", "code"),
+    [
+        ("unknown-job", RefusedError, 2),
+        ("data", DataError, 2),
+        ("too-early", RefusedError, 2),
+        ("internal", AtollError, 1),
+    ],
+)
+def test_a_failure_raises_the_error_with_its_exit_code(
+    failure: FailureKind, error: type[AtollError], code: int
+) -> None:
+    client, _ = client_with(lambda body: Failure(failure=failure, sentence="so it is"))
+    with pytest.raises(error, match="so it is") as caught:
+        client.status("j1")
+    assert caught.value.exit_code == code
+
+
+def test_silence_ends_in_an_error_that_says_what_was_waited_for() -> None:
+    client, bus = client_with(lambda body: None)
+    with pytest.raises(UnreachableError, match="the status of job j1") as caught:
+        client.status("j1")
+    assert "tcp/there:7447" in str(caught.value)
+    assert caught.value.exit_code == 3
+    assert bus.now() <= ANSWER_LIMIT_S + 0.01
+
+
+def test_a_lost_answer_is_asked_for_again() -> None:
+    answers: list[AnswerBody | None] = [None, None, JobStatus(job=job_view(job="j1"))]
+    client, _ = client_with(lambda body: answers.pop(0))
+    assert client.status("j1").job == "j1"
+
+
+def test_a_refusal_says_why() -> None:
+    refusal = Refusal(protocol=9, version="9.0", engine=9, sentence="client has 0.1.0, coordinator 9.0")
+    client = Client(AnsweringBus(lambda key, payload: encode(GreetingAnswer(body=refusal))), "tcp/x:1")  # type: ignore[arg-type]
+    with pytest.raises(RefusedError, match=r"coordinator 9\.0"):
+        client.jobs()
+
+
+def test_an_answer_that_is_not_in_our_words_is_refused() -> None:
+    client = Client(AnsweringBus(lambda key, payload: b"\xc1garbage"), "tcp/x:1")  # type: ignore[arg-type]
+    with pytest.raises(RefusedError, match="not understood"):
+        client.jobs()
+    other, _ = client_with(lambda body: WorkerList(workers=()))
+    with pytest.raises(RefusedError, match="worker-list"):
+        other.jobs()
+
+
+def test_the_beginning_of_an_id_is_looked_up_by_the_coordinator() -> None:
+    client, _ = client_with(lambda body: JobFound(job="abc1"))
+    assert client.resolve("abc") == "abc1"
+    with pytest.raises(RefusedError, match="no job 'a/b': ids are 1 to 64 letters"):
+        client.resolve("a/b")
+    assert client.jobs("a/b") == ()
+
+
+def test_jobs_are_listed_page_by_page() -> None:
+    asked: list[Jobs] = []
+    ids = [f"j{number}" for number in range(7)]
+
+    def handle(body: Body) -> AnswerBody:
+        assert isinstance(body, Jobs)
+        asked.append(body)
+        end = len(ids) if body.before is None else body.before
+        start = max(0, end - min(body.limit, 3))
+        return JobList(jobs=tuple(job_view(job=each) for each in ids[start:end]), before=start or None)
+
+    client, _ = client_with(handle)
+    assert [view.job for view in client.jobs()] == ids
+    assert len(asked) == 3
+    assert [view.job for view in client.jobs(last=4)] == ids[-4:]
+    assert [each.limit for each in asked[3:]] == [4, 1]
