@@ -150,7 +150,8 @@ class WorkerController:
     def _check_places(self, worker: str, status: WorkerStatus, now: float) -> None:
         """Raise RemoteProtocolError when a worker speaks for islands that are placed elsewhere."""
         wrong: list[str] = []
-        for each in (*status.holdings, *status.failures):
+        claims: tuple[Holding | IslandFailure, ...] = (*status.holdings, *status.failures)
+        for each in claims:
             with self._guarded(each.job, "looking where islands are placed", now):
                 archipelago = self._placed(each.job, each.variable, each.term)
                 islands = archipelago.islands_of(worker) if archipelago is not None else None
