@@ -19,7 +19,7 @@ from atoll_coordinator.service.background.child_main import load_preparation, lo
 from atoll_coordinator.service.background.process_pool import ProcessPool
 from atoll_core.errors import AtollError
 from atoll_core.logs import configure
-from atoll_core.program import INTERRUPTED, reap_children
+from atoll_core.signals import INTERRUPTED, reap_children
 from atoll_core.wire.addresses import own_address
 
 CHECK_S: Final = 0.3

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.signals import stopping
 from atoll.cli.terminal.output import note, say
 from atoll.cli.verbs.serve import addresses_of, roster_of, warnings_of
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, UnreachableError
 from atoll_core.logs import configure, fields
+from atoll_core.signals import stopping
 from atoll_core.wire.addresses import Destination, destination, parse_address
 from atoll_core.wire.connect_file import announced
 from atoll_core.wire.security.access_control import Roster

@@ -16,13 +16,13 @@ from typing import Final
 from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from atoll.cli.local.workers import LocalWorkers
 from atoll.cli.options.names import job_id
-from atoll.cli.signals import raising_interrupts
 from atoll.cli.terminal.output import refuse_existing_result
 from atoll_coordinator.service.background.child_main import load_preparation
 from atoll_coordinator.service.background.process_pool import ProcessPool
 from atoll_core.errors import DataError, UsageError
 from atoll_core.logs import configure
 from atoll_core.machine.cores import usable_cores
+from atoll_core.signals import raising_interrupts
 from atoll_core.wire.addresses import own_address
 
 _WORKER_LOG: Final = "workers.log"

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.signals import stopping
 from atoll.cli.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, StoreError, UnreachableError, UsageError
 from atoll_core.logs import configure
+from atoll_core.signals import stopping
 from atoll_core.wire.addresses import Address, Destination, destination, parse_address
 from atoll_core.wire.connect_file import announced
 from atoll_core.wire.security.access_control import Roster, read_roster
