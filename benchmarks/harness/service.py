@@ -21,9 +21,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from atoll.cli.local.workers import worker_command
-from atoll.cli.terminal.output import count, duration, note
-from atoll.client import Client, connected
+from atoll.client.client import Client, connected
+from atoll.client.local_workers import worker_command
+from atoll.terminal.output import count, duration, note
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UnreachableError, UsageError

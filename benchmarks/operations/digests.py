@@ -20,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from atoll.cli.terminal.output import note, say
+from atoll.terminal.output import note, say
 from atoll_core.errors import AtollError
 from atoll_core.signals import raising_interrupts
 from benchmarks.harness.command_line import OUT, option, program

@@ -28,7 +28,8 @@ from atoll.api import session
 from atoll.cli.main import main
 from atoll.cli.options.job_config import job_config
 from atoll.cli.options.parser import parse
-from atoll.cli.terminal.output import REPORT, say, write_report, write_result
+from atoll.cli.result_files import REPORT, write_report, write_result
+from atoll.terminal.output import say
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import DataConfig
 from tests.integration.test_processes import started

@@ -13,19 +13,18 @@ from atoll.api.tables import NAME, table_of
 from atoll.api.wording import in_python, python_words
 from atoll.cli.options.job_config import job_config
 from atoll.cli.options.parser import parse
-from atoll.cli.terminal.follow import Follower, ending
-from atoll.cli.terminal.progress import Display, is_screen, open_display
-from atoll.client import Client, connected
+from atoll.client.client import connected
+from atoll.client.follower import Display, Follower
 from atoll.model.arguments import shown
 from atoll.model.model import Model
+from atoll.terminal.progress import is_screen, open_display
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError, RefusedError, UsageError
 from atoll_core.wire.addresses import Destination, destination
-from atoll_core.wire.messages.views import FINAL_STATES, JobView
+from atoll_core.wire.messages.views import JobView
 from atoll_core.wire.security.credentials import credentials_of
 
 CONNECT_LIMIT_S: Final = 20.0
-CANCEL_LIMIT_S: Final = 10.0
 _REPEATABLE: Final = ("angle", "operators", "allow", "guess", "known", "require", "bound", "unit")
 _TLS: Final = ("ca", "cert", "key")
 _NOT_OURS: Final = ("json", "out", "workers", "help", "id", "name", "dry_run", "report")
@@ -70,13 +69,13 @@ class Job:
             except KeyboardInterrupt:
                 display.print_note("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
                 self.is_interrupted = True
-                _cancel(client, self.id)
+                client.cancel_and_wait(self.id)
         return self
 
     def cancel(self) -> None:
         """End it and keep its best equations."""
         with connected(self._address, CONNECT_LIMIT_S) as client:
-            _cancel(client, self.id)
+            client.cancel_and_wait(self.id)
 
     def result(self) -> Model:
         """Return its model, of a job that still runs the best so far.
@@ -210,17 +209,9 @@ def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers:
     return destination(connect, credentials_of(files, os.environ, "connect"))
 
 
-def _cancel(client: Client, job: str) -> None:
-    """Cancel a job and wait, within limits, until it has ended."""
-    view, end = client.cancel(job), client.now() + CANCEL_LIMIT_S
-    while view.state not in FINAL_STATES and client.now() < end:
-        client.pause(0.1)
-        view = client.status(job)
-
-
 def _failure(view: JobView) -> AtollError:
     kind = DataError if view.fault == "data" else AtollError
-    return kind(in_python(ending(view, None) or f"job {view.job} failed"))
+    return kind(in_python(f"job {view.job} failed: {view.reason}"))
 
 
 @contextlib.contextmanager

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from atoll.cli.ending import ending, exit_code
 from atoll.cli.exit_codes import DONE
 from atoll.cli.options.job_config import job_config
 from atoll.cli.options.names import job_id
-from atoll.cli.terminal.follow import ending, exit_code
-from atoll.cli.terminal.output import as_json, note, say
-from atoll.client import Client
+from atoll.client.client import Client
+from atoll.terminal.output import as_json, note, say
 from atoll_core.config import JobConfig
 from atoll_core.errors import DataError, RefusedError, UsageError
 from atoll_core.hints import similar_file

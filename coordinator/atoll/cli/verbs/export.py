@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.terminal.output import note, say
 from atoll.cli.verbs.simulate import Given, held_inputs, load, times_of, write
 from atoll.model.model import Model
 from atoll.model.saved import read_result
+from atoll.terminal.output import note, say
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 

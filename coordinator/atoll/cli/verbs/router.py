@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.terminal.output import note, say
 from atoll.cli.verbs.serve import addresses_of, roster_of, warnings_of
+from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, UnreachableError
 from atoll_core.logs import configure, fields
@@ -99,7 +99,7 @@ class _CoordinatorCheck:
 
 def coordinator_behind(bus: Any, bearer: str = "client") -> str | None:
     """Return the realm of the coordinator that answers on `bus`; None when there is none, or none that we know."""
-    from atoll.client import Client
+    from atoll.client.client import Client
 
     try:
         return Client(bus, "this router", bearer).greet(CHECK_LIMIT_S)

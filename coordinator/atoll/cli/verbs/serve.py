@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.terminal.output import note, say
+from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, StoreError, UnreachableError, UsageError
 from atoll_core.logs import configure
@@ -105,7 +105,7 @@ def _joined(options: argparse.Namespace, wanted: Destination, roster: Roster | N
 
 def refuse_another(bus: "Bus", router: str) -> None:
     """Raise UsageError when a coordinator answers already behind `router`: workers could not tell the two apart."""
-    from atoll.client import Client
+    from atoll.client.client import Client
 
     try:
         Client(bus, router).greet(ANOTHER_LIMIT_S)

@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.terminal.output import as_json, note, say
 from atoll.model.model import ROWS, Model
 from atoll.model.simulation import MOST_NUMBERS, EarlyEndWarning
+from atoll.terminal.output import as_json, note, say
 from atoll_coordinator.data.roles.options import TRAJECTORY_NAME
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray

@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.terminal.output import as_json, say
 from atoll.cli.verbs.analyse import interval
 from atoll.cli.verbs.simulate import assignments, finite_number, load, write
+from atoll.terminal.output import as_json, say
 from atoll_core.errors import UsageError
 
 

@@ -84,7 +84,7 @@ class Client:
     def pause(self, _: float) -> None:
         pass
 
-    def cancel(self, _: str) -> JobView:
+    def cancel_and_wait(self, _: str) -> JobView:
         self.is_cancelled = True
         return VIEW
 
