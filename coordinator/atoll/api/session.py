@@ -14,8 +14,8 @@ import threading
 from numbers import Integral
 from typing import Final
 
-from atoll.cli.options.parser import MOST_WORKERS
 from atoll.client.local_workers import plain_environment
+from atoll.client.options import MOST_WORKERS
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.machine.cores import usable_cores
 

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from atoll.cli.ending import ending, exit_code
 from atoll.cli.exit_codes import DONE
-from atoll.cli.options.job_config import job_config
-from atoll.cli.options.names import job_id
+from atoll.cli.options.job_id import job_id
 from atoll.client.client import Client
+from atoll.client.job_config import job_config
+from atoll.client.options import OPTIONS, Repeated
 from atoll.terminal.output import as_json, note, say
 from atoll_core.config import JobConfig
 from atoll_core.errors import DataError, RefusedError, UsageError
@@ -110,15 +111,21 @@ def request_of(options: argparse.Namespace) -> Request:
     """
     files = tuple(Path(name) for name in options.data)
     name = options.name if options.name is not None else files[0].name
-    request = Request(
-        job_id(options.id), name, job_config(options), files, options.json, getattr(options, "priority", 0)
-    )
+    config = config_of(options)
+    request = Request(job_id(options.id), name, config, files, options.json, getattr(options, "priority", 0))
     for file in files:
         if not file.is_file():
             found = _what_is_there(file)
             hint = similar_file(file) or "; check the name"
             raise DataError(f"{file} {found}, but a data file was expected, such as CSV{hint}")
     return request
+
+
+def config_of(options: argparse.Namespace) -> JobConfig:
+    """Return the configuration that the options of ``run`` or ``submit`` describe; raises UsageError."""
+    given = {name: getattr(options, name) for name in OPTIONS}
+    values = {name: Repeated(value) if isinstance(value, list) else value for name, value in given.items()}
+    return job_config(values, options.config)
 
 
 def _what_is_there(path: Path) -> str:
