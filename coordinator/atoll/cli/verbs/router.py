@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.verbs.serve import addresses_of, roster_of, warnings_of
+from atoll.cli.listener import addresses_of, roster_of, warnings_of
 from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, UnreachableError
@@ -40,7 +40,7 @@ def router(options: argparse.Namespace) -> int:
     """Pass messages on until SIGTERM or Ctrl-C; return 0."""
     credentials = credentials_of(vars(options), os.environ, "serve")
     wanted = destination(options.listen, credentials)
-    upstream = [str(destination(each, credentials)) for each in options.connect]
+    upstream = [str(destination(address, credentials)) for address in options.connect]
     roster = roster_of(options.roster, wanted)
     configure(options.log_format, options.log_level)
     from atoll_core.wire.bus.zenoh_bus import open_router
