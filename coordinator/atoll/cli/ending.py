@@ -23,8 +23,8 @@ def ending(view: JobView, target_error: float | None) -> str | None:
     if view.state == "failed":
         return f"job {view.job} failed: {view.reason}"
     if view.state == "cancelled":
-        found = "; what it had found is kept" if has_found(view) else NOTHING_FOUND
-        return f"job {view.job} was cancelled{found}"
+        kept = "; what it had found is kept" if has_found(view) else NOTHING_FOUND
+        return f"job {view.job} was cancelled{kept}"
     if exit_code(view, target_error) == TARGET_MISSED:
         return f"--target-error {target_error:g} was not met within the budget by {', '.join(_missed(view))}"
     return None
@@ -32,9 +32,9 @@ def ending(view: JobView, target_error: float | None) -> str | None:
 
 def has_found(view: JobView) -> bool:
     """Tell whether a job has any equation that was searched for."""
-    return any(each.expression is not None and each.why != "known" for each in view.variables)
+    return any(variable.expression is not None and variable.why != "known" for variable in view.variables)
 
 
 def _missed(view: JobView) -> list[str]:
     """Return the left-hand sides of the equations that were searched and have not converged."""
-    return [each.lhs for each in view.variables if not each.converged and each.why != "known"]
+    return [variable.lhs for variable in view.variables if not variable.converged and variable.why != "known"]

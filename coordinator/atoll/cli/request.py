@@ -61,8 +61,8 @@ class Request:
         """Say how the data are read and what would be searched, and start nothing; return the exit code."""
         from atoll_coordinator.data.outline import outline
 
-        its = outline(self.read(), self.config)
-        say(as_json(its.as_dict()) if self.json else its.as_text())
+        plan = outline(self.read(), self.config)
+        say(as_json(plan.as_dict()) if self.json else plan.as_text())
         return DONE
 
     def submit(self, client: Client, table: "Table") -> JobView:
@@ -115,9 +115,9 @@ def request_of(options: argparse.Namespace) -> Request:
     request = Request(job_id(options.id), name, config, files, options.json, getattr(options, "priority", 0))
     for file in files:
         if not file.is_file():
-            found = _what_is_there(file)
+            what = _what_is_there(file)
             hint = similar_file(file) or "; check the name"
-            raise DataError(f"{file} {found}, but a data file was expected, such as CSV{hint}")
+            raise DataError(f"{file} {what}, but a data file was expected, such as CSV{hint}")
     return request
 
 

@@ -16,12 +16,12 @@ def analyse(options: argparse.Namespace) -> int:
     if options.data is not None and not options.identifiability:
         raise UsageError("--data was given without --identifiability, which alone uses it; give both")
     model = load(options)
-    found = model.analyse(bounds, inputs=held, vary=vary)
+    analysis = model.analyse(bounds, inputs=held, vary=vary)
     known = model.identifiability(data=options.data) if options.identifiability else None
     if options.json:
-        text = as_json(found.as_dict() | {"identifiability": None if known is None else known.as_dict()})
+        text = as_json(analysis.as_dict() | {"identifiability": None if known is None else known.as_dict()})
     else:
-        text = str(found) if known is None else f"{found}\n{known}"
+        text = str(analysis) if known is None else f"{analysis}\n{known}"
     deliver(text, options.output)
     return DONE
 

@@ -24,15 +24,15 @@ def export(options: argparse.Namespace) -> int:
         return DONE
     if options.data is not None:
         raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
-    its = format_of(options.format)
-    if its.of_result is not None:
-        deliver(its.of_result(_result(options)), options.output)
+    form = format_of(options.format)
+    if form.of_result is not None:
+        deliver(form.of_result(_result(options)), options.output)
         return DONE
     model = _chosen(load(options), options)
     beginning = _beginning(model, options)
     deliver(model.export(options.format, **beginning), options.output)
-    for each in held_at_zero(model, beginning.get("x0"), beginning.get("u"), its.without_tables):
-        note(f"coordinator: {each}; give --hold{'' if its.without_tables else ' or --initial FILE'}")
+    for sentence in held_at_zero(model, beginning.get("x0"), beginning.get("u"), form.without_tables):
+        note(f"coordinator: {sentence}; give --hold{'' if form.without_tables else ' or --initial FILE'}")
     return DONE
 
 
@@ -48,11 +48,13 @@ def _chosen(model: Model, options: argparse.Namespace) -> Model:
     if options.pick and options.candidate is not None:
         raise UsageError("--pick and --candidate both choose equations; give one of them")
     if options.candidate is not None:
-        its = model.candidates
-        if options.candidate > len(its):
-            raise UsageError(f"--candidate {options.candidate} is not there: the result has {len(its)} candidates")
+        candidates = model.candidates
+        if options.candidate > len(candidates):
+            raise UsageError(
+                f"--candidate {options.candidate} is not there: the result has {len(candidates)} candidates"
+            )
         number: int = options.candidate
-        return its[number - 1]
+        return candidates[number - 1]
     if options.pick:
         from atoll.text.render import parse_picks, pick
 
@@ -86,7 +88,7 @@ def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArra
     from atoll_core.config import DataConfig
 
     config = DataConfig.model_validate((model.provenance["config"] or {}).get("data") or {})
-    table = read_table([Path(each) for each in files], config)
+    table = read_table([Path(file) for file in files], config)
     roles, config = assign_roles(table, config)
-    its = take_measurements(table, roles, config)
-    return [{name: column[first:last] for name, column in its.columns.items()} for first, last in its.ranges]
+    measured = take_measurements(table, roles, config)
+    return [{name: column[first:last] for name, column in measured.columns.items()} for first, last in measured.ranges]
