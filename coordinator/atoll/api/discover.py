@@ -15,12 +15,12 @@ from atoll.client.client import connected
 from atoll.client.follower import Display, Follower
 from atoll.client.job_config import job_config
 from atoll.client.options import OPTIONS
-from atoll.model.arguments import shown
 from atoll.model.model import Model
 from atoll.terminal.progress import is_screen, open_display
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError, RefusedError, UsageError
 from atoll_core.hints import did_you_mean
+from atoll_core.quoting import shown
 from atoll_core.wire.addresses import Destination, destination
 from atoll_core.wire.messages.views import JobView
 from atoll_core.wire.security.credentials import credentials_of

@@ -1,17 +1,13 @@
 """Arguments of Python users as numbers: what is none is named in one sentence, with what was expected."""
 
 from collections.abc import Mapping
-from os import PathLike
-from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-
-_LONGEST: Final = 40
-"""Characters of a value that a sentence shows."""
+from atoll_core.quoting import shown
 
 
 def numbers(given: Any, what: str, expected: str = "numbers") -> FloatArray:
@@ -50,16 +46,3 @@ def by_name(given: Any, what: str) -> Mapping[str, Any]:
     if not isinstance(given, Mapping):
         raise UsageError(f"{what} must be given by name, such as {{'x': 1.0}}, but {shown(given)} was given")
     return given
-
-
-def path_of(given: Any) -> Path:
-    """Return a path; raises UsageError."""
-    if not isinstance(given, (str, PathLike)):
-        raise UsageError(f"a path must be text, but {shown(given)} was given")
-    return Path(given)
-
-
-def shown(given: Any) -> str:
-    """Return a value as one short line."""
-    text = " ".join(repr(given).split())
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"

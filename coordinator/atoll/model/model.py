@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, overload
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.arguments import by_name, interval, number, numbers, shown
+from atoll.model.arguments import by_name, interval, number, numbers
 from atoll.model.ensembles import density_of_process, ensemble_of, require_process
 from atoll.model.export.methods import Exports
 from atoll.model.parameters import (
@@ -39,6 +39,7 @@ from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.hints import did_you_mean
+from atoll_core.quoting import shown
 
 if TYPE_CHECKING:
     import sympy

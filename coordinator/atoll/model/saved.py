@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from atoll.model.arguments import path_of, shown
-from atoll_coordinator.stochastic.moments import Discretisation
+from atoll_coordinator.stochastic.discretisation import Discretisation
 from atoll_core.errors import UsageError
 from atoll_core.hints import similar_file
+from atoll_core.quoting import path_of, shown
 
 SCHEMA: Final = 1
 RESULT: Final = "result.json"

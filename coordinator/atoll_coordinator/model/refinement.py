@@ -10,7 +10,7 @@ from typing import Literal
 
 from atoll_coordinator.dimensions import EquationUnits
 from atoll_coordinator.stochastic.densities import StationaryDensity
-from atoll_coordinator.stochastic.moments import Discretisation
+from atoll_coordinator.stochastic.discretisation import Discretisation
 from atoll_coordinator.stochastic.paths import Ensemble
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import MAX_NODES, Program

@@ -22,10 +22,11 @@ Letters: S states, V variables, R rows.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.stochastic.discretisation import Discretisation
 from atoll_coordinator.stochastic.jets import Jet, jet_of
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
@@ -33,9 +34,6 @@ from atoll_core.expression.program import Program
 
 Pair = tuple[int, int]
 """Two states by their index, the first not above the second: a component of the diffusion."""
-
-Discretisation = Literal["local linearisation", "Euler-Maruyama"]
-"""What a step is: that of the process in time, or of the numerical method of this name."""
 
 _NODES: Final = ((0.5 - 0.5 / math.sqrt(3.0), 0.5), (0.5 + 0.5 / math.sqrt(3.0), 0.5))
 _MORE_NODES: Final = ((0.5 - math.sqrt(0.15), 5.0 / 18.0), (0.5, 4.0 / 9.0), (0.5 + math.sqrt(0.15), 5.0 / 18.0))

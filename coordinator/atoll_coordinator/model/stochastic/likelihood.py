@@ -22,7 +22,8 @@ import numpy.typing as npt
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
 from atoll_coordinator.settings import SETTINGS
-from atoll_coordinator.stochastic.moments import Discretisation, Pair, StepMoments, step_moments
+from atoll_coordinator.stochastic.discretisation import Discretisation
+from atoll_coordinator.stochastic.moments import Pair, StepMoments, step_moments
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants
 from atoll_core.expression.restrictions import Restrictions

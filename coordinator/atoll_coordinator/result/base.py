@@ -1,0 +1,37 @@
+"""What the parts of a result share: kinds of values, and that nothing changes after it was read."""
+
+from typing import Annotated, ClassVar
+
+from pydantic import BaseModel, ConfigDict, Strict
+from pydantic_core import PydanticCustomError
+
+Text = Annotated[str, Strict()]
+Flag = Annotated[bool, Strict()]
+Count = Annotated[int, Strict()]
+Real = Annotated[float, Strict()]
+Number = Real | None
+"""A number, null where it is not known or not finite."""
+Pair = tuple[Number, Number]
+"""Lower and upper end of a range, null on an open side."""
+Curve = tuple[Number, ...]
+Curves = dict[Text, Curve]
+"""By name, one number for each of the times beside it."""
+Numbers = dict[Text, Number]
+"""By name."""
+
+
+class Part(BaseModel):
+    """A part of a result; a key that this version does not know is kept, and written again."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="allow", populate_by_name=True, defer_build=True)
+
+
+def misfit(sentence: str) -> PydanticCustomError:
+    """Return the error of values that are of their kinds and do not fit together."""
+    return PydanticCustomError("misfit", "{sentence}", {"sentence": sentence})
+
+
+def require_lengths(length: int, *columns: Curves | None) -> None:
+    """Raise the error of curves that do not have one number for each of so many times."""
+    if any(len(curve) != length for curves in columns for curve in (curves or {}).values()):
+        raise misfit("this result has a curve that is not as long as its 'times'; give it as it was written")

@@ -1,0 +1,124 @@
+"""Files of results, which people may have cut or edited: what is wrong with one is said in one sentence."""
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, Literal, TypeVar
+
+from pydantic import BaseModel, JsonValue, ValidationError
+from pydantic_core import ErrorDetails
+
+from atoll_coordinator.result.upgrade import upgraded
+from atoll_core.errors import UsageError
+from atoll_core.hints import similar_file
+from atoll_core.quoting import path_of, shown
+
+SCHEMA: Final[Literal[1]] = 1
+RESULT: Final = "result.json"
+
+_UNWRITABLE: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+"""What a terminal obeys, and what neither XML nor UTF-8 can hold."""
+
+_KINDS: Final = {
+    "string_type": "text",
+    "bool_type": "true or false",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "greater_than": "a number above 0",
+    "finite_number": "a number above 0",
+    "tuple_type": "a list",
+    "too_short": "a list of at least one item",
+    "too_long": "two numbers",
+    "dict_type": "an object",
+    "model_type": "an object",
+    "model_attributes_type": "an object",
+}
+"""What is expected, by pydantic's name of the fault."""
+
+_Whole = TypeVar("_Whole", bound=BaseModel)
+
+
+def read_file(path: str | Path) -> tuple[Path, object]:
+    """Return the file of a result, by its name or its folder, and the JSON that it holds; raises UsageError."""
+    file_or_folder = path_of(path)
+    file = file_or_folder / RESULT if file_or_folder.is_dir() else file_or_folder
+    try:
+        return file, json.loads(file.read_text("utf-8"))
+    except OSError as error:
+        hint = similar_file(file_or_folder)
+        raise UsageError(
+            f"{file} cannot be read ({error.strerror}); give the path of a saved result.json{hint}"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{file} holds no JSON; give the path of a saved result.json") from error
+
+
+def as_parts(whole: type[_Whole], content: object) -> _Whole:
+    """Return the content of a result.json as the model `whole` has it; raises UsageError when it is none.
+
+    Texts get escapes, as ``\\x01``, for characters that no page or terminal takes.
+    """
+    written = _writable(content)
+    if not isinstance(written, Mapping) or not _is_result(written):
+        raise UsageError("this is no result of this version; give the content of a saved result.json")
+    try:
+        return whole.model_validate(upgraded(written))
+    except ValidationError as error:
+        raise UsageError(_sentence(error.errors(include_url=False)[0])) from None
+
+
+def _is_result(content: Mapping[str, object]) -> bool:
+    equations = content.get("equations")
+    return (
+        content.get("schema") == SCHEMA
+        and isinstance(content.get("symbols"), Mapping)
+        and isinstance(equations, list | tuple)
+        and all(
+            isinstance(equation, Mapping) and {"variable", "lhs", "expression"} <= {*equation} for equation in equations
+        )
+    )
+
+
+def _writable(value: object) -> object:
+    """Return a value in which every text, names included, can be written; what holds no text is returned as it is."""
+    if isinstance(value, str):
+        return _UNWRITABLE.sub(lambda match: match[0].encode("unicode_escape").decode(), value)
+    if isinstance(value, Mapping):
+        return {_writable(name): _writable(part) for name, part in value.items()}
+    if isinstance(value, list | tuple) and any(isinstance(part, str | Mapping | list | tuple) for part in value):
+        return [_writable(part) for part in value]
+    return value
+
+
+def _sentence(fault: ErrorDetails) -> str:
+    """Return in one sentence where content is not what a result holds."""
+    kind, key = fault["type"], next((name for name in reversed(fault["loc"]) if isinstance(name, str)), "the result")
+    if kind == "misfit":
+        return fault["msg"]
+    if kind == "missing":
+        return f"this result lacks {key!r}; give a result.json as it was written"
+    expected = _KINDS.get(kind)
+    if kind == "literal_error":
+        expected = fault["ctx"]["expected"].replace("'", "")
+    return f"this result has {shown(fault['input'])} as {key!r}, where {expected or 'another value'} is expected; " + (
+        "give it as written"
+    )
+
+
+def json_of(content: JsonValue) -> str:
+    """Return plain values as JSON on one line; numbers that are not finite are null."""
+    try:
+        return json.dumps(content, ensure_ascii=False, allow_nan=False)
+    except ValueError:
+        return json.dumps(_finite(content), ensure_ascii=False, allow_nan=False)
+
+
+def _finite(value: JsonValue) -> JsonValue:
+    if isinstance(value, dict):
+        return {name: _finite(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

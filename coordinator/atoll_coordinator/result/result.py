@@ -1,0 +1,196 @@
+"""The whole of a result: what ``result.json`` holds, read, asked and written."""
+
+import json
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Final, Literal, Self
+
+from pydantic import Field, JsonValue, TypeAdapter
+
+from atoll_coordinator.result.base import Count, Number, Part, Text
+from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.findings import (
+    Chaos,
+    Correlation,
+    Covariance,
+    Data,
+    Group,
+    Kind,
+    Noise,
+    Process,
+    Regression,
+    SharedTerm,
+    System,
+)
+from atoll_coordinator.result.reading import SCHEMA, as_parts, json_of, read_file
+from atoll_coordinator.result.trajectories import Recorded, Simulated, Simulation, Smoothed, Smoothing
+from atoll_core.errors import UsageError
+
+_DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
+_RARE: Final = ("group", "command")
+"""Keys that only some results have: of one group's model, of those that a command has written."""
+_RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups")
+
+
+class Result(Part):
+    """What a job has found, and what is known of it; see docs/result.md.
+
+    `group` is set in the result of the model of one group of trajectories, `command` where a command wrote it.
+    """
+
+    version: Literal[1] = Field(default=SCHEMA, alias="schema")
+    job: Text | None = None
+    seed: Count | None = None
+    preset: Text | None = None
+    state: Text | None = None
+    reason: Text | None = None
+    equations: tuple[Equation, ...]
+    shared_terms: tuple[SharedTerm, ...] = ()
+    noise: dict[Text, Noise] = Field(default_factory=dict)
+    smoothing: Smoothing | None = None
+    correlations: tuple[Correlation, ...] = ()
+    covariance: Covariance | None = None
+    groups: tuple[Group, ...] = ()
+    simulation: Simulation | None = None
+    chaos: Chaos | None = None
+    process: Process | None = None
+    regression: Regression | None = None
+    symbols: dict[Text, Text]
+    system: System | None = None
+    data: Data | None = None
+    config: dict[Text, JsonValue] = Field(default_factory=dict)
+    refining: Text | None = None
+    warnings: tuple[Text, ...] = ()
+    point_evaluations: Count | None = None
+    search_seconds: Number = None
+    seconds: Number = None
+    digest: Text | None = None
+    versions: dict[Text, JsonValue] = Field(default_factory=dict)
+    command: Text | None = None
+    group: Text | None = None
+
+    # ------------------------------------------------------------------------------------- reading and writing
+
+    @classmethod
+    def load(cls, source: "str | Path | Mapping[str, object] | Result") -> Self:
+        """Return a result by its file, the folder of its ``result.json``, or its content.
+
+        Files of earlier versions are brought up to date.
+
+        Raises:
+            UsageError: the file cannot be read, or holds no result of this version.
+        """
+        if isinstance(source, cls):
+            return source
+        if isinstance(source, str | Path):
+            file, content = read_file(source)
+            try:
+                return as_parts(cls, content)
+            except UsageError as error:
+                raise UsageError(f"{file}: {error}") from None
+        return as_parts(cls, source)
+
+    def as_dict(self) -> dict[str, JsonValue]:
+        """Return the content of ``result.json`` as plain values."""
+        content: dict[str, JsonValue] = self.model_dump(mode="json", by_alias=True)
+        _drop_empty(content, _RARE)
+        equations = content["equations"]
+        assert isinstance(equations, list)
+        for equation in equations:
+            assert isinstance(equation, dict)
+            _drop_empty(equation, _RARE_OF_EQUATIONS)
+        return content
+
+    def to_json(self) -> str:
+        """Return the content of ``result.json`` on one line."""
+        return json_of(self.as_dict())
+
+    # ------------------------------------------------------------------------------------------- what it says
+
+    @property
+    def columns(self) -> System:
+        """What the columns are, as far as that is known."""
+        return self.system or System()
+
+    @property
+    def kind(self) -> Kind | None:
+        """What was sought, None where nothing tells."""
+        return self.columns.kind
+
+    @property
+    def time(self) -> str:
+        """The name of the time column, t where it has none."""
+        return self.columns.time or "t"
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The units of columns, by name."""
+        return self.columns.units
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The symbols of all variables, in the order of programs."""
+        return tuple(self.symbols.values())
+
+    @cached_property
+    def columns_by_symbol(self) -> dict[str, str]:
+        """The names of columns by symbol."""
+        return {symbol: column for column, symbol in self.symbols.items()}
+
+    @cached_property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """The lowest and highest value of each variable that was measured, by symbol, of those that have both."""
+        ends = {self.symbols.get(name, name): pair for name, pair in self.columns.ranges.items()}
+        return {
+            name: (low, high)
+            for name, (low, high) in ends.items()
+            if low is not None and high is not None and math.isfinite(low) and math.isfinite(high)
+        }
+
+    def sizes(self, states: tuple[str, ...]) -> tuple[float, ...]:
+        """Return the scales of states (symbols): their largest absolute values measured.
+
+        0 where none but 0 was measured, or none: what "small" means for each of them, whatever its unit.
+        """
+        return tuple(max(map(abs, self.ranges.get(name, (0.0, 0.0)))) for name in states)
+
+    @property
+    def recorded(self) -> tuple[Recorded, ...]:
+        """The measured trajectories, none where they are not there."""
+        return () if self.data is None else self.data.trajectories or ()
+
+    @property
+    def smoothed(self) -> tuple[Smoothed, ...]:
+        """The smoothed trajectories."""
+        return () if self.smoothing is None else self.smoothing.trajectories
+
+    @property
+    def simulated(self) -> tuple[Simulated, ...]:
+        """The simulated trajectories."""
+        return () if self.simulation is None else self.simulation.trajectories
+
+    @property
+    def data_settings(self) -> dict[str, JsonValue]:
+        """The settings of the job that say how data are read, as far as they are not defaults."""
+        settings = self.config.get("data")
+        return settings if isinstance(settings, dict) else {}
+
+
+def _drop_empty(content: dict[str, JsonValue], keys: tuple[str, ...]) -> None:
+    for key in keys:
+        if not content.get(key):
+            content.pop(key, None)
+
+
+def json_schema() -> dict[str, JsonValue]:
+    """Return the JSON schema of ``result.json``, for other programs."""
+    described = TypeAdapter(Result).json_schema(by_alias=True, mode="serialization")
+    title = "result.json of Atoll"
+    return {"$schema": _DIALECT, **described, "title": title}
+
+
+def schema_text() -> str:
+    """Return the JSON schema as the file that the package holds."""
+    return json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n"
