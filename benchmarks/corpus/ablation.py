@@ -214,7 +214,9 @@ def replay(task: Task) -> Replay:
             VariableOutcome(name, pool.front, 1, refined=refinement.equations.get(name), runners_up=pool.runners_up)
             for name, pool in its.pools.items()
         ]
-        answer = build_result("ablation", its.config, preparation, outcomes, Account("done", 0.0, 0.0), refinement)
+        answer = build_result(
+            "ablation", its.config, preparation, outcomes, Account("done", 0.0, 0.0), refinement
+        ).as_dict()
     judged = judge_job(key, case, answer).equations
     return Replay(
         task.number,

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.model.beginnings import times_of
 from atoll.model.model import Model
 from atoll_core.data.dataset import FloatArray
 from benchmarks.exports import readers
@@ -73,19 +74,19 @@ def xppaut(model: Model) -> FloatArray:
 
 def xppaut_text(model: Model) -> FloatArray:
     """Read the .ode file and integrate it here."""
-    return readers.read_xppaut(model.to_xppaut()).simulate(model.times_of(None))
+    return readers.read_xppaut(model.to_xppaut()).simulate(times_of(model, None))
 
 
 def modelica_text(model: Model) -> FloatArray:
     """Read the Modelica model and integrate it here."""
-    return readers.read_modelica(model.to_modelica()).simulate(model.times_of(None))
+    return readers.read_modelica(model.to_modelica()).simulate(times_of(model, None))
 
 
 def julia_text(model: Model) -> FloatArray:
     """Parse the Julia script by its grammar without an error, read the system and integrate it here."""
     text = model.to_julia()
     check_julia(text)
-    return readers.read_julia(text).simulate(model.times_of(None))
+    return readers.read_julia(text).simulate(times_of(model, None))
 
 
 def check_julia(text: str) -> None:
@@ -113,7 +114,7 @@ def pymoca(model: Model) -> FloatArray:
         names = {**numbers, "time": t, **dict(zip(states, x.tolist(), strict=True))}
         return [_value(state, names) for state in states.values()]
 
-    return readers.integrated(rates, start, model.times_of(None))
+    return readers.integrated(rates, start, times_of(model, None))
 
 
 _SIGNS: Final[dict[str, Callable[..., float]]] = {
@@ -155,7 +156,7 @@ def roadrunner(model: Model) -> FloatArray:
     runner.integrator.setValue("maximum_num_steps", 1_000_000)
     rules = [document.getModel().getRule(number) for number in range(document.getModel().getNumRules())]
     states = [rule.getVariable() for rule in rules if rule.isRate()]
-    times = model.times_of(None)
+    times = times_of(model, None)
     return np.array(runner.simulate(float(times[0]), float(times[-1]), len(times), ["time", *states]))[:, 1:]
 
 

@@ -176,7 +176,7 @@ def refined(name: str, its: Table, config: JobConfig) -> dict[str, Any]:
         for variable in preparation.dataset.variables
     ]
     account = Account("done", time.process_time() - start, 0.0)
-    return build_result(name, config, preparation, outcomes, account, refinement)
+    return build_result(name, config, preparation, outcomes, account, refinement).as_dict()
 
 
 def measure(solve: Solve, law: Law, noise: float, seed: int) -> Outcome:

@@ -244,7 +244,9 @@ def played(seed: int) -> tuple[End, str]:
         VariableOutcome(name, pool.front, 1, refined=refinement.equations.get(name)) for name, pool in pools.items()
     ]
     preparation = prepared.preparation
-    result = build_result("drawn", prepared.config, preparation, outcomes, Account("done", 1.0, 1.0), refinement)
+    result = build_result(
+        "drawn", prepared.config, preparation, outcomes, Account("done", 1.0, 1.0), refinement
+    ).as_dict()
     render_text(json.loads(json.dumps(result, allow_nan=False)))
     broken = [warning for warning in result["warnings"] if "broke (" in warning]
     return ("broke", broken[0]) if broken else ("done", "")

@@ -47,7 +47,7 @@ def _chosen(case: str, seed: int, substeps: int) -> list[Judged]:
     outcomes = [VariableOutcome(name, (), 0, refined=refinement.equations.get(name))
                 for name in preparation.dataset.variables]  # fmt: skip
     account = Account("done", 0.0, 0.0)
-    result = build_result(f"{case} {seed}", config, preparation, outcomes, account, refinement)
+    result = build_result(f"{case} {seed}", config, preparation, outcomes, account, refinement).as_dict()
     return _said(case, seed, paths, result["equations"], time.process_time() - began)
 
 

@@ -13,6 +13,7 @@ from typing import Any, cast
 import pytest
 
 from atoll.report.page import as_html
+from atoll_coordinator.result.result import Result
 from tests.unit.library.report import results
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; make browser installs it")
@@ -110,7 +111,7 @@ REPORTS = {"dynamics": results.dynamics, "regression": results.regression, "proc
 @pytest.mark.parametrize("name", REPORTS)
 def test_a_report_loads_nothing_and_can_be_read_by_everybody(name: str, browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "report.html"
-    file.write_text(as_html(REPORTS[name]()), "utf-8")
+    file.write_text(as_html(Result.of(REPORTS[name]())), "utf-8")
     assert file.stat().st_size < MOST_BYTES
     visit = Visit(browser, file)
     looks = (

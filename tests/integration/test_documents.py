@@ -31,6 +31,7 @@ from atoll.cli.request import config_of
 from atoll.cli.result_files import REPORT, write_report, write_result
 from atoll.terminal.output import say
 from atoll_coordinator.data.reading.files import read_table
+from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
 from tests.integration.test_processes import started
 from tests.unit import documents
@@ -161,9 +162,9 @@ class Service:
             self._found[key] = json.loads((made / "result.json").read_text("utf-8")), printed.getvalue()
         result, text = self._found[key]
         folder = Path(options.out or f"runs/{len(list(Path().glob('runs/*')))}")
-        write_result(folder, result)
+        write_result(folder, Result.of(result))
         if options.report:
-            write_report(folder / REPORT, result)
+            write_report(folder / REPORT, Result.of(result))
         say(text)
         return 0
 

@@ -136,7 +136,7 @@ def refined(units: Units) -> dict[str, Any]:
     outcomes = [VariableOutcome(name, its.front, 1, refined=refinement.equations.get(name))
                 for name, its in pools.items()]  # fmt: skip
     done = Account("done", 1.0, 1.0)
-    return build_result("j", job.prepared.config, job.prepared.preparation, outcomes, done, refinement)
+    return build_result("j", job.prepared.config, job.prepared.preparation, outcomes, done, refinement).as_dict()
 
 
 def _front(problem: Problem, units: Units) -> tuple[FrontEntry, ...]:

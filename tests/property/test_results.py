@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll.model.model import Model
-from atoll.model.saved import check_result
 from atoll.text.render import render
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError
 from tests.unit.library.report.results import dynamics, process, regression
 
@@ -31,8 +31,8 @@ PATHS = [(number, path) for number, found in enumerate(RESULTS) for path in path
 
 
 def readers(found: dict[str, Any]) -> Iterator[Callable[[], Any]]:
-    yield lambda: render(check_result(found), "csv")
-    yield lambda: render(check_result(found), "latex")
+    yield lambda: render(Result.of(found), "csv")
+    yield lambda: render(Result.of(found), "latex")
     yield lambda: Model(found).summary()
     yield lambda: Model(found)._repr_html_()
     yield lambda: [str(each) for each in Model(found).candidates]

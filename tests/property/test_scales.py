@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.unit.common.model.export.exported import run_python
-from tests.unit.common.model.results import result
 
 from atoll.analysis.analysis import analyse
 from atoll.analysis.box import Box
@@ -24,12 +22,14 @@ from atoll.analysis.flow import Flow
 from atoll.analysis.limit_cycles import limit_cycles
 from atoll.analysis.lyapunov import lyapunov_spectrum
 from atoll.analysis.varied import Varied
+from atoll.model.joint_errors import JointErrors
 from atoll.model.model import Model
-from atoll.model.parameters import JointErrors
 from atoll.model.simulation import simulate
 from atoll.model.vector_field import VectorField
 from atoll_core.data.dataset import FloatArray
 from benchmarks.exports import programs
+from tests.unit.library.export.exported import run_python
+from tests.unit.library.model.results import result
 
 FAR = 40
 """2**40 is 1.1e12."""
@@ -157,7 +157,7 @@ def test_a_simulation_and_its_bands_are_the_same_in_other_units(powers: Sequence
         sizes, clock = units_of(CHAIN, its)
         field = VectorField.of(in_units(CHAIN, sizes.tolist(), clock))
         (column,) = (index for index, each in enumerate(field.parameters) if each.value == 0.7)
-        errors = JointErrors(field, field.values_of_parameters, (column,), np.ones(1), np.full((1, 1), 1e-18))
+        errors = JointErrors(field, (column,), np.full((1, 1), 1e-18))
         simulated = simulate(field, np.array([1.0, 0.0, 0.0]) * sizes, times * clock, bands=(errors, 2.0))
         assert simulated.status == "finished"
         assert simulated.stderr is not None

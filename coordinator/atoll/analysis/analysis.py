@@ -18,8 +18,8 @@ from atoll.analysis.limit_cycles import LimitCycle, LimitCycles, limit_cycles
 from atoll.analysis.lyapunov import LyapunovSpectrum, lyapunov_spectrum
 from atoll.analysis.nullclines import nullclines
 from atoll.analysis.varied import Coefficients, Varied
-from atoll.model.scales import measured_ranges
 from atoll.model.vector_field import VectorField
+from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
@@ -154,16 +154,16 @@ def _followed(
 
 
 def analyse_result(
-    found: Mapping[str, Any],
+    result: Result,
     bounds: Mapping[str, tuple[float, float]],
     *,
     inputs: Mapping[str, float] | None = None,
     vary: tuple[str, tuple[float, float]] | None = None,
 ) -> Analysis:
-    """Return the dynamics of the model that a result (the content of result.json) shows.
+    """Return the dynamics of the model that a result shows.
 
     Args:
-        found: the result.
+        result: the result.
         bounds: of states, by name; see `box_of` for the others.
         inputs: values at which inputs are held, by name; zeros unless given.
         vary: what to vary, and over which range: constants (c1, or c1,c2 in their ratio), the coefficient of a term
@@ -172,18 +172,18 @@ def analyse_result(
     Raises:
         UsageError: a name is unknown, or a range is none.
     """
-    field = VectorField.from_result(found)
+    field = VectorField.from_result(result)
     for name in inputs or {}:
         if name not in field.inputs:
             raise UsageError(f"there is no input '{name}' to hold; inputs: {', '.join(field.inputs) or 'none'}")
     held = np.array([float((inputs or {}).get(name, 0.0)) for name in field.inputs])
-    box, measured = box_of(found, field, bounds)
+    box, measured = box_of(result, field, bounds)
     varied = None if vary is None else (vary[0], _range(*vary[1]))
-    return replace(analyse(field, box, inputs=held, measured=measured, vary=varied), caveat=_caveat(found))
+    return replace(analyse(field, box, inputs=held, measured=measured, vary=varied), caveat=_caveat(result))
 
 
-def _caveat(found: Mapping[str, Any]) -> str:
-    sides = [str(each["lhs"]) for each in found["equations"] if each.get("verdict") == "no model"]
+def _caveat(result: Result) -> str:
+    sides = [equation.lhs for equation in result.equations if equation.verdict == "no model"]
     if not sides:
         return ""
     return f"The verdict on {', '.join(sides)} is no model: these are dynamics of equations that do not fit the data."
@@ -196,15 +196,15 @@ def _range(lower: float, upper: float) -> tuple[float, float]:
 
 
 def box_of(
-    found: Mapping[str, Any], field: VectorField, bounds: Mapping[str, tuple[float, float]]
+    result: Result, field: VectorField, bounds: Mapping[str, tuple[float, float]]
 ) -> tuple[Box, tuple[Measured, ...]]:
     """Return the box to look at and the measured trajectories of a result.
 
     Where `bounds` leave a state out its measured range is taken, wider by half on either side, but not below 0 where
     nothing below 0 was measured. Raises UsageError where a state has neither.
     """
-    measured = measured_trajectories(found, field)
-    ranges = measured_ranges(found, field.states)
+    measured = measured_trajectories(result, field)
+    ranges = {name: ends for name, ends in result.ranges.items() if name in field.states}
     if measured:
         states = np.vstack([each.states for each in measured])
         ends = zip(states.min(axis=0).tolist(), states.max(axis=0).tolist(), strict=True)

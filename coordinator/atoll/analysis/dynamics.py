@@ -3,9 +3,9 @@
 The model is simulated freely from where each measured trajectory begins, and as long. Letters: D states, n rows.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from atoll.analysis.box import Box
 from atoll.analysis.flow import UNBOUNDED, Flow, follow, follow_rates
 from atoll.model.simulation import Inputs, interpolated
 from atoll.model.vector_field import VectorField
+from atoll_coordinator.result.base import Curves
+from atoll_coordinator.result.result import Result
+from atoll_coordinator.result.trajectories import Simulated, Smoothed
 from atoll_core.data.dataset import FloatArray
 
 ROWS: Final = 2000
@@ -97,60 +100,61 @@ class Comparison:
         return bool((np.abs(apart) <= _SAME).all())
 
 
-def measured_trajectories(found: Mapping[str, Any], field: VectorField) -> tuple[Measured, ...]:
+def measured_trajectories(result: Result, field: VectorField) -> tuple[Measured, ...]:
     """Return the measured courses that a result holds: smoothed measurements, else the simulation fitted to them.
 
     Velocities of equations of second order are differences of the positions.
     """
-    columns = {symbol: column for column, symbol in found["symbols"].items()}
-    smoothed = {each["name"]: each for each in (found.get("smoothing") or {}).get("trajectories", ())}
-    trajectories = []
-    for each in (found.get("simulation") or {}).get("trajectories", ()):
-        source, values = each, each.get("values") or {}
-        its = smoothed.get(each["name"])
-        if its is not None and all(
-            columns[name] in its["smoothed"] for name in field.states if columns[name] in values
-        ):
-            source, values = its, its["smoothed"]
-        times = np.array(source["times"], dtype=np.float64)
-        curves = [_curve(field, index, values, columns, times) for index in range(len(field.states))]
-        if len(times) > 3 and all(its is not None for its in curves):
-            states = np.array(curves, dtype=np.float64).T
-            start = each.get("start") or {}
-            if all(start.get(columns[name]) is not None for name in field.states):  # knows velocities, too
-                states[0] = [float(start[columns[name]]) for name in field.states]
-            rows = np.isfinite(states).all(axis=1)
-            if rows.sum() > 3:
-                begin, name = float(times[rows][0]), str(each["name"])
-                inputs = _recorded(found, field, name, begin)
-                trajectories.append(Measured(name, times[rows] - begin, states[rows], inputs))
-    return tuple(trajectories)
+    smoothed = {part.name: part for part in result.smoothed}
+    courses = (_measured(result, field, part, smoothed.get(part.name)) for part in result.simulated)
+    return tuple(course for course in courses if course is not None)
 
 
-def _recorded(found: Mapping[str, Any], field: VectorField, name: str, begin: float) -> Inputs | None:
-    """Return the inputs recorded along a trajectory, from `begin` on; None where one of them was not."""
-    listed = (found.get("data") or {}).get("trajectories") or ()
-    its = next((each for each in listed if str(each["name"]) == name), None)
-    if its is None or not field.inputs:
+def _measured(result: Result, field: VectorField, part: Simulated, smoothed: Smoothed | None) -> Measured | None:
+    """Return the course of one trajectory; None where a state is not known there, or too few rows are."""
+    columns = [result.columns_by_symbol[name] for name in field.states]
+    known, values = part.times, part.values or {}
+    if smoothed is not None and all(name in smoothed.smoothed for name in columns if name in values):
+        known, values = smoothed.times, smoothed.smoothed
+    times = np.array(known, dtype=np.float64)
+    curves = [_curve(field, index, values, columns, times) for index in range(len(columns))]
+    if len(times) <= 3 or any(curve is None for curve in curves):
         return None
-    named, clock = found["symbols"], (found.get("system") or {}).get("time")
-    columns = {named.get(column, column): values for column, values in its["inputs"].items()}
-    columns |= {named[clock]: its["times"]} if clock in named else {}
+    states = np.array(curves, dtype=np.float64).T
+    start = [(part.start or {}).get(name) for name in columns]
+    if None not in start:  # knows velocities, too
+        states[0] = start
+    rows = np.isfinite(states).all(axis=1)
+    if rows.sum() <= 3:
+        return None
+    begin = float(times[rows][0])
+    inputs = _recorded(result, field, part.name, begin)
+    return Measured(part.name, times[rows] - begin, states[rows], inputs)
+
+
+def _recorded(result: Result, field: VectorField, name: str, begin: float) -> Inputs | None:
+    """Return the inputs recorded along a trajectory, from `begin` on; None where one of them was not."""
+    recorded = next((part for part in result.recorded if part.name == name), None)
+    if recorded is None or not field.inputs:
+        return None
+    named, clock = result.symbols, result.columns.time or ""
+    columns = {named.get(column, column): values for column, values in recorded.inputs.items()}
+    columns |= {named[clock]: recorded.times} if clock in named else {}
     if not all(symbol in columns for symbol in field.inputs):
         return None
-    times = np.array(its["times"], dtype=np.float64)
+    times = np.array(recorded.times, dtype=np.float64)
     values = np.array([columns[symbol] for symbol in field.inputs], dtype=np.float64).T
     known = np.isfinite(values).all(axis=1)
     return interpolated(times[known] - begin, values[known]) if known.any() else None
 
 
 def _curve(
-    field: VectorField, index: int, values: Mapping[str, Any], columns: Mapping[str, str], times: FloatArray
+    field: VectorField, index: int, values: Curves, columns: Sequence[str], times: FloatArray
 ) -> FloatArray | None:
-    name, half = field.states[index], len(field.states) // 2
-    if columns[name] in values:
-        return np.array(values[columns[name]], dtype=np.float64)
-    position = columns[field.states[index - half]] if index >= half > 0 else None
+    half = len(field.states) // 2
+    if columns[index] in values:
+        return np.array(values[columns[index]], dtype=np.float64)
+    position = columns[index - half] if index >= half > 0 else None
     if position is None or position not in values:
         return None
     return np.asarray(np.gradient(np.array(values[position], dtype=np.float64), times))

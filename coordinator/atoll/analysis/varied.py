@@ -4,9 +4,8 @@ A constant is named as it stands in the equations (c1, c2, …), or by the term 
 dy/dt = y*(2 - x - y) the coefficient of ``x*y`` is one that nobody writes. Letters: D states, P parameters, U inputs.
 """
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -19,8 +18,7 @@ from atoll_core.errors import UsageError
 from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ARITY, CONSTANT
-from atoll_core.expression.program import Program, constant_places, with_constants
-from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import make_coefficients_explicit
 
@@ -29,9 +27,6 @@ _POINTS: Final = 32
 
 _SAME: Final = 1e-9
 """Share of the term by which rounding may make them differ."""
-
-_FIRST_MARK: Final = 1000.5
-"""Constants are told apart by numbers from here on while an equation is written as text and read again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,42 +69,34 @@ class Varied:
 class Coefficients:
     """The numbers of a field that can be varied: all constants and factors of one are parameters of `opened`.
 
-    `origins` has for each of these its index among the parameters of `field`, None for a factor of one, and `signs`
-    whether the text of `opened` has a minus before it.
+    `origins` has for each of these its index among the parameters of `field`, None for a factor of one.
     """
 
     field: VectorField
     opened: VectorField
     origins: tuple[int | None, ...]
-    signs: tuple[float, ...]
 
     @classmethod
     def of(cls, field: VectorField) -> "Coefficients":
         """Return those of a field."""
-        names = (*field.states, *field.inputs)
-        texts: list[str] = []
-        known: dict[float, int | None] = {}
+        programs: list[Program] = []
+        origins: list[int | None] = []
         begin = 0
         for program in field.programs:
             explicit = make_coefficients_explicit(program)
-            apart, its = _apart(explicit.program, explicit.origins)
-            marks = [_FIRST_MARK + len(known) + number for number in range(len(its))]
-            known |= {mark: None if origin is None else begin + origin for mark, origin in zip(marks, its, strict=True)}
-            places = constant_places(apart)
-            texts.append(to_infix(with_constants(apart, dict(zip(places, marks, strict=True))), names))
+            apart, own = _apart(explicit.program, explicit.origins)
+            programs.append(apart)
+            origins += [None if origin is None else begin + origin for origin in own]
             begin += len(constant_places(program))
-        opened = VectorField(field.states, field.inputs, tuple(texts))
-        values = opened.values_of_parameters.tolist()
-        origins = tuple(known[abs(value)] for value in values)
-        return cls(field, opened, origins, tuple(math.copysign(1.0, value) for value in values))
+        return cls(field, replace(field, programs=tuple(programs)), tuple(origins))
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """The names of the factors of one that nobody writes: ``y:x*y`` is the coefficient of x*y in dy/dt."""
         values = self._values(self.field.values_of_parameters)
         return tuple(
-            f"{its.variable}:{self.opened.term_of(index, values)}"
-            for index, (its, origin) in enumerate(zip(self.opened.parameters, self.origins, strict=True))
+            f"{parameter.variable}:{self.opened.term_of(index, values)}"
+            for index, (parameter, origin) in enumerate(zip(self.opened.parameters, self.origins, strict=True))
             if origin is None
         )
 
@@ -127,17 +114,15 @@ class Coefficients:
         parts = [part.strip() for part in name.split(",")]
         indices = [index for part in parts for index in self._indices(part)]
         values = self._values(flow.parameters)
-        written = [float(values[each]) * self.signs[each] for each in indices]
+        written = [float(values[index]) for index in indices]
         if written[0] == 0.0 and any(written):
             raise UsageError(f"{parts[0]} is 0, so that the others have no ratio to it; name another one first")
-        ratios = [each / written[0] if written[0] else 1.0 for each in written]
-        factors = tuple(ratio * self.signs[each] for ratio, each in zip(ratios, indices, strict=True))
+        factors = tuple(value / written[0] if written[0] else 1.0 for value in written)
         return flow.at_field(self.opened, values), Varied(name, written[0], tuple(indices), factors)
 
     def _values(self, parameters: FloatArray) -> FloatArray:
         """Return the values of the parameters of `opened`."""
-        written = [1.0 if origin is None else float(parameters[origin]) for origin in self.origins]
-        return np.asarray(np.array(written) * np.array(self.signs))
+        return np.array([1.0 if origin is None else float(parameters[origin]) for origin in self.origins])
 
     def _indices(self, name: str) -> list[int]:
         """Return which parameters of `opened` are meant: all uses of one constant, or the coefficient of one term."""

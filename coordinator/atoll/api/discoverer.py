@@ -12,7 +12,8 @@ import numpy as np
 from atoll.api.discover import discover
 from atoll.api.tables import numbers_of
 from atoll.model.arguments import numbers
-from atoll.model.model import DIGITS, Model
+from atoll.model.equations import DIGITS
+from atoll.model.model import Model
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError, UsageError
 
@@ -94,14 +95,15 @@ class Discoverer:
     @property
     def front_(self) -> dict[str, list[Mapping[str, Any]]]:
         """By state, the best expression of each complexity with its errors."""
-        return {each["variable"]: list(each["front"]) for each in self._model.result["equations"]}
+        equations = self._model.result.equations
+        return {one.variable: [member.model_dump(mode="json") for member in one.front] for one in equations}
 
     def equations(self, precision: int = DIGITS) -> list[str]:
         """Return the right-hand sides, constants rounded to so many significant digits."""
         from atoll_core.expression.text.infix import to_infix
         from atoll_core.expression.text.parsing import from_infix
 
-        names = list(self._model.result["symbols"].values())
+        names = list(self._model.result.names)
         return [to_infix(from_infix(each.exact, names), names, digits=precision) for each in self._model.equations]
 
     def print(self, precision: int = DIGITS) -> None:

@@ -1,6 +1,5 @@
 """What `atoll.Model` asks of fits: identifiability of constants, and the next experiment."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from atoll.api.tables import table_of
@@ -11,20 +10,23 @@ from atoll.experiments.measured import config_of
 from atoll.experiments.space import Request
 from atoll.experiments.suggestion import Suggestions
 from atoll.experiments.suggestions import suggest
+from atoll.model.model import Model
+from atoll_coordinator.result.result import Result
 from atoll_core.data.table import Table
 
 
-def identifiability(found: Mapping[str, Any], data: Any, level: float) -> Identifiability:
-    """Return what the data determine of the constants of a result; see `atoll.Model.identifiability`."""
+def identifiability(model: Model, data: Any, level: float) -> Identifiability:
+    """Return what the data determine of the constants of a model; see `atoll.Model.identifiability`."""
+    model.require_one_group()
     with python_words():
-        return identify(found, _table(found, data), level)
+        return identify(model.result, _table(model.result, data), level)
 
 
-def suggestions(found: Mapping[str, Any], data: Any, **request: Any) -> Suggestions:
+def suggestions(model: Model, data: Any, **request: Any) -> Suggestions:
     """Return the experiments that would tell most; see `atoll.Model.suggest`."""
     with python_words():
-        return suggest(found, Request(**request), _table(found, data))
+        return suggest(model.result, Request(**request), _table(model.result, data))
 
 
-def _table(found: Mapping[str, Any], data: Any) -> Table | None:
-    return None if data is None else table_of(data, config_of(found).data)
+def _table(result: Result, data: Any) -> Table | None:
+    return None if data is None else table_of(data, config_of(result).data)

@@ -4,7 +4,7 @@ import argparse
 import sys
 import time
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from atoll.cli.exit_codes import FAILED, INTERRUPTED
 from atoll.cli.next_step import next_step
@@ -16,6 +16,7 @@ from atoll.client.local_coordinator import LocalCoordinator
 from atoll.client.local_workers import LocalWorkers, NoWorkerLeftError
 from atoll.terminal.output import duration, note
 from atoll.terminal.progress import open_display
+from atoll_coordinator.result.result import Result
 from atoll_coordinator.service.background.process_pool import ProcessPool
 from atoll_core.wire.messages.views import JobView
 
@@ -82,10 +83,10 @@ class LocalRun:
         self._coordinator.check()
         return self._workers.check()
 
-    def _print_times(self, result: dict[str, Any], phases: dict[str, float], path: Path) -> None:
+    def _print_times(self, result: Result, phases: dict[str, float], path: Path) -> None:
         total = time.monotonic() - self._started
         parts = {name: phases.get(name, 0.0) for name in ("compiling kernels", "loading kernels")}
-        parts["search"] = float(result["search_seconds"] or 0.0)
+        parts["search"] = result.search_seconds or 0.0
         refining = phases.get("refining", 0.0)
         parts["refining"] = refining if refining >= _WORTH_SAYING_S else 0.0
         rest = max(0.0, total - sum(parts.values()))

@@ -2,11 +2,15 @@
 
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from pydantic import JsonValue
+
+from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.result import Result
 from atoll_core.command_line import duration
 
 _OPTION: Final = re.compile(r"--(robust|stochastic)\b")
@@ -18,17 +22,17 @@ _NOT_STOCHASTIC: Final = ("order", "target", "derivatives", "only", "robust", "w
 _MORE_OPERATORS: Final = "+,-,*,/,sin,cos,exp,sqrt,tanh"
 
 
-def next_step(result: Mapping[str, Any], folder: Path, words: Sequence[str]) -> str | None:
+def next_step(result: Result, folder: Path, words: Sequence[str]) -> str | None:
     """Return a command and, behind two spaces and ``#``, what it is for; None where there is nothing to propose.
 
     Args:
-        result: of a job that has ended, as in ``result.json``.
+        result: of a job that has ended.
         folder: where it was written.
         words: of the command line that gave it, without the program.
     """
-    if result["state"] == "cancelled" and result.get("refining") == "not refined":
+    if result.state == "cancelled" and result.refining == "not refined":
         return _command(_elsewhere(words), _CANCELLED)
-    if result["state"] != "done" or not result["equations"]:
+    if result.state != "done" or not result.equations:
         return None
     for propose in (_again_with_option, _again_for_longer, _again_with_operators):
         proposal = propose(result, words)
@@ -44,10 +48,10 @@ def _command(words: Sequence[str], purpose: str) -> str:
 _Proposal = tuple[list[str], str]
 
 
-def _again_with_option(result: Mapping[str, Any], words: Sequence[str]) -> _Proposal | None:
+def _again_with_option(result: Result, words: Sequence[str]) -> _Proposal | None:
     """Propose an option that a sentence of the result names."""
-    sentences = [*result["warnings"], *(equation["reason"] or "" for equation in result["equations"])]
-    given = (result.get("config") or {}).get("data", {})
+    sentences = [*result.warnings, *(equation.reason or "" for equation in result.equations)]
+    given = result.data_settings
     named = [match[1] for sentence in sentences for match in _OPTION.finditer(sentence)]
     is_excluded = {"robust": False, "stochastic": any(name in given for name in _NOT_STOCHASTIC)}
     free = [name for name in named if not given.get(name) and not is_excluded[name]]
@@ -58,17 +62,18 @@ def _again_with_option(result: Mapping[str, Any], words: Sequence[str]) -> _Prop
     return [*_elsewhere(words), fitting], why
 
 
-def _again_for_longer(result: Mapping[str, Any], words: Sequence[str]) -> _Proposal | None:
+def _again_for_longer(result: Result, words: Sequence[str]) -> _Proposal | None:
     """Propose twice the budget where it ended the search of an equation that is not good, or refining it."""
-    ends = {equation["why"] for equation in _poor(result)}
-    budget = (result.get("config") or {}).get("budget", {})
-    is_cut = bool(ends) and result.get("refining") in ("not refined", "max-time")
+    ends = {equation.why for equation in _poor(result)}
+    budget = result.settings("budget")
+    is_cut = bool(ends) and result.refining in ("not refined", "max-time")
     if ("max-time" in ends or is_cut) and budget.get("max_time") is not None:
-        seconds = _seconds(words) or budget["max_time"]
+        seconds = _seconds(words) or _number(budget["max_time"])
         again = [*_without(_elsewhere(words), "--max-time"), "--max-time", f"{2.0 * seconds:g}s"]
         return again, _NOT_REFINED if is_cut else _LONGER
     if "max-epochs" in ends and budget.get("max_epochs") is not None and not budget.get("max_epochs_of"):
-        return [*_without(_elsewhere(words), "--max-epochs"), "--max-epochs", str(2 * budget["max_epochs"])], _LONGER
+        epochs = f"{2.0 * _number(budget['max_epochs']):.0f}"
+        return [*_without(_elsewhere(words), "--max-epochs"), "--max-epochs", epochs], _LONGER
     return None
 
 
@@ -77,29 +82,29 @@ _CANCELLED: Final = "it was interrupted before the equations were fitted to traj
 _NOT_REFINED: Final = "the time was over before the equations were fitted to trajectories and compared"
 
 
-def _again_with_operators(result: Mapping[str, Any], words: Sequence[str]) -> _Proposal | None:
+def _again_with_operators(result: Result, words: Sequence[str]) -> _Proposal | None:
     """Propose more operators where nothing was found with the usual ones."""
-    is_nothing = any(equation["verdict"] == "no model" for equation in result["equations"])
-    if not is_nothing or (result.get("config") or {}).get("space"):
+    is_nothing = any(equation.verdict == "no model" for equation in result.equations)
+    if not is_nothing or result.settings("space"):
         return None
     return [*_elsewhere(words), "--operators", _MORE_OPERATORS], "expressions may need more than the usual operators"
 
 
-def _with_result(result: Mapping[str, Any], folder: str) -> _Proposal:
+def _with_result(result: Result, folder: str) -> _Proposal:
     """Propose what to do with the equations."""
-    kind = (result.get("system") or {}).get("kind")
+    kind = result.columns.kind
     if kind == "regression":
         return ["result", f"{folder}/result.json", "--format", "latex"], "the equation for a paper"
-    if any(equation["verdict"] == "no model" for equation in result["equations"]):
+    if any(equation.verdict == "no model" for equation in result.equations):
         return ["result", f"{folder}/result.json"], "the best expression of each size"
-    parts = ((result.get(each) or {}).get("trajectories") for each in ("simulation", "data"))
-    is_driven = kind == "process" or (result.get("system") or {}).get("inputs")
-    if is_driven and any(parts):  # otherwise, as of a job that was cut, nothing tells an initial state
+    is_driven = kind == "process" or result.columns.inputs
+    is_told = result.simulated or result.recorded  # of a job that was cut nothing may tell an initial state
+    if is_driven and is_told:
         return ["simulate", folder, "-o", f"{folder}/simulation.csv"], "the model along what was measured"
-    loose = any(not constant["identifiable"] for each in result["equations"] for constant in each["constants"])
+    loose = any(not constant.identifiable for equation in result.equations for constant in equation.constants)
     if loose:
         return ["analyse", folder, "--identifiability"], "which constants the data determine"
-    if any(each["verdict"] == "doubtful" and each["candidates"] for each in result["equations"]):
+    if any(equation.verdict == "doubtful" and equation.candidates for equation in result.equations):
         return ["suggest", folder], "the experiment that would decide between the candidates"
     return ["analyse", folder], "fixed points, limit cycles and basins of the model"
 
@@ -111,8 +116,13 @@ def _seconds(words: Sequence[str]) -> float | None:
     return duration(given[-1]) if given else None
 
 
-def _poor(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    return [each for each in result["equations"] if each["verdict"] not in ("exact", "good")]
+def _number(setting: JsonValue) -> float:
+    """Return a setting that is a number, 0 of any other: of a file that was edited by hand."""
+    return float(setting) if isinstance(setting, int | float) else 0.0
+
+
+def _poor(result: Result) -> list[Equation]:
+    return [equation for equation in result.equations if equation.verdict not in ("exact", "good")]
 
 
 def _elsewhere(words: Sequence[str]) -> list[str]:

@@ -6,7 +6,7 @@ import shlex
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from atoll.cli.ending import ending, exit_code
 from atoll.cli.exit_codes import DONE
@@ -23,6 +23,7 @@ from atoll_core.wire.messages.views import JobView
 from atoll_core.wire.security.credentials import credentials_of
 
 if TYPE_CHECKING:
+    from atoll_coordinator.result.result import Result
     from atoll_core.data.table import Table
 
 _LEAST_SHARE: Final = 0.5
@@ -79,20 +80,23 @@ class Request:
             self, config=self.config.model_copy(update={"budget": budget.model_copy(update={"max_time": left})})
         )
 
-    def result(self, client: Client, view: JobView) -> dict[str, Any] | None:
+    def result(self, client: Client, view: JobView) -> "Result | None":
         """Return the result of the ended job, with the command of this process; None when there is none yet."""
+        from atoll_coordinator.result.result import Result
+
         try:
-            return {**client.result(self.job), "command": shlex.join(["coordinator", *sys.argv[1:]])}
+            result = Result.of(client.result(self.job))
         except RefusedError:
             if view.state == "done":
                 raise
             return None
+        return result.model_copy(update={"command": shlex.join(["coordinator", *sys.argv[1:]])})
 
-    def show(self, result: dict[str, Any]) -> None:
+    def show(self, result: "Result") -> None:
         """Print the equations on stdout, or all of the result as JSON."""
         from atoll.text.render import render_text
 
-        say(as_json(result) if self.json else render_text(result))
+        say(as_json(result.as_dict()) if self.json else render_text(result))
 
     def finish(self, view: JobView) -> int:
         """Say what an unwanted end means; return the exit code."""

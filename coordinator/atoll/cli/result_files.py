@@ -1,10 +1,13 @@
 """The files of a result in the folder that ``--out`` names."""
 
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 from atoll.terminal.output import as_json, note
 from atoll_core.errors import UsageError
+
+if TYPE_CHECKING:
+    from atoll_coordinator.result.result import Result
 
 REPORT: Final = "report.html"
 """The page of a result, beside it."""
@@ -18,7 +21,7 @@ def refuse_existing_result(folder: Path) -> None:
         raise UsageError(f"{folder} is a file, but --out names a folder; name another one")
 
 
-def write_result(folder: Path, result: dict[str, Any]) -> Path:
+def write_result(folder: Path, result: "Result") -> Path:
     """Write ``result.json`` into `folder`, whole or not at all; never over an existing one. Return its path.
 
     Raises:
@@ -28,7 +31,7 @@ def write_result(folder: Path, result: dict[str, Any]) -> Path:
     path, draft = folder / "result.json", folder / ".result.json.part"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        draft.write_text(as_json(result) + "\n", "utf-8")
+        draft.write_text(as_json(result.as_dict()) + "\n", "utf-8")
         _publish(draft, path)
     except FileExistsError:
         raise UsageError(f"{path} exists already; name another folder with --out, or remove it") from None
@@ -37,9 +40,9 @@ def write_result(folder: Path, result: dict[str, Any]) -> Path:
     return path
 
 
-def write_report(path: Path, result: dict[str, Any]) -> None:
+def write_report(path: Path, result: "Result") -> None:
     """Write a result as a page, and say where; raises UsageError when it cannot be written."""
-    from atoll.model.saved import write_text
+    from atoll.model.files import write_text
     from atoll.report.page import as_html
 
     write_text(path, as_html(result))

@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 
 from atoll.cli.options.values import finite_number, numbers
+from atoll.model.files import write_text
 from atoll.model.model import Model
-from atoll.model.saved import write_text
 from atoll.model.start import Start, start_of_file, times_of
 from atoll.terminal.output import say
 from atoll_core.data.dataset import FloatArray
@@ -38,7 +38,7 @@ def chosen_times(model: Model, start: Start, options: argparse.Namespace) -> Flo
 
 def held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
     """Return the inputs that ``--hold`` gives, by symbol; raises UsageError."""
-    held, symbols = numbers(options.hold, "--hold", "u=1"), model.result["symbols"]
+    held, symbols = numbers(options.hold, "--hold", "u=1"), model.result.symbols
     unknown = next((name for name in held if symbols.get(name, name) not in model.inputs), None)
     if unknown is not None:
         raise UsageError(f"--hold names {unknown!r}; the inputs are {', '.join(model.inputs) or 'none'}")

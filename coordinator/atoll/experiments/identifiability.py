@@ -1,9 +1,9 @@
 """The identifiability of the constants of a model: profiles of all of them, and what is known of them together."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from atoll.experiments.measured import Measured, measured_of
 from atoll.experiments.profiles import Profile, profile
 from atoll.experiments.relations import directions
 from atoll.experiments.systems import Constant, Fitted, constants_of, equations_of, fit_shown
+from atoll_coordinator.result.result import Result
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
 
@@ -22,11 +23,11 @@ _BETTER: Final = 0.01
 """Deviance below that of the best fit from which a profile has found a better one."""
 
 
-def identify(found: Mapping[str, Any], table: Table | None = None, level: float = 0.95) -> Identifiability:
-    """Return what the data determine of the constants of the model of a result (the content of result.json).
+def identify(result: Result, table: Table | None = None, level: float = 0.95) -> Identifiability:
+    """Return what the data determine of the constants of the model of a result.
 
     Args:
-        found: the result.
+        result: the result.
         table: the measurements; None: those that the result has.
         level: of the intervals.
 
@@ -36,11 +37,11 @@ def identify(found: Mapping[str, Any], table: Table | None = None, level: float 
     """
     if not 0.0 < level < 1.0:
         raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
-    measured, equations = measured_of(found, table), equations_of(found)
-    if not constants_of(equations, found):
+    measured, equations = measured_of(result, table), equations_of(result)
+    if not constants_of(equations, result):
         raise UsageError("the model has no constants that were fitted, so there is nothing to profile")
-    fitted = fit_shown(measured, found)
-    return identified(fitted, constants_of(fitted.equations, found), measured, level)
+    fitted = fit_shown(measured, result)
+    return identified(fitted, constants_of(fitted.equations, result), measured, level)
 
 
 def identified(fitted: Fitted, constants: Sequence[Constant], measured: Measured, level: float) -> Identifiability:

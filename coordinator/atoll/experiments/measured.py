@@ -1,15 +1,19 @@
 """The trajectories that a model was fitted to, laid out for fits again: those of a result, or of data files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final, get_args
 
 import numpy as np
 
-from atoll.model.parameters import differing_groups
-from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
+from atoll.model.groups import differing_groups
+from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
 from atoll_coordinator.data.trajectories.trajectories import format_number
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
+from atoll_coordinator.result.base import Curve
+from atoll_coordinator.result.findings import Errors, Noise
+from atoll_coordinator.result.result import Result
+from atoll_coordinator.result.trajectories import Recorded, Smoothed
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
@@ -17,6 +21,7 @@ from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
 
 _FEWEST_ROWS: Final = 5
+_OTHER_KINDS: Final = {"regression": "a regression without time", "process": "a stochastic process"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,115 +57,122 @@ def _modelled(its: Measurements, recording: Recording) -> list[str]:
     return [recording.states[recording.state_symbols.index(symbol)] for symbol in symbols]
 
 
-def measured_of(found: Mapping[str, Any], table: Table | None = None) -> Measured:
-    """Return the measurements behind the model of a result (the content of result.json).
+def measured_of(result: Result, table: Table | None = None) -> Measured:
+    """Return the measurements behind the model of a result.
 
     Args:
-        found: the result.
+        result: what the coordinator wrote.
         table: measurements in the place of those that the result has; its columns are read as the job did.
 
     Raises:
         UsageError: the states of the result were not measured in time, or it does not have the measurements.
         DataError: the data cannot be used as they are.
     """
-    kind = (found.get("system") or {}).get("kind")
+    kind = result.columns.kind
     if kind != "dynamics":
-        what = {"regression": "a regression without time", "process": "a stochastic process"}.get(str(kind))
+        what = _OTHER_KINDS.get(str(kind))
         raise UsageError(
             f"the result is of {what or 'an unknown kind'}; only models of measured trajectories can be profiled"
         )
     if table is None:
-        recording, rows, source = _stored(found)
+        recording, rows, source = _stored(result)
     else:
-        recording = _prepared(found, table)
+        recording = _prepared(result, table)
         rows = sum(len(each.times) for each in recording.trajectories if not each.held_out)
         source = "the data that were given"
-    if differing_groups(found) and (table is None or len({each.group for each in recording.trajectories}) > 1):
+    if differing_groups(result) and (table is None or len({each.group for each in recording.trajectories}) > 1):
         raise UsageError(
             "constants of the model differ between groups of trajectories, which cannot be fitted again together",
             python="give the data of one group as data",
             command="give the data of one group with --data",
         )
-    return _laid_out(found, recording, rows, source, is_stored=table is None)
+    return _laid_out(result, recording, rows, source, is_stored=table is None)
 
 
-def _laid_out(found: Mapping[str, Any], recording: Recording, rows: int, source: str, *, is_stored: bool) -> Measured:
-    names = [str(each["variable"]) for each in found["equations"]]
+def _laid_out(result: Result, recording: Recording, rows: int, source: str, *, is_stored: bool) -> Measured:
+    names = [str(each.variable) for each in result.equations]
     modelled = [recording.states.index(name) for name in names]
-    errors = [((found.get("noise") or {}).get(name) or {}).get("errors") or {} for name in names]
+    errors = [_errors(result, name) for name in names]
     kept = sum(len(each.times) for each in recording.trajectories if not each.held_out)
     share = kept / max(rows, 1)
-    pieces = [each["piece"] for each in errors if each.get("piece")]
+    pieces = [known.piece for known in errors if known.piece]
     piece = max(_FEWEST_ROWS, int(min(pieces) * share)) if pieces else SETTINGS.shooting.piece
     measurements = measurements_of(recording, modelled, piece=piece)
     counts = measurements.weights.sum(axis=1)
-    ratios = np.array([_ratio(each, found, name) for each, name in zip(errors, names, strict=True)])
+    ratios = np.array([_ratio(known, result) for known in errors])
     # rows that were left out of the stored ones count as much as those that are there
     full = counts / max(share, 1e-300) if is_stored else counts
     return Measured(recording, measurements, rows, full * ratios, recording.order, source)
 
 
-def _ratio(errors: Mapping[str, Any], found: Mapping[str, Any], name: str) -> float:
+def _errors(result: Result, name: str) -> Errors:
+    noise = result.noise.get(name)
+    return (None if noise is None else noise.errors) or Errors()
+
+
+def _ratio(errors: Errors, result: Result) -> float:
     """Return the independent rows of a state over all that were fitted; 1 where it is not known."""
-    independent, trajectories = errors.get("independent_rows"), (found.get("data") or {}).get("trajectories") or ()
-    rows = sum(each["rows"] for each in trajectories if not each["held_out"])
+    independent = errors.independent_rows
+    rows = sum(part.rows or 0 for part in result.recorded if not part.held_out)
     return float(min(1.0, independent / rows)) if independent and rows else 1.0
 
 
-def _stored(found: Mapping[str, Any]) -> tuple[Recording, int, str]:
+def _stored(result: Result) -> tuple[Recording, int, str]:
     """Return what a result has of its measurements, how many rows were measured, and where they come from."""
-    trajectories = (found.get("data") or {}).get("trajectories")
+    trajectories = result.recorded
     if not trajectories:
         raise UsageError(
             "the result has no measurements", python="give them as data", command="give the data file with --data"
         )
-    system, symbols = found["system"], found["symbols"]
-    states, inputs = tuple(system["states"]), tuple(system["inputs"])
-    noise = found.get("noise") or {}
-    smoothing = tuple(_smoothing(name, noise.get(name) or {}) for name in states)
-    smoothed = {each["name"]: each for each in (found.get("smoothing") or {}).get("trajectories") or ()}
-    parts = [_trajectory(each, smoothed.get(each["name"]), states, inputs) for each in trajectories]
-    config = (found.get("config") or {}).get("data") or {}
+    columns, symbols = result.columns, result.symbols
+    states, inputs = columns.states, columns.inputs
+    smoothing = tuple(_smoothing(name, result.noise.get(name) or Noise()) for name in states)
+    smoothed = {part.name: part for part in result.smoothed}
+    parts = [_trajectory(part, smoothed.get(part.name), states, inputs) for part in trajectories]
     recording = Recording(
         states,
         tuple(symbols[name] for name in states),
-        tuple(symbols[name] for name in system["velocities"]),
+        tuple(symbols[name] for name in columns.velocities),
         inputs,
         tuple(symbols[name] for name in inputs),
-        2 if system["order"] == 2 else 1,
+        2 if columns.order == 2 else 1,
         0.0,
         smoothing,
         tuple(parts),
-        tuple(config.get("offsets") or ()),
+        tuple(config_of(result).data.offsets),
     )
-    searched = [each for each in trajectories if not each["held_out"]]
-    rows, kept = sum(each["rows"] for each in searched), sum(len(each["times"]) for each in searched)
+    searched = [part for part in trajectories if not part.held_out]
+    rows, kept = sum(part.rows or len(part.times) for part in searched), sum(len(part.times) for part in searched)
     source = f"{len(searched)} trajectories" if len(searched) > 1 else "1 trajectory"
     of = f"{kept} of {rows} rows" if kept < rows else f"{rows} rows"
     return recording, rows, f"{source} of the result, {of}"
 
 
-def _smoothing(name: str, its: Mapping[str, Any]) -> Smoothing:
-    return Smoothing(name, its.get("method") or "interpolation", its.get("sd") or 0.0, its.get("relative") or 0.0)
+def _smoothing(name: str, noise: Noise) -> Smoothing:
+    methods: tuple[Method, ...] = get_args(Method)
+    method: Method = "interpolation"
+    if noise.method in methods:
+        method = methods[methods.index(noise.method)]
+    return Smoothing(name, method, noise.sd or 0.0, noise.relative or 0.0)
 
 
 def _trajectory(
-    its: Mapping[str, Any], smoothed: Mapping[str, Any] | None, states: Sequence[str], inputs: Sequence[str]
+    recorded: Recorded, smoothed: Smoothed | None, states: Sequence[str], inputs: Sequence[str]
 ) -> Trajectory:
-    times = np.array(its["times"], dtype=np.float64)
-    measured = _stacked([its["measured"][name] for name in states], len(times))
+    times = np.array(recorded.times, dtype=np.float64)
+    measured = _stacked([recorded.measured[name] for name in states], len(times))
     curves = [_curve(times, row, name, smoothed) for name, row in zip(states, measured, strict=True)]
     positions = _stacked(curves, len(times))
-    robust, weights = its.get("robustness_weights"), its.get("weights")
+    robust, weights = recorded.robustness_weights, recorded.weights
     return Trajectory(
-        str(its["name"]),
+        recorded.name,
         times,
         measured,
         positions,
         _slopes(positions, times),
-        _stacked([its["inputs"][name] for name in inputs], len(times)),
-        _stacked([its["input_slopes"][name] for name in inputs], len(times)),
-        bool(its["held_out"]),
+        _stacked([recorded.inputs[name] for name in inputs], len(times)),
+        _stacked([(recorded.input_slopes or {})[name] for name in inputs], len(times)),
+        recorded.held_out,
         None if robust is None else _stacked([robust[name] for name in states], len(times)),
         None if weights is None else np.array(weights, dtype=np.float64),
     )
@@ -170,25 +182,24 @@ def _slopes(values: FloatArray, times: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.gradient(values, times, axis=1)) if len(times) > 1 else np.zeros_like(values)
 
 
-def _curve(times: FloatArray, measured: FloatArray, name: str, smoothed: Mapping[str, Any] | None) -> FloatArray:
+def _curve(times: FloatArray, measured: FloatArray, name: str, smoothed: Smoothed | None) -> FloatArray:
     """Return the smoothed state at these times; of a state that was interpolated what was measured."""
-    if smoothed is not None and name in smoothed["smoothed"]:
-        known, values = np.array(smoothed["times"]), np.array(smoothed["smoothed"][name], dtype=np.float64)
+    if smoothed is not None and name in smoothed.smoothed:
+        known, values = np.array(smoothed.times), np.array(smoothed.smoothed[name], dtype=np.float64)
     else:
         known, values = times, measured
     is_known = np.isfinite(values)
     return np.interp(times, known[is_known], values[is_known]) if is_known.any() else np.zeros(len(times))
 
 
-def _stacked(rows: Sequence[Any], count: int) -> FloatArray:
+def _stacked(rows: Sequence[FloatArray | Curve], count: int) -> FloatArray:
     return np.ascontiguousarray(np.array(rows, dtype=np.float64).reshape(len(rows), count))
 
 
-def starts_of(found: Mapping[str, Any], measured: Measured) -> FloatArray | None:
+def starts_of(result: Result, measured: Measured) -> FloatArray | None:
     """Return the initial states (G, D) that a result has fitted to its trajectories; None where they are others."""
-    known = {each["name"]: each.get("start") for each in (found.get("simulation") or {}).get("trajectories") or ()}
-    its, symbols = measured.measurements, found["symbols"]
-    columns = {symbol: column for column, symbol in symbols.items()}
+    known = {part.name: part.start for part in result.simulated}
+    its, columns = measured.measurements, result.columns_by_symbol
     rows = [known.get(its.names[owner]) for owner in its.owners.tolist()]
     names = [columns[name] for name in its.variables[: len(its.scales)]]
     if len(set(its.owners.tolist())) < len(rows) or not all(row and all(name in row for name in names) for row in rows):
@@ -197,25 +208,25 @@ def starts_of(found: Mapping[str, Any], measured: Measured) -> FloatArray | None
     return starts if np.isfinite(starts).all() else None
 
 
-def config_of(found: Mapping[str, Any]) -> JobConfig:
+def config_of(result: Result) -> JobConfig:
     """Return the configuration of the job that a result is of."""
-    return JobConfig.model_validate({"preset": found.get("preset") or "default", **(found.get("config") or {})})
+    return JobConfig.model_validate({"preset": result.preset or "default", **result.config})
 
 
-def _prepared(found: Mapping[str, Any], table: Table) -> Recording:
+def _prepared(result: Result, table: Table) -> Recording:
     """Return the recording of another table, read and smoothed as the job did; of one group where the result is."""
     from atoll_coordinator.data.prepare import prepare
 
-    config, group = config_of(found), found.get("group")
+    config, group = config_of(result), result.group
     column = config.data.group
     if group is not None:
-        table = table if column is None else _rows_of_group(table, column, str(group), config.data.trajectory)
+        table = table if column is None else _rows_of_group(table, column, group, config.data.trajectory)
         its = config.data.model_copy(update={"group": None, "per_trajectory": False})
         config = config.model_copy(update={"data": its})
     recording = prepare(table, config).recording
-    if recording is None or set(recording.states) != set(found["system"]["states"]):
-        raise UsageError(f"the data do not have the states {', '.join(found['system']['states'])} measured in time")
-    return recording if group is None or column is not None else _trajectory_of_group(recording, str(group))
+    if recording is None or set(recording.states) != set(result.columns.states):
+        raise UsageError(f"the data do not have the states {', '.join(result.columns.states)} measured in time")
+    return recording if group is None or column is not None else _trajectory_of_group(recording, group)
 
 
 def _rows_of_group(table: Table, column: str, group: str, trajectory: str | None) -> Table:

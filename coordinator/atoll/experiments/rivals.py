@@ -9,13 +9,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from atoll.experiments.measured import Measured
 from atoll.experiments.systems import Equations, Fitted, fit_equations
 from atoll_coordinator.model.criteria import constant_nats_of, system_length
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.builder import ProgramBuilder, live_nodes
 from atoll_core.expression.evaluation import values_of
@@ -54,12 +55,12 @@ class Rival:
 
 
 def rivals_of(
-    found: Mapping[str, Any], measured: Measured, shown: Fitted, given: Sequence[Mapping[str, str]] = ()
+    result: Result, measured: Measured, shown: Fitted, given: Sequence[Mapping[str, str]] = ()
 ) -> tuple[Rival, ...]:
     """Return the system that a result shows and those that describe the data about as well, the best first.
 
     Args:
-        found: the result; its candidates are considered one at a time and in pairs.
+        result: the result; its candidates are considered one at a time and in pairs.
         measured: the data.
         shown: the system that is shown, fitted.
         given: further systems, as right-hand sides by state; other equations are those that are shown.
@@ -74,7 +75,7 @@ def rivals_of(
         if fitted is None:
             raise UsageError(f"the rival {', '.join(each.values())} cannot be simulated along the data; give another")
         fits.append((fitted, "given"))
-    for equations, origin in _systems(found, measured, shown.equations):
+    for equations, origin in _systems(result, measured, shown.equations):
         fitted = fit_equations(measured, equations, shown.fit.starts)
         if fitted is not None and not ("denominator" in origin and _has_pole(fitted)):
             fits.append((fitted, origin))
@@ -120,16 +121,16 @@ def _given(shown: Equations, texts: Mapping[str, str]) -> Equations:
     return shown
 
 
-def _systems(found: Mapping[str, Any], measured: Measured, shown: Equations) -> Iterator[tuple[Equations, str]]:
+def _systems(result: Result, measured: Measured, shown: Equations) -> Iterator[tuple[Equations, str]]:
     """Yield systems with one or two other equations than those that are shown."""
     options: list[tuple[int, Program, str]] = []
-    for place, entry in enumerate(found["equations"]):
+    for place, entry in enumerate(result.equations):
         if place in shown.fixed:
             continue
         others = sorted(
-            (float(each["nats"]), each["expression"])
-            for each in entry.get("candidates") or ()
-            if not each["selected"] and each["nats"] is not None and each["nats"] <= _LONGEST
+            (other.nats, other.expression)
+            for other in entry.candidates
+            if not other.selected and other.nats is not None and other.nats <= _LONGEST
         )
         options += [(place, from_infix(text, shown.names), "candidate") for _, text in others[:_PER_EQUATION]]
         options += [

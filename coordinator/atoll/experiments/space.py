@@ -6,7 +6,7 @@ Letters: D states, U inputs, n points of D numbers and one for each input that c
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from atoll.experiments.designs import Design
 from atoll.experiments.measured import Measured
 from atoll.experiments.suggestion import COSTS, Cost
 from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
@@ -156,12 +157,12 @@ class DesignSpace:
         return bool(apart.max() >= _APART)
 
 
-def space_of(found: Mapping[str, Any], measured: Measured, request: Request) -> DesignSpace:
+def space_of(result: Result, measured: Measured, request: Request) -> DesignSpace:
     """Return the experiments that a request allows; raises UsageError where its bounds do not fit the result."""
     its = measured.measurements
     states, inputs = its.variables[: len(its.scales)], its.variables[len(its.scales) :]
-    symbols: Mapping[str, str] = found["symbols"]
-    time = symbols.get((found.get("system") or {}).get("time") or "")
+    symbols = result.symbols
+    time = symbols.get(result.columns.time or "")
     clock = tuple(index for index, name in enumerate(inputs) if name == time)
     given = {symbols.get(name, name): ends for name, ends in request.bounds.items()}
     box = _box(its, [index for index in range(len(inputs)) if index not in clock], given)

@@ -8,7 +8,7 @@ they do not, or there is only one, what it is expected to tell of its constants.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from atoll.experiments.rivals import Rival, rivals_of
 from atoll.experiments.space import DesignSpace, Request, space_of
 from atoll.experiments.suggestion import Candidate, Purpose, Suggestion, Suggestions
 from atoll.experiments.systems import Fitted, constants_of, fit_shown
+from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
@@ -45,23 +46,23 @@ _TOO_MANY: Final = 10
 """Experiments of a kind that would not decide between candidates: then another purpose serves better."""
 
 
-def suggest(found: Mapping[str, Any], request: Request, table: Table | None = None) -> Suggestions:
-    """Return the experiments to make next for a result (the content of result.json), the best first.
+def suggest(result: Result, request: Request, table: Table | None = None) -> Suggestions:
+    """Return the experiments to make next for a result , the best first.
 
     Raises:
         UsageError: a number or name of the request does not fit, there are no measurements, the model cannot be
             simulated within the bounds, or it has neither candidates nor constants that an experiment could tell of.
     """
     request.check()
-    shown = fit_shown(measured_of(found, table), found)
-    space = space_of(found, shown.measured, request)
-    rivals = rivals_of(found, shown.measured, shown, _named(found, request.rivals))
-    return _Report(found, request, space, shown, rivals).suggestions()
+    shown = fit_shown(measured_of(result, table), result)
+    space = space_of(result, shown.measured, request)
+    rivals = rivals_of(result, shown.measured, shown, _named(result, request.rivals))
+    return _Report(result, request, space, shown, rivals).suggestions()
 
 
-def _named(found: Mapping[str, Any], rivals: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
+def _named(result: Result, rivals: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
     """Return the rivals by state, whether left-hand sides were written as x or as the result has them, dx/dt."""
-    sides = {str(each["lhs"]): str(each["variable"]) for each in found["equations"]}
+    sides = {equation.lhs: equation.variable for equation in result.equations}
     sides |= {side.partition("/")[0]: name for side, name in sides.items()}
     return [{sides.get(side, side): text for side, text in each.items()} for each in rivals]
 
@@ -125,9 +126,9 @@ class _Report:
     """What is suggested for a result, and for which purpose."""
 
     def __init__(
-        self, found: Mapping[str, Any], request: Request, space: DesignSpace, shown: Fitted, rivals: Sequence[Rival]
+        self, result: Result, request: Request, space: DesignSpace, shown: Fitted, rivals: Sequence[Rival]
     ) -> None:
-        self._found, self._request, self._space = found, request, space
+        self._result, self._request, self._space = result, request, space
         self._shown, self._rivals = shown, tuple(rivals)
         limits = space.limits(shown.measured.measurements.smoothed, SETTINGS.shooting.blow_up_widths)
         self._sigmas = shown.errors.sigmas * np.sqrt(np.maximum(shown.measured.share, 1.0))
@@ -188,7 +189,7 @@ class _Report:
         return precision(self._of_shown.at(design), len(self._shown.values))[0]
 
     def _said(self, purpose: Purpose, chosen: Sequence[_Tried], reason: str) -> Suggestions:
-        box, symbols = self._space.box, self._found["symbols"]
+        box, symbols = self._space.box, self._result.symbols
         given = {symbols.get(name, name) for name in self._request.bounds}
         ends = zip(box.lower.tolist(), box.upper.tolist(), strict=True)
         return Suggestions(
@@ -206,19 +207,19 @@ class _Report:
     def _candidate(self, its: Rival) -> Candidate:
         equations = its.fitted.equations
         programs = its.fitted.fit.system.programs[-len(equations.programs) :]
-        sides = {str(each["variable"]): str(each["lhs"]) for each in self._found["equations"]}
+        sides = {equation.variable: equation.lhs for equation in self._result.equations}
         texts = {
             sides[name]: to_infix(program, equations.names, digits=4)
             for name, program in zip(equations.variables, programs, strict=True)
         }
-        shown = next(each.length for each in self._rivals if each.origin == "shown")
+        length = next(rival.length for rival in self._rivals if rival.origin == "shown")
         written = {}
         if its.origin == "shown":
-            read = (from_infix(each["expression"], equations.names) for each in self._found["equations"])
+            read = (from_infix(shown.expression or "", equations.names) for shown in self._result.equations)
             of_result = (to_infix(program, equations.names, digits=4) for program in read)
             written = dict(zip(sides.values(), of_result, strict=True))
         others = {} if written == texts else written
-        return Candidate(texts, its.origin, its.weight, its.nats, its.length - shown, others)
+        return Candidate(texts, its.origin, its.weight, its.nats, its.length - length, others)
 
     def _suggestion(self, its: _Tried, *, is_precise: bool) -> Suggestion:
         space, design = self._space, its.design
@@ -241,5 +242,5 @@ class _Report:
         sizes = np.maximum(np.abs(self._shown.values), 1e-300)
         errors = [np.sqrt(np.maximum(np.diag(each), 0.0)) / sizes for each in (before, after)]
         index = int(np.argmax(errors[0]))
-        name = constants_of(self._shown.equations, self._found)[index].name
+        name = constants_of(self._shown.equations, self._result)[index].name
         return name, float(errors[0][index]), float(errors[1][index])

@@ -12,12 +12,15 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.experiments.measured import Measured, starts_of
+from atoll.model.programs import program_of
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import System, system_of, variable_program
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import AtollError
@@ -107,39 +110,32 @@ class Equations:
         return tuple(to_infix(program, self.names, digits=digits) for program in self.programs)
 
 
-def equations_of(found: Mapping[str, Any]) -> Equations:
+def equations_of(result: Result) -> Equations:
     """Return the equations that a result shows."""
-    names = tuple(found["symbols"].values())
-    entries = found["equations"]
-    programs = tuple(_program(each, names) for each in entries)
-    fixed = frozenset(place for place, each in enumerate(entries) if each.get("origin") == "known")
-    bounds = {place: its for place, each in enumerate(entries) if (its := _bounds(each)) and place not in fixed}
-    return Equations(names, tuple(str(each["variable"]) for each in entries), programs, fixed, bounds)
+    names, entries = result.names, result.equations
+    programs = tuple(program_of(equation, names) for equation in entries)
+    fixed = frozenset(place for place, equation in enumerate(entries) if equation.origin == "known")
+    ends = {place: _bounds(equation) for place, equation in enumerate(entries)}
+    bounds = {place: pairs for place, pairs in ends.items() if pairs and place not in fixed}
+    return Equations(names, tuple(equation.variable for equation in entries), programs, fixed, bounds)
 
 
-def _bounds(entry: Mapping[str, Any]) -> tuple[tuple[float, float], ...]:
+def _bounds(equation: Equation) -> tuple[tuple[float, float], ...]:
     """Return the bounds of all constants of an equation; none where no constant has any."""
-    given = [each.get("bounds") for each in entry.get("constants") or ()]
-    ends = [each or (None, None) for each in given]
+    ends = [constant.bounds or (None, None) for constant in equation.constants]
     if not any(end is not None for pair in ends for end in pair):
         return ()
     return tuple((-math.inf if low is None else low, math.inf if high is None else high) for low, high in ends)
 
 
-def _program(entry: Mapping[str, Any], names: Sequence[str]) -> Program:
-    if entry.get("program"):
-        return Program.from_bytes(bytes.fromhex(entry["program"]), len(names))
-    return from_infix(entry["expression"], names)
-
-
-def constants_of(equations: Equations, found: Mapping[str, Any]) -> tuple[Constant, ...]:
+def constants_of(equations: Equations, result: Result) -> tuple[Constant, ...]:
     """Return the fitted constants in the order of the system; names are those of the text of the result's equations."""
     constants: list[Constant] = []
     taken = 0
     for place, (variable, explicit) in enumerate(zip(equations.variables, equations.explicit, strict=True)):
         program = equations.programs[place]
         values = program.constants[constant_places(program)].tolist()
-        text = from_infix(found["equations"][place]["expression"], equations.names)
+        text = from_infix(result.equations[place].expression or "", equations.names)
         shown = text.constants[constant_places(text)].tolist()
         numbers = _matched(values, shown)
         terms = iter(explicit.terms)
@@ -225,15 +221,15 @@ def fit_equations(measured: Measured, equations: Equations, starts: FloatArray |
     return _fitted(measured, equations, starts) or _fitted(measured, equations.written(), starts)
 
 
-def fit_shown(measured: Measured, found: Mapping[str, Any]) -> Fitted:
+def fit_shown(measured: Measured, result: Result) -> Fitted:
     """Return the equations of a result fitted again; raises AtollError where they cannot be simulated.
 
     In shorter pieces where whole trajectories leave more than the noise.
     """
-    equations = equations_of(found)
+    equations = equations_of(result)
     tried: list[Fitted] = []
     for here in (measured, *_shorter(measured)):
-        fitted = fit_equations(here, equations, starts_of(found, here))
+        fitted = fit_equations(here, equations, starts_of(result, here))
         if fitted is not None:
             tried.append(fitted)
             its = here.measurements

@@ -1,8 +1,9 @@
 """A model in a user's hands, after it was found.
 
-``model`` has the class `atoll.Model`, read from ``result.json``; ``vector_field`` the right-hand sides as functions of
-numbers, with their derivatives; ``parameters`` the constants and their joint errors; ``arguments`` reads what users
-give as numbers; ``start`` reads where a simulation starts and what drives it; ``simulation`` integrates from
-any initial state, within bounds; ``ensembles`` draws paths of a stochastic process; ``display`` writes a model as text,
-LaTeX, MathML and HTML; ``plots`` draws it; ``export`` writes it for other programs.
+``model`` has the class `atoll.Model`, made of a result; ``shortcuts`` its methods that other rooms have.
+``equations``, ``parameters``, ``groups`` and ``candidates`` are what it consists of, ``vector_field`` its right-hand
+sides as functions of numbers, with their derivatives, ``joint_errors`` the errors of all constants together.
+``arguments`` and ``rows`` read what users give as numbers, ``files`` writes; ``beginnings`` and ``driving`` say where a
+simulation begins and what drives it, ``start`` reads that from a file, ``simulation`` integrates, ``ensembles`` draws
+paths of a stochastic process, ``scoring`` compares with data.
 """

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from atoll.model.simulation import MOST_NUMBERS, Inputs, check_times
+from atoll_coordinator.result.findings import Process
 from atoll_coordinator.stochastic.densities import STEPS, StationaryDensity, density_of, settled_paths
 from atoll_coordinator.stochastic.moments import StepMoments, step_moments
 from atoll_coordinator.stochastic.paths import Ensemble, Simulator, divided, step_counts
@@ -61,14 +62,19 @@ def require_process(model: "Model") -> None:
     """Raise UsageError where the model has no noise, or its result does not say in which steps it was measured."""
     if not model.components:
         raise UsageError("the model has no noise of its own, so it has no paths; --stochastic seeks such models")
-    if model.result["process"] is None:
+    _process(model)
+
+
+def _process(model: "Model") -> Process:
+    process = model.result.process
+    if process is None:
         raise UsageError("this result has equations of noise but nothing as 'process'; give it as it was written")
-    _step(model)
+    return process
 
 
 def _step(model: "Model") -> float:
     """Return the median step of the measurements."""
-    return float(model.result["process"]["step"])
+    return _process(model).step
 
 
 def _simulator(model: "Model", paths: int, seed: int, *, least: int = 1) -> Simulator:
@@ -77,9 +83,9 @@ def _simulator(model: "Model", paths: int, seed: int, *, least: int = 1) -> Simu
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < lower:
             raise UsageError(f"{name} must be a whole number of at least {lower}, but {value!r} was given")
     names = (*model.states, *model.inputs)
-    texts = {each["variable"]: each["expression"] for each in model.result["equations"]}
+    texts = {equation.variable: equation.exact for equation in model.equations}
     diffusion = {pair: from_infix(texts[name], names) for name, pair in model.components.items()}
-    drift, discretisation = model.field.programs, model.result["process"].get("discretisation", "local linearisation")
+    drift, discretisation = model.field.programs, _process(model).discretisation
 
     def moments(points: FloatArray, lengths: FloatArray) -> StepMoments:
         return step_moments(drift, diffusion, points, lengths, discretisation)

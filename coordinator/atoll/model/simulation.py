@@ -15,7 +15,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.parameters import JointErrors
+from atoll.model.joint_errors import JointErrors
 from atoll.model.vector_field import VectorField
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError

@@ -8,7 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.model.model import ROWS, Model
+from atoll.model.beginnings import ROWS, beginning_of
+from atoll.model.model import Model
+from atoll.model.rows import rows_of
 from atoll.model.simulation import MOST_NUMBERS
 from atoll_coordinator.data.roles.options import TRAJECTORY_NAME
 from atoll_core.config import DataConfig
@@ -42,9 +44,9 @@ def start_of_file(model: Model, path: Path) -> Start:
         DataError: it cannot be read.
         UsageError: it has no column for a state.
     """
-    config, symbols = _data_settings(model), model.result["symbols"]
+    config, symbols = model.result.data_settings, model.result.symbols
     table = _read(path, model, config)
-    rows = _rows_of_first(table, config.get("trajectory") or TRAJECTORY_NAME)
+    rows = _rows_of_first(table, str(config.get("trajectory") or TRAJECTORY_NAME))
     columns = {name: table.column(name)[:rows] for name in table.names}
     driving = [name for name in columns if symbols.get(name) in model.inputs and name != model.time]
     inputs = {symbols[name]: columns[name] for name in driving}
@@ -53,7 +55,7 @@ def start_of_file(model: Model, path: Path) -> Start:
 
 def times_of(model: Model, start: Start, end: float | None, step: float | None) -> FloatArray:
     """Return the times (N,) of a simulation: up to `end` by `step`, where they are given; raises UsageError."""
-    known = start.times if start.times is not None else np.array(model.beginning.get("times") or ())
+    known = start.times if start.times is not None else beginning_of(model).times
     if end is None and step is None and len(known):
         return known
     if end is None and not len(known):
@@ -72,17 +74,11 @@ def times_of(model: Model, start: Start, end: float | None, step: float | None) 
     return np.asarray(first + step * np.arange(math.floor((last - first) / step + _SLACK) + 1), dtype=np.float64)
 
 
-def _data_settings(model: Model) -> Mapping[str, Any]:
-    """Return how the model's data were read, as far as options told it."""
-    return (model.provenance["config"] or {}).get("data") or {}
-
-
 def _read(path: Path, model: Model, config: Mapping[str, Any]) -> Table:
     """Read a data file; dates are counted in the model's unit of time."""
     from atoll_coordinator.data.reading.files import read_table
 
-    units = (model.result.get("system") or {}).get("units") or {}
-    return read_table([path], DataConfig(time=config.get("time")), units)
+    return read_table([path], DataConfig(time=config.get("time")), model.result.units)
 
 
 def _rows_of_first(table: Table, trajectory: str) -> int:
@@ -96,12 +92,13 @@ def _rows_of_first(table: Table, trajectory: str) -> int:
 
 def _state_of(model: Model, columns: Mapping[str, FloatArray], path: Path) -> dict[str, float]:
     """Return the state of the first row; velocities that are not there are estimated."""
-    symbols = model.result["symbols"]
+    symbols = model.result.symbols
     row = {symbols.get(name, name): float(values[0]) for name, values in columns.items() if len(values)}
     lacking = [state for state in model.states if state not in row]
     if lacking and model.time in columns:
-        names = {symbol: name for name, symbol in symbols.items()}
-        return model.rows_of({names.get(symbols.get(name, name), name): values for name, values in columns.items()})[2]
+        names = model.result.columns_by_symbol
+        part = {names.get(symbols.get(name, name), name): values for name, values in columns.items()}
+        return rows_of(model, part)[2]
     if lacking:
         raise UsageError(f"{path} has no column for {', '.join(lacking)}; an initial state names every state")
     return {state: row[state] for state in model.states}

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.scales import measured_sizes
+from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE, Definition, Functions, Slope, definitions
@@ -45,13 +46,14 @@ class VectorField:
     `states` are the names of x in order, `inputs` those of u, which have no equation; `expressions` are the D
     right-hand sides as infix text. Of equations of second order, the velocities are states after all positions.
     `sizes` are the largest absolute values measured of the states, 0 where none is known; empty: of no state.
+    `programs` are the right-hand sides over states and inputs; empty: those of the texts.
     """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     expressions: tuple[str, ...]
     sizes: tuple[float, ...] = ()
-    programs: tuple[Program, ...] = field(init=False, repr=False)
+    programs: tuple[Program, ...] = field(default=(), repr=False)
     parameters: tuple[Parameter, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -61,13 +63,13 @@ class VectorField:
         names = (*self.states, *self.inputs)
         if len(set(names)) < len(names):
             raise UsageError(f"a name stands twice among {', '.join(names)}; give each state and input its own")
-        programs = tuple(from_infix(text, names) for text in self.expressions)
-        found = [
+        programs = self.programs or tuple(from_infix(text, names) for text in self.expressions)
+        constants = [
             (state, value)
             for state, program in zip(self.states, programs, strict=True)
             for value in program.constants[program.operators == np.int8(CONSTANT)].tolist()
         ]
-        parameters = tuple(Parameter(f"c{number}", *each) for number, each in enumerate(found, start=1))
+        parameters = tuple(Parameter(f"c{number}", *known) for number, known in enumerate(constants, start=1))
         object.__setattr__(self, "programs", programs)
         object.__setattr__(self, "parameters", parameters)
 
@@ -77,30 +79,35 @@ class VectorField:
         return cls(tuple(equations), tuple(inputs), tuple(equations.values()), tuple(sizes))
 
     @classmethod
-    def from_result(cls, found: Mapping[str, Any]) -> "VectorField":
-        """Return the field of the model that a result (the content of result.json) shows.
+    def from_result(cls, result: Result) -> "VectorField":
+        """Return the field of the model that a result shows.
 
         Of a stochastic process it is the drift. Variables without an equation of their own are inputs.
 
         Raises:
             UsageError: there is an equation without an expression, or the equations are not differential.
         """
-        symbols: Mapping[str, str] = found["symbols"]
-        equations = [each for each in found["equations"] if each["variable"] in symbols]
-        order = _order(found["equations"])
-        missing = next((each["lhs"] for each in equations if not each["expression"]), None)
+        symbols = result.symbols
+        equations = [equation for equation in result.equations if equation.variable in symbols]
+        order = _order(result.equations)
+        missing = next((equation.lhs for equation in equations if not equation.expression), None)
         if missing is not None:
             raise UsageError(f"the result has no equation for {missing}; a model needs one for each state")
-        positions = {symbols[each["variable"]]: str(each["expression"]) for each in equations}
+        positions = {symbols[equation.variable]: equation.expression or "" for equation in equations}
         if order == 1:
             names = [name for name in symbols.values() if name not in positions]
-            return cls.of(positions, names, measured_sizes(found, [*positions]))
-        velocities = {_velocity_of(each["variable"], symbols): symbols[each["variable"]] for each in equations}
+            return cls.of(positions, names, result.sizes(tuple(positions)))
+        velocities = {_velocity_of(one.variable, symbols): symbols[one.variable] for one in equations}
         moving = {name: velocity for velocity, name in velocities.items()}
         accelerations = {moving[name]: text for name, text in positions.items()}
         taken = {*moving, *accelerations}
         names, states = [name for name in symbols.values() if name not in taken], {**moving, **accelerations}
-        return cls.of(states, names, measured_sizes(found, [*states]))
+        return cls.of(states, names, result.sizes(tuple(states)))
+
+    @property
+    def constant_counts(self) -> tuple[int, ...]:
+        """How many of the parameters each right-hand side has (D,)."""
+        return tuple(int(np.count_nonzero(program.operators == np.int8(CONSTANT))) for program in self.programs)
 
     @property
     def values_of_parameters(self) -> FloatArray:
@@ -171,14 +178,18 @@ class VectorField:
             raise UsageError(f"parameters have the shape {values.shape}, expected ({len(self.parameters)},)")
 
 
-def _order(equations: Sequence[Mapping[str, Any]]) -> int:
+def _order(equations: Sequence[Equation]) -> int:
     """Return the order of the derivatives that the equations begin with; raises UsageError where there are none."""
-    sides = [str(each["lhs"]) for each in equations]
-    for each, side in zip(equations, sides, strict=True):
-        if side == each["variable"] or "/" not in side:
+    for equation in equations:
+        side = equation.lhs
+        if side == equation.variable or "/" not in side:
             raise UsageError(f"the equation of {side} is not differential; a model of dynamics needs d{side}/dt")
-    return 2 if sides and all(side == f"d2{each['variable']}/" + side.rpartition("/")[2] and side.endswith("2")
-                              for each, side in zip(equations, sides, strict=True)) else 1  # fmt: skip
+    return 2 if equations and all(map(_is_acceleration, equations)) else 1
+
+
+def _is_acceleration(equation: Equation) -> bool:
+    time = equation.lhs.rpartition("/")[2]
+    return equation.lhs == f"d2{equation.variable}/{time}" and time.endswith("2")
 
 
 def _velocity_of(variable: str, symbols: Mapping[str, str]) -> str:

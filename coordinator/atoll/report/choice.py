@@ -1,11 +1,12 @@
 """Why this equation: the front of each search, and the candidates that were compared."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Child, Element, element, figure, number, paragraph, r2_cell, section, table
+from atoll_coordinator.result.equations import Equation, Member
 
 if TYPE_CHECKING:
     from atoll.experiments.suggestion import Suggestions
@@ -13,16 +14,16 @@ if TYPE_CHECKING:
 
 def choice(its: Findings) -> list[Element]:
     """Return the sections of fronts and of candidates."""
-    equations = its.result["equations"]
-    fronts = [_front(each, its) for each in equations if any(member["normalized_error"] for member in each["front"])]
-    compared = [part for each in equations for part in _candidates(each, its)]
+    equations = its.result.equations
+    fronts = [_front(one, its) for one in equations if any(member.normalized_error for member in one.front)]
+    compared = [part for equation in equations for part in _candidates(equation, its)]
     sections = []
     if compared:
         text = paragraph(
             "In nats, how much longer the data are to describe by another equation than by the one shown: below "
             "about 3 the data hardly decide."
         )
-        if its.result.get("groups") or its.result.get("group") is not None:
+        if its.result.groups or its.result.group is not None:
             compared.append(paragraph("Constants of candidates are of all groups of trajectories together."))
         following = () if its.suggestions is None else _next_experiment(its.suggestions)
         sections.append(section("candidates", "Candidates", text, *compared, *following))
@@ -68,51 +69,52 @@ def _next_experiment(found: "Suggestions") -> list[Element]:
     ]
 
 
-def _front(equation: Mapping[str, Any], its: Findings) -> Element:
-    members = [each for each in equation["front"] if each["normalized_error"]]
-    drawn = Chart(f"error over complexity of {equation['lhs']}", Axis("complexity"), Axis("error", is_logarithmic=True))
-    sizes, errors = [each["complexity"] for each in members], [each["normalized_error"] for each in members]
-    if equation.get("derivative_floor"):
-        drawn.add_line((min(sizes), max(sizes)), (equation["derivative_floor"],) * 2, "rule")
+def _front(equation: Equation, its: Findings) -> Element:
+    members = [member for member in equation.front if member.normalized_error]
+    drawn = Chart(f"error over complexity of {equation.lhs}", Axis("complexity"), Axis("error", is_logarithmic=True))
+    sizes, errors = _places(members)
+    if equation.derivative_floor:
+        drawn.add_line((min(sizes), max(sizes)), (equation.derivative_floor,) * 2, "rule")
     drawn.add_line(sizes, errors, "c0")
     drawn.add_points(sizes, errors, "c0")
-    chosen = [each for each in members if each["selected"]]
-    drawn.add_points(
-        [each["complexity"] for each in chosen], [each["normalized_error"] for each in chosen], "chosen c1"
-    )
+    drawn.add_points(*_places([member for member in members if member.selected]), "chosen c1")
     rows = [
-        [str(each["complexity"]), number(each["normalized_error"], 3), "yes" if each["selected"] else "",
-         element("code", its.rounded(each["expression"]))]
-        for each in equation["front"]
+        [str(member.complexity), number(member.normalized_error, 3), "yes" if member.selected else "",
+         element("code", its.rounded(member.expression))]
+        for member in equation.front
     ]  # fmt: skip
-    numbers = table(f"front of {equation['lhs']}", ["complexity", "error", "chosen", "expression"], rows)
-    return figure(drawn.svg(), equation["lhs"], numbers)
+    numbers = table(f"front of {equation.lhs}", ["complexity", "error", "chosen", "expression"], rows)
+    return figure(drawn.svg(), equation.lhs, numbers)
 
 
-def _candidates(equation: Mapping[str, Any], its: Findings) -> list[Element]:
-    others = equation.get("candidates") or []
-    if not others:
+def _places(members: Sequence[Member]) -> tuple[list[float], list[float | None]]:
+    """Return the complexities and the errors of members of a front."""
+    return [member.complexity or 0 for member in members], [member.normalized_error for member in members]
+
+
+def _candidates(equation: Equation, its: Findings) -> list[Element]:
+    if not equation.candidates:
         return []
-    rows = [
+    rows: list[list[Child]] = [
         [
-            element("code", its.rounded(each["expression"])),
-            "shown" if each["selected"] else number(each["nats"], 3),
-            r2_cell(each["r2"]),
-            r2_cell(each["held_out_r2"]) + (" (left out in turn)" if each["cross_validated"] else ""),
-            str(each["complexity"]),
-            each["origin"] or "",
+            element("code", its.rounded(candidate.expression)),
+            "shown" if candidate.selected else number(candidate.nats, 3),
+            r2_cell(candidate.r2),
+            r2_cell(candidate.held_out_r2) + (" (left out in turn)" if candidate.cross_validated else ""),
+            str(candidate.complexity),
+            candidate.origin or "",
         ]
-        for each in others
+        for candidate in equation.candidates
     ]
     heads = ["expression", "nats", "R²", "held-out R²", "complexity", "origin"]
-    return [table(f"Candidates of {equation['lhs']}", heads, rows), *_decision(equation)]
+    return [table(f"Candidates of {equation.lhs}", heads, rows), *_decision(equation)]
 
 
-def _decision(equation: Mapping[str, Any]) -> list[Element]:
+def _decision(equation: Equation) -> list[Element]:
     """Return what would decide between the candidates, where that is known."""
-    its = equation.get("prediction") or {}
-    if not its.get("measure_from"):
+    prediction = equation.prediction
+    if prediction is None or not prediction.measure_from:
         return []
-    start = ", ".join(f"{name} = {number(value)}" for name, value in its["measure_from"].items())
-    disputed = "The candidates foretell different courses from other initial states. " if its.get("is_disputed") else ""
+    start = ", ".join(f"{name} = {number(value)}" for name, value in prediction.measure_from.items())
+    disputed = "The candidates foretell different courses from other initial states. " if prediction.is_disputed else ""
     return [paragraph(f"{disputed}A measurement that begins at {start} would tell most between them.")]

@@ -1,12 +1,15 @@
 """The constants with their errors, and which of them the data hardly tell apart."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from atoll.model.parameters import constant_names, differing_groups, interval_text
+from atoll.model.groups import differing_groups
+from atoll.model.parameters import constant_names, interval_text
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
 from atoll.report.markup import Element, element, figure, number, paragraph, section, table
+from atoll_coordinator.result.equations import Equation, Estimate, SimpleNumber
+from atoll_coordinator.result.findings import Correlation
 
 if TYPE_CHECKING:
     from atoll.experiments.determination import Identifiability, ProfiledConstant
@@ -15,7 +18,7 @@ if TYPE_CHECKING:
 def constants(its: Findings) -> list[Element]:
     """Return the section, none where no equation has a constant."""
     names = constant_names(its.result)
-    rows = [row for each in its.result["equations"] for row in _rows(each, names[each["variable"]])]
+    rows = [row for equation in its.result.equations for row in _rows(equation, names[equation.variable])]
     if not rows:
         return []
     heads = [
@@ -28,8 +31,9 @@ def constants(its: Findings) -> list[Element]:
         "simple number near it",
         "determined",
     ]
-    notes = [paragraph(text) for each in its.result["equations"] for text in _together(each, names[each["variable"]])]
-    notes += [paragraph(_correlation(each, names)) for each in its.result.get("correlations") or ()]
+    equations = its.result.equations
+    notes = [paragraph(text) for one in equations for text in _together(one, names[one.variable])]
+    notes += [paragraph(_correlation(pair, names)) for pair in its.result.correlations]
     profiles = [] if its.identifiability is None else _profiles(its.identifiability)
     if count_constants(its.result) > MOST_PROFILES:
         profiles.append(paragraph("coordinator analyse --identifiability says what the data determine of so many."))
@@ -50,24 +54,25 @@ def _groups(its: Findings, names: Mapping[str, Sequence[str]]) -> list[Element]:
     if not differing_groups(its.result):
         return []
     heads = ["equation", "constant", "group", "value", "standard error", "95 % interval"]
-    rows = [row for each in its.result["equations"] for row in _rows_of_groups(each, names[each["variable"]])]
+    equations = its.result.equations
+    rows = [row for equation in equations for row in _rows_of_groups(equation, names[equation.variable])]
     return [table("Constants that differ between groups; those above are means", heads, rows)]
 
 
-def _rows_of_groups(equation: Mapping[str, Any], names: Sequence[str]) -> list[list[str | Element]]:
+def _rows_of_groups(equation: Equation, names: Sequence[str]) -> list[list[str | Element]]:
     return [
         [
-            equation["lhs"],
+            equation.lhs,
             element("span", names[place]),
-            element("span", str(group["group"])),
-            number(its["value"], 6),
-            number(its["std_error"], 2),
-            interval_text(its["interval"]) if its.get("interval") else "",
+            element("span", group.group),
+            number(constant.value, 6),
+            number(constant.std_error, 2),
+            interval_text(constant.interval) if constant.interval else "",
         ]
-        for place, mean in enumerate(equation.get("constants") or ())
-        if not mean.get("shared")
-        for group in equation.get("groups") or ()
-        for its in group["constants"][place : place + 1]
+        for place, mean in enumerate(equation.constants)
+        if not mean.shared
+        for group in equation.groups
+        for constant in group.constants[place : place + 1]
     ]
 
 
@@ -98,43 +103,44 @@ def _profile(its: "ProfiledConstant", most: float) -> Element:
     return figure(drawn.svg(), its.name, table(f"profile of {its.name}", ["value", "deviance"], rows))
 
 
-def _rows(equation: Mapping[str, Any], names: Sequence[str]) -> list[list[str | Element]]:
-    listed = [*zip(names, equation.get("constants") or (), strict=True)]
-    listed += [(f"1 of {each['of']}", each) for each in equation.get("implied") or ()]
+def _rows(equation: Equation, names: Sequence[str]) -> list[list[str | Element]]:
+    listed: list[tuple[str, Estimate]] = [*zip(names, equation.constants, strict=True)]
+    listed += [(f"1 of {factor.of}", factor) for factor in equation.implied]
     return [
         [
-            equation["lhs"],
+            equation.lhs,
             element("span", name),
-            number(its["value"], 6),
-            number(its["fitted"], 6),
-            number(its["std_error"], 2),
-            interval_text(its["interval"]) if its.get("interval") else "",
-            _simple(its.get("simple")),
-            "" if its["std_error"] is None else "yes" if its["identifiable"] else "not by these data",
+            number(estimate.value, 6),
+            number(estimate.fitted, 6),
+            number(estimate.std_error, 2),
+            interval_text(estimate.interval) if estimate.interval else "",
+            _simple(estimate.simple),
+            "" if estimate.std_error is None else "yes" if estimate.identifiable else "not by these data",
         ]
-        for name, its in listed
+        for name, estimate in listed
     ]
 
 
-def _simple(its: Mapping[str, Any] | None) -> str:
-    if not its or its.get("odds") is None:
+def _simple(simple: SimpleNumber | None) -> str:
+    if not simple or simple.odds is None:
         return ""
-    return f"{number(its['value'], 6)}, odds {number(its['odds'], 2)}, {number(its['standard_errors'], 2)} se off"
+    return f"{number(simple.value, 6)}, odds {number(simple.odds, 2)}, {number(simple.standard_errors, 2)} se off"
 
 
-def _together(equation: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+def _together(equation: Equation, names: Sequence[str]) -> list[str]:
     """Return a sentence on simple numbers of several constants together; nothing where others are likelier."""
-    its = equation.get("simple_together")
-    if not its or its.get("odds") is None:
+    together = equation.simple_together
+    if not together or together.odds is None:
         return []
-    pairs = zip(its["constants"], its["values"], strict=True)
+    pairs = zip(together.constants, together.values, strict=True)
     simple = " and ".join(f"{names[place]} = {number(value, 6)}" for place, value in pairs)
     return [
-        f"{simple}, judged together: odds {number(its['odds'], 2)} against all other numbers "
-        f"(chi-square {number(its['chi_square'], 2)})."
+        f"{simple}, judged together: odds {number(together.odds, 2)} against all other numbers "
+        f"(chi-square {number(together.chi_square, 2)})."
     ]
 
 
-def _correlation(its: Mapping[str, Any], names: Mapping[str, Sequence[str]]) -> str:
-    first, second = (names[its[key]["variable"]][its[key]["constant"]] for key in ("first", "second"))
-    return f"{first} and {second} are hardly told apart: correlation {number(its['value'], 3)}."
+def _correlation(correlation: Correlation, names: Mapping[str, Sequence[str]]) -> str:
+    places = (correlation.first, correlation.second)
+    first, second = (names[place.variable][place.constant or 0] for place in places)
+    return f"{first} and {second} are hardly told apart: correlation {number(correlation.value, 3)}."

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from atoll.model.parameters import differing_groups
+from atoll.model.groups import differing_groups
 from atoll.report.chart import COLORS, Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, figure, legend, number, paragraph, section, table
@@ -63,7 +63,7 @@ def _phase_plane(its: Findings, found: "Analysis") -> Element:
     ]
     if found.cycles.cycles:
         marks.append(("line cycle", "limit cycle"))
-    marks += [(f"line c{index}", f"trajectory {part['name']}") for index, part in enumerate(chosen(its.trajectories))]
+    marks += [(f"line c{index}", f"trajectory {part.name}") for index, part in enumerate(chosen(its.trajectories))]
     return figure(
         drawn.svg(),
         "Phase plane" + ("; shades tell which attractor is reached" if len(found.basins.attractors) > 1 else ""),
@@ -117,14 +117,15 @@ def _add_arrows(drawn: Chart, found: "Analysis") -> None:
 
 
 def _add_trajectories(drawn: Chart, its: Findings) -> None:
-    columns = list(its.result["system"]["states"]) if its.system.get("states") else []
+    columns = its.system.states
     if len(columns) != 2:
         return
     first, second = columns
     for index, part in enumerate(chosen(its.trajectories)):
-        if part.get("measured"):
-            drawn.add_points(part["measured"][first], part["measured"][second], f"small c{index}")
-        drawn.add_line(part["values"][first], part["values"][second], f"c{index}")
+        if part.measured:
+            drawn.add_points(part.measured[first], part.measured[second], f"small c{index}")
+        values = part.values or {}
+        drawn.add_line(values[first], values[second], f"c{index}")
 
 
 def _searched(found: Mapping[str, Any]) -> Element:

@@ -1,10 +1,14 @@
 """What a page is about: a result, and where there is one its model and how it moves."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
-from atoll.model.model import DIGITS, Model
+from atoll.model.equations import DIGITS
+from atoll.model.model import Model
+from atoll_coordinator.result.findings import System
+from atoll_coordinator.result.result import Result
+from atoll_coordinator.result.trajectories import Simulated
 from atoll_core.errors import DataError, UsageError
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
@@ -22,13 +26,13 @@ MOST_PROFILES: Final = 12
 
 @dataclass(frozen=True)
 class Findings:
-    """The content of result.json, and what is found of its model (None where an equation was not found).
+    """A result, and what is found of its model (None where an equation was not found).
 
     These are the dynamics, what the data determine of the constants, and the experiments to make next; each is None
     where there is nothing to find it from. `unanalysed` says why there are no dynamics, "" where there are.
     """
 
-    result: Mapping[str, Any]
+    result: Result
     model: Model | None
     analysis: "Analysis | None" = None
     unanalysed: str = ""
@@ -36,7 +40,7 @@ class Findings:
     suggestions: "Suggestions | None" = None
 
     @classmethod
-    def of(cls, result: Mapping[str, Any]) -> "Findings":
+    def of(cls, result: Result) -> "Findings":
         """Return the findings of a result, which takes a few seconds for two states."""
         try:
             model = Model(result)
@@ -53,34 +57,34 @@ class Findings:
             return cls(result, model, None, str(error), identifiability, suggestions)
 
     @property
-    def system(self) -> Mapping[str, Any]:
-        """What the columns are; empty of a result that does not say."""
-        return self.result.get("system") or {}
+    def system(self) -> System:
+        """What the columns are, as far as the result says."""
+        return self.result.columns
 
     @property
     def time(self) -> str:
         """The name of the time column."""
-        return str(self.system.get("time") or "t")
+        return self.result.time
 
     @property
-    def trajectories(self) -> Sequence[Mapping[str, Any]]:
+    def trajectories(self) -> tuple[Simulated, ...]:
         """The simulated trajectories; empty where nothing was simulated."""
-        return (self.result.get("simulation") or {}).get("trajectories") or ()
+        return self.result.simulated
 
     def rounded(self, expression: str) -> str:
         """Return an expression with its constants in a few digits."""
-        names = list(self.result["symbols"].values())
+        names = self.result.names
         return to_infix(from_infix(expression, names), names, digits=DIGITS)
 
     def labelled(self, column: str) -> str:
         """Return a column name with its unit."""
-        unit = (self.system.get("units") or {}).get(column)
+        unit = self.result.units.get(column)
         return f"{column} [{unit}]" if unit else column
 
 
-def count_constants(result: Mapping[str, Any]) -> int:
+def count_constants(result: Result) -> int:
     """Return how many constants were fitted, factors of 1 that nobody writes included."""
-    return sum(len(each.get(key) or ()) for each in result["equations"] for key in ("constants", "implied"))
+    return sum(len(equation.constants) + len(equation.implied) for equation in result.equations)
 
 
 def _found(find: Callable[[], Found]) -> Found | None:

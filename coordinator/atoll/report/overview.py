@@ -1,12 +1,13 @@
 """What was asked and what was found, in one screen."""
 
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
-from atoll.model.display import equation_mathml
-from atoll.model.parameters import r2_text, remark_on_groups
+from atoll.display.notation import equation_mathml
+from atoll.model.groups import remark_on_groups
+from atoll.model.parameters import r2_text
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, facts, number, paragraph, parse_mathml, scrolling, section
+from atoll_coordinator.result.equations import Equation
 
 MEANINGS: Final = {
     "exact": "the data single this equation out, to all of their digits",
@@ -18,15 +19,15 @@ MEANINGS: Final = {
 
 def overview(its: Findings) -> Element:
     """Return the section: equations with verdicts, then what was asked."""
-    found = its.result
-    equations = [_equation(each, its) for each in found["equations"]]
-    warnings = [element("li", text) for text in found.get("warnings") or ()]
+    result = its.result
+    equations = [_equation(equation, its) for equation in result.equations]
+    warnings = [element("li", text) for text in result.warnings]
     noted = (element("h3", "Warnings"), element("ul", *warnings)) if warnings else ()
-    remark = remark_on_groups(found)
+    remark = remark_on_groups(result)
     said = [remark] if remark else []
-    if found.get("process"):
+    if result.process:
         said.append("Of a state x, d[x]/dt is the variance that noise adds in a unit of time.")
-    verdicts = dict.fromkeys(each["verdict"] for each in found["equations"] if each.get("verdict") is not None)
+    verdicts = dict.fromkeys(one.verdict for one in result.equations if one.verdict is not None)
     meanings = element(
         "small", " ".join(f"{each.capitalize()}: {MEANINGS[each]}." for each in verdicts if each in MEANINGS)
     )
@@ -34,15 +35,15 @@ def overview(its: Findings) -> Element:
     return section("found", "Found", *equations, *said_of_all, facts(_facts(its)), *noted)
 
 
-def _equation(each: Mapping[str, Any], its: Findings) -> Element:
-    verdict, reason = each.get("verdict"), each.get("reason")
+def _equation(equation: Equation, its: Findings) -> Element:
+    verdict, reason = equation.verdict, equation.reason
     parts = []
-    if each.get("expression") is not None:
-        names = list(its.result["symbols"].values())
-        formula = parse_mathml(equation_mathml(each["lhs"], each["variable"], each["expression"], names))
-        parts.append(scrolling(f"equation {each['lhs']}", formula))
+    if equation.expression is not None:
+        names = its.result.names
+        formula = parse_mathml(equation_mathml(equation.lhs, equation.variable, equation.expression, names))
+        parts.append(scrolling(f"equation {equation.lhs}", formula))
     else:
-        parts.append(paragraph(f"{each['lhs']}: no equation"))
+        parts.append(paragraph(f"{equation.lhs}: no equation"))
     if verdict is not None:
         badge = element("strong", verdict, class_=f"verdict {verdict.replace(' ', '-')}")
         parts.append(paragraph(badge, f" {reason or ''}"))
@@ -50,28 +51,28 @@ def _equation(each: Mapping[str, Any], its: Findings) -> Element:
 
 
 def _facts(its: Findings) -> list[tuple[str, str]]:
-    found, system = its.result, its.system
-    data = found.get("data") or {}
-    said = [("Data", f"{', '.join(data['files'])}: {data['rows']} rows")] if data else []
-    if found.get("group") is not None:
-        said.append(("Group", str(found["group"])))
-    names = {"states": "States", "inputs": "Inputs"}
-    said += [(names[key], ", ".join(map(its.labelled, system[key]))) for key in names if system.get(key)]
-    if system.get("target"):
-        said.append(("Target", its.labelled(system["target"])))
-    if system.get("time"):
-        said.append(("Time", its.labelled(system["time"])))
-    if system.get("ranges"):
-        ranges = (f"{name} {number(low)} to {number(high)}" for name, (low, high) in system["ranges"].items())
+    result, system = its.result, its.system
+    data = result.data
+    said = [] if data is None else [("Data", f"{', '.join(data.files)}: {data.rows} rows")]
+    if result.group is not None:
+        said.append(("Group", result.group))
+    lists = (("States", system.states), ("Inputs", system.inputs))
+    said += [(name, ", ".join(map(its.labelled, columns))) for name, columns in lists if columns]
+    if system.target:
+        said.append(("Target", its.labelled(system.target)))
+    if system.time:
+        said.append(("Time", its.labelled(system.time)))
+    if system.ranges:
+        ranges = (f"{name} {number(low)} to {number(high)}" for name, (low, high) in system.ranges.items())
         said.append(("Range searched", ", ".join(ranges)))
     said += _simulation(its)
-    if found.get("state") not in (None, "done"):
-        said.append(("Job", f"{found['state']}: {found.get('reason') or 'ended early'}"))
+    if result.state not in (None, "done"):
+        said.append(("Job", f"{result.state}: {result.reason or 'ended early'}"))
     return said
 
 
 def _simulation(its: Findings) -> list[tuple[str, str]]:
-    values = [value for each in its.trajectories for value in (each.get("r2") or {}).values() if value is not None]
+    values = [value for part in its.trajectories for value in part.r2.values() if value is not None]
     if not values:
         return []
     on = f" on {len(its.trajectories)} trajectories" if len(its.trajectories) > 1 else ""

@@ -1,9 +1,8 @@
 """The page: a head, a list of its sections, and the sections."""
 
-from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
-from typing import Any, Final
+from typing import Final
 
 from atoll.report.choice import choice
 from atoll.report.constants import constants
@@ -16,14 +15,15 @@ from atoll.report.process import process
 from atoll.report.regression import regression
 from atoll.report.search import search
 from atoll.report.trajectories import trajectories
+from atoll_coordinator.result.result import Result
 from atoll_core import VERSION
 
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """Nothing is loaded and no script runs, whatever a name in the data may hold."""
 
 
-def as_html(result: Mapping[str, Any]) -> str:
-    """Return the page of a result (the content of result.json); its model is analysed, which takes a few seconds."""
+def as_html(result: Result) -> str:
+    """Return the page of a result; its model is analysed, which takes a few seconds."""
     return as_text(build_page(result))
 
 
@@ -32,7 +32,7 @@ def as_text(page: Element) -> str:
     return "<!DOCTYPE html>\n" + to_text(page) + "\n"
 
 
-def build_page(result: Mapping[str, Any]) -> Element:
+def build_page(result: Result) -> Element:
     """Return the page of a result as an element."""
     its = Findings.of(result)
     sections = [
@@ -74,7 +74,8 @@ def _alone(picture: Element) -> str:
 
 
 def _title(its: Findings) -> str:
-    names = (its.result.get("data") or {}).get("files") or [f"job {its.result['job']}"]
+    data = its.result.data
+    names = (data.files if data is not None else ()) or (f"job {its.result.job}",)
     return f"Equations of {', '.join(names)}"
 
 

@@ -1,33 +1,36 @@
 """Measured beside fitted values of y = f(X)."""
 
+from collections.abc import Sequence
+
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, figure, number, section, table
-from atoll.report.trajectories import ROWS
+from atoll.report.trajectories import ROWS, difference
 
 
 def regression(its: Findings) -> list[Element]:
     """Return the section, none of a model of dynamics: over the variable, of several fitted over measured values."""
-    found = its.result.get("regression")
-    if not found:
+    known = its.result.regression
+    if known is None:
         return []
-    target, variables = str(its.system["target"]), found["variables"]
-    fitted, measured = found["fitted"], found["measured"]
+    target, variables = str(its.system.target), known.variables
+    fitted, measured = known.fitted, known.measured
     if len(variables) == 1:
         ((name, values),) = variables.items()
         fit = Chart(f"{target} over {name}", Axis(its.labelled(name)), Axis(its.labelled(target)))
         fit.add_points(values, measured, "c0")
-        order = sorted(range(len(values)), key=values.__getitem__)
+        order = [row for _, row in sorted((value, row) for row, value in enumerate(values) if value is not None)]
         fit.add_line([values[row] for row in order], [fitted[row] for row in order], "c1")
     else:
         fit = Chart(f"{target} fitted over measured", Axis("measured"), Axis("fitted"))
         fit.add_points(measured, fitted, "c0")
-        fit.add_line([min(measured), max(measured)], [min(measured), max(measured)], "rule")
-    residuals = [one - other if other is not None else None for one, other in zip(measured, fitted, strict=True)]
+        ends = _ends(measured)
+        fit.add_line(ends, ends, "rule")
+    residuals = difference(measured, fitted)
     left = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured less fitted"))
     left.add_points(fitted, residuals, "c0")
     rows = zip(*variables.values(), measured, fitted, strict=True)
-    some = list(rows)[:: max(1, found["listed"] // ROWS)]
+    some = list(rows)[:: max(1, len(measured) // ROWS)]
     numbers = table(
         f"{target}, measured and fitted",
         [*variables, "measured", "fitted"],
@@ -38,3 +41,8 @@ def regression(its: Findings) -> list[Element]:
         figure(left.svg(), "what the model leaves", None), class_="pictures",
     )  # fmt: skip
     return [section("fit", "Measured and fitted", pictures)]
+
+
+def _ends(values: Sequence[float | None]) -> list[float]:
+    known = [value for value in values if value is not None]
+    return [min(known), max(known)] if known else []

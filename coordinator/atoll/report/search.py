@@ -1,12 +1,12 @@
 """How the islands converged, and what the search cost."""
 
-from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
 from atoll.report.chart import COLORS, Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, figure, number, paragraph, section, table
+from atoll_coordinator.result.equations import Equation
 
 ENDS: Final = {
     "target": "the target error was met",
@@ -21,14 +21,15 @@ ENDS: Final = {
 
 def search(its: Findings) -> list[Element]:
     """Return the section."""
-    equations = its.result["equations"]
+    equations = its.result.equations
     rows = [
-        [each["lhs"], ENDS.get(each["why"], each["why"] or ""), str(each["epoch"]), f"{each['point_evaluations']:.3g}",
-         number(each["seconds"], 3), each.get("origin") or ""]
-        for each in equations
+        [equation.lhs, ENDS.get(equation.why or "", equation.why or ""), str(equation.epoch),
+         f"{equation.point_evaluations or 0:.3g}",
+         number(equation.seconds, 3), equation.origin or ""]
+        for equation in equations
     ]  # fmt: skip
     heads = ["equation", "the search ended because", "epochs", "point evaluations", "seconds", "shown comes from"]
-    pictures = [_convergence(each) for each in equations if each.get("convergence")]
+    pictures = [_convergence(equation) for equation in equations if equation.convergence]
     text = paragraph("The best error of each island over generations, relative to the target's deviation.")
     return [
         section(
@@ -41,19 +42,19 @@ def search(its: Findings) -> list[Element]:
     ]
 
 
-def _convergence(equation: Mapping[str, Any]) -> Element:
+def _convergence(equation: Equation) -> Element:
     drawn = Chart(
-        f"convergence of the islands of {equation['lhs']}", Axis("generation"), Axis("error", is_logarithmic=True)
+        f"convergence of the islands of {equation.lhs}", Axis("generation"), Axis("error", is_logarithmic=True)
     )
-    last = max(each["generations"][-1] for each in equation["convergence"])
-    for each in equation["convergence"]:
-        generations, errors = [*each["generations"], last], [*each["errors"], each["errors"][-1]]
+    last = max(course.generations[-1] for course in equation.convergence)
+    for course in equation.convergence:
+        generations, errors = [*course.generations, last], [*course.errors, course.errors[-1]]
         x = [value for pair in pairwise(generations) for value in pair]
         y = [value for value in errors[:-1] for _ in range(2)]
-        drawn.add_line(x, y, f"c{each['island'] % COLORS}")
+        drawn.add_line(x, y, f"c{course.island % COLORS}")
     rows = [
-        [str(each["island"]), str(each["generations"][-1]), number(each["errors"][-1], 3)]
-        for each in equation["convergence"]
+        [str(course.island), str(course.generations[-1]), number(course.errors[-1], 3)]
+        for course in equation.convergence
     ]
-    numbers = table(f"islands of {equation['lhs']}", ["island", "last improvement", "error"], rows)
-    return figure(drawn.svg(), equation["lhs"], numbers)
+    numbers = table(f"islands of {equation.lhs}", ["island", "last improvement", "error"], rows)
+    return figure(drawn.svg(), equation.lhs, numbers)

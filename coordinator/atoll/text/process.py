@@ -1,47 +1,64 @@
 """What a result says of a stochastic process as a whole, in lines of text."""
 
-from collections.abc import Mapping
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 from atoll.text.tables import percent, plus_minus
+from atoll_coordinator.result.findings import Density, PathEnsemble, Process
+from atoll_coordinator.result.result import Result
 
 _EULER_MARUYAMA: Final = "rows are the steps of Euler and Maruyama's method rather than samples of a process in time"
 _BLOCKS: Final = " ▁▂▃▄▅▆▇█"
 
 
-def process_lines(result: Mapping[str, Any]) -> list[str]:
+def process_lines(result: Result) -> list[str]:
     """Return lines about the process of a result; none when it has none."""
-    its = result.get("process")
-    if its is None:
+    process = result.process
+    if process is None:
         return []
-    lines = [
-        f"errors of measurement of {state}: {plus_minus(noise['sd'], noise['std_error'] or 0.0)}"
-        for state, noise in its["measurement_noise"].items()
-    ]
-    if its["discretisation"] == "Euler-Maruyama":
-        lines.insert(0, f"{_EULER_MARUYAMA} ({its['discretisation_nats']:.3g} nats shorter so)")
-    ensemble = its["ensemble"]
-    if ensemble is not None:
-        ranges = [
-            f"{state} from {ensemble['lower'][state][-1]:.3g} to {ensemble['upper'][state][-1]:.3g}"
-            for state in ensemble["mean"]
-        ]
-        start = f"{ensemble['finite_paths']} paths from the beginning of trajectory {ensemble['trajectory']}"
-        lines.append(f"ensemble: {start}; at t = {ensemble['times'][-1]:.6g} 90 % have {', '.join(ranges)}")
-    if its["stationary"] is None:
-        has_inputs = bool((result.get("system") or {}).get("inputs"))
-        reason = "not sought: there are inputs" if has_inputs else "none that simulations settle into"
+    lines = [*_discretisation_line(process), *_noise_lines(process)]
+    if process.ensemble is not None:
+        lines.append(_ensemble_line(process.ensemble))
+    if process.stationary is None:
+        reason = "not sought: there are inputs" if result.columns.inputs else "none that simulations settle into"
         return [*lines, f"stationary density: {reason}"]
-    for state, density in its["stationary"].items():
-        edges = density["edges"]
-        lines.append(
-            f"stationary density of {state}: {density['mean']:.3g} ± {density['sd']:.3g}, overlaps the measured one by "
-            f"{percent(density['overlap'])}"
-        )
-        lines.append(f"    {edges[0]:.3g} {_bars(density['density'])} {edges[-1]:.3g}")
-    return lines
+    return [*lines, *(line for state, density in process.stationary.items() for line in _density_lines(state, density))]
 
 
-def _bars(values: list[float]) -> str:
-    most = max(values) or 1.0
-    return "".join(_BLOCKS[round((len(_BLOCKS) - 1) * value / most)] for value in values)
+def _discretisation_line(process: Process) -> list[str]:
+    if process.discretisation != "Euler-Maruyama":
+        return []
+    return [f"{_EULER_MARUYAMA} ({_short(process.discretisation_nats)} nats shorter so)"]
+
+
+def _noise_lines(process: Process) -> list[str]:
+    return [
+        f"errors of measurement of {state}: {plus_minus(noise.sd or 0.0, noise.std_error or 0.0)}"
+        for state, noise in process.measurement_noise.items()
+    ]
+
+
+def _ensemble_line(ensemble: PathEnsemble) -> str:
+    ranges = [
+        f"{state} from {_short(ensemble.lower[state][-1])} to {_short(ensemble.upper[state][-1])}"
+        for state in ensemble.mean
+    ]
+    start = f"{ensemble.finite_paths} paths from the beginning of trajectory {ensemble.trajectory}"
+    return f"ensemble: {start}; at t = {_short(ensemble.times[-1], 6)} 90 % have {', '.join(ranges)}"
+
+
+def _density_lines(state: str, density: Density) -> list[str]:
+    sizes = f"{_short(density.mean)} ± {_short(density.sd)}"
+    overlap = f"overlaps the measured one by {percent(density.overlap)}"
+    bars = f"    {_short(density.edges[0])} {_bars(density.density)} {_short(density.edges[-1])}"
+    return [f"stationary density of {state}: {sizes}, {overlap}", bars]
+
+
+def _short(value: float | None, digits: int = 3) -> str:
+    return "?" if value is None else f"{value:.{digits}g}"
+
+
+def _bars(values: Sequence[float | None]) -> str:
+    heights = [value or 0.0 for value in values]
+    most = max(heights, default=0.0) or 1.0
+    return "".join(_BLOCKS[round((len(_BLOCKS) - 1) * height / most)] for height in heights)

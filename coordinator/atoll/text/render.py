@@ -1,16 +1,18 @@
-"""A result for people and for other programs: text, CSV, sympy, LaTeX. Works on the dictionary of ``result.json``."""
+"""A result for people and for other programs: text, CSV, sympy, LaTeX."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from atoll.model.export.text import as_csv, as_latex, as_sympy
+from atoll.export.text import as_csv, as_latex, as_sympy
 from atoll.model.parameters import constant_names
 from atoll.text import tables
 from atoll.text.process import process_lines
+from atoll_coordinator.result.equations import Equation, Member
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
@@ -30,19 +32,24 @@ _ENDS: Final = {
 }
 
 
-def render(result: Mapping[str, Any], how: str) -> str:
+def render(result: Result, how: str) -> str:
     """Return `result` in one of `FORMATS` but json, which needs nothing from here.
 
     Raises:
         UsageError: `how` is no such format.
     """
-    renderers = {"text": render_text, "csv": as_csv, "sympy": as_sympy, "latex": as_latex}
+    renderers: dict[str, Callable[[Result], str]] = {
+        "text": render_text,
+        "csv": as_csv,
+        "sympy": as_sympy,
+        "latex": as_latex,
+    }
     if how not in renderers:
         raise UsageError(f"{how!r} is no format of a result; choose one of {', '.join(FORMATS)}")
     return renderers[how](result)
 
 
-def pick(result: Mapping[str, Any], picks: Mapping[str, int]) -> dict[str, Any]:
+def pick(result: Result, picks: Mapping[str, int]) -> Result:
     """Return `result` with other members of the fronts selected: by variable, the number that the front table shows.
 
     What belongs to the selected equation is taken from the front; when and at what cost the search ended stays. What
@@ -51,16 +58,17 @@ def pick(result: Mapping[str, Any], picks: Mapping[str, int]) -> dict[str, Any]:
     Raises:
         UsageError: a variable or number does not exist.
     """
-    known = [equation["variable"] for equation in result["equations"]]
+    known = [equation.variable for equation in result.equations]
     for variable in picks:
         if variable not in known:
             raise UsageError(f"--pick names the equation {variable!r}, but there are only {', '.join(known)}")
-    is_of_group = result.get("group") is not None
+    is_of_group = result.group is not None
     equations = [
-        _picked(equation, picks[equation["variable"]], is_of_group) if equation["variable"] in picks else equation
-        for equation in result["equations"]
+        _picked(equation, picks[equation.variable], is_of_group) if equation.variable in picks else equation
+        for equation in result.equations
     ]
-    return {**result, "equations": equations, "correlations": [], "shared_terms": [], "simulation": None}
+    unknown = {"correlations": (), "shared_terms": (), "simulation": None}
+    return result.model_copy(update={"equations": tuple(equations), **unknown})
 
 
 def parse_picks(texts: Sequence[str]) -> dict[str, int]:
@@ -76,22 +84,22 @@ def parse_picks(texts: Sequence[str]) -> dict[str, int]:
     return picks
 
 
-def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
+def render_text(result: Result, *, fronts: bool = False) -> str:
     """Return the equations for people, one after another; with `fronts`, all tables: the fronts, with numbers to pick,
     constants, contenders, noise and simulations.
     """
-    names = _names(result)
+    names = result.names
     called = constant_names(result)
-    blocks = [_equation_text(each, names, called[each["variable"]], fronts) for each in result["equations"]]
+    blocks = [_equation_text(equation, names, called[equation.variable], fronts) for equation in result.equations]
     if fronts:
         blocks += [*tables.noise_lines(result), *tables.simulation_table(result), *tables.correlation_lines(result)]
     else:
         blocks += tables.summary(result)
     blocks += _shared_lines(result)
     blocks += process_lines(result)
-    blocks += [f"warning: {warning}" for warning in result.get("warnings", ())]
-    evaluations, seconds = result["point_evaluations"], result["search_seconds"]
-    blocks.append(f"{_count(evaluations)} point evaluations in {_number(seconds)} s of search, seed {result['seed']}")
+    blocks += [f"warning: {warning}" for warning in result.warnings]
+    evaluations, seconds = result.point_evaluations, result.search_seconds
+    blocks.append(f"{_count(evaluations or 0)} point evaluations in {_number(seconds)} s of search, seed {result.seed}")
     return "\n".join(blocks)
 
 
@@ -100,112 +108,113 @@ def display(expression: str, names: Sequence[str]) -> str:
     return to_infix(from_infix(expression, names), names, digits=DIGITS)
 
 
-def _names(result: Mapping[str, Any]) -> list[str]:
-    return list(result["symbols"].values())
-
-
-def _picked(equation: Mapping[str, Any], number: int, is_of_group: bool) -> dict[str, Any]:
-    front = equation["front"]
+def _picked(equation: Equation, number: int, is_of_group: bool) -> Equation:
+    front = equation.front
     if not 0 <= number < len(front):
         there = f"from 0 to {len(front) - 1}" if front else "there are none yet"
-        raise UsageError(f"--pick {equation['variable']}={number} is not on the front; choose a number {there}")
+        raise UsageError(f"--pick {equation.variable}={number} is not on the front; choose a number {there}")
+    member = front[number]
+    error, most = member.normalized_error, equation.target_error
     taken = ("expression", "complexity", "error", "normalized_error", "r2", "constants")
-    members = [{**member, "selected": index == number} for index, member in enumerate(front)]
-    best = {key: front[number][key] for key in taken}
-    best["origin"] = "known" if equation["why"] == "known" else "front"
-    error = best["normalized_error"]
-    converged = error is not None and error <= equation["target_error"]
-    unknown: dict[str, Any] = {"verdict": None, "reason": None, "candidates": [], "groups": []}
-    if is_of_group or equation.get("groups"):
-        unknown["is_of_all_groups"] = True
-    return {**equation, **best, **unknown, "converged": converged, "front": members}
+    return equation.model_copy(
+        update={
+            **{key: getattr(member, key) for key in taken},
+            "origin": "known" if equation.why == "known" else "front",
+            "converged": error is not None and most is not None and error <= most,
+            "front": tuple(one.model_copy(update={"selected": one is member}) for one in front),
+            "is_of_all_groups": is_of_group or bool(equation.groups) or equation.is_of_all_groups,
+            **{"verdict": None, "reason": None, "candidates": (), "groups": ()},
+        }
+    )
 
 
-def _shared_lines(result: Mapping[str, Any]) -> list[str]:
+def _shared_lines(result: Result) -> list[str]:
     """Return a line for each flux, and for each other term with a function that several equations have in common."""
-    names = _names(result)
-    sides = {equation["variable"]: equation["lhs"] for equation in result["equations"]}
+    names = result.names
+    sides = {equation.variable: equation.lhs for equation in result.equations}
     lines = []
-    for each in result.get("shared_terms", ()):
-        multiples = {variable: its for variable, its in (each.get("multiples") or {}).items() if its is not None}
+    for shared in result.shared_terms:
+        multiples = {variable: count for variable, count in (shared.multiples or {}).items() if count is not None}
         if multiples:
             variable = next(iter(multiples))
-            rate = abs(each["factors"][variable] / multiples[variable])
+            rate = abs((shared.factors[variable] or 0.0) / multiples[variable])
             times = ", ".join(f"{multiples[one]:+.6g} in {sides[one]}" for one in multiples)
-            flux = display(f"{rate!r}*({each['term']})", names)
+            flux = display(f"{rate!r}*({shared.term})", names)
             lines.append(f"flux: {flux}, {times}")
-        elif each["has_function"]:
-            within = ", ".join(sides[variable] for variable in each["factors"])
-            lines.append(f"shared: {display(each['term'], names)} in {within}")
+        elif shared.has_function:
+            within = ", ".join(sides[variable] for variable in shared.factors)
+            lines.append(f"shared: {display(shared.term, names)} in {within}")
     return lines
 
 
-def _equation_text(equation: Mapping[str, Any], names: Sequence[str], called: Sequence[str], with_tables: bool) -> str:
-    if equation["expression"] is None:
-        return f"{equation['lhs']} = ?\n    nothing found yet"
-    lines = [f"{equation['lhs']} = {display(equation['expression'], names)}"]
-    constants = None if with_tables else tables.constants_line(equation["constants"])
+def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[str], with_tables: bool) -> str:
+    if equation.expression is None:
+        return f"{equation.lhs} = ?\n    nothing found yet"
+    lines = [f"{equation.lhs} = {display(equation.expression, names)}"]
+    constants = None if with_tables else tables.constants_line(equation.constants)
     if with_tables or constants:
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
-    lines += ["    its constants are of all groups together"] if equation.get("is_of_all_groups") else []
-    lines += tables.units_line(equation.get("units"))
-    groups = [{**each, "text": display(each["expression"], names)} for each in equation.get("groups") or ()]
-    lines += tables.groups_table(equation["constants"], groups, called)
-    if equation.get("verdict") is not None:
-        lines.append(f"    {equation['verdict']}: {equation['reason']}")
+    lines += ["    its constants are of all groups together"] if equation.is_of_all_groups else []
+    lines += tables.units_line(equation.units)
+    texts = [display(group.expression or "", names) for group in equation.groups]
+    lines += tables.groups_table(equation, texts, called)
+    if equation.verdict is not None:
+        lines.append(f"    {equation.verdict}: {equation.reason}")
     lines.append(f"    {_standing(equation)}")
     most = None if with_tables else tables.NEAREST
     if with_tables:
-        lines += tables.constants_table(equation["constants"])
-        lines += tables.together_line(equation.get("simple_together"))
-    if with_tables or equation.get("verdict") != "exact":
-        contenders = tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names), most)
+        lines += tables.constants_table(equation.constants)
+        lines += tables.together_line(equation.simple_together)
+    if with_tables or equation.verdict != "exact":
+        contenders = tables.contenders_table(equation.candidates, lambda text: display(text, names), most)
         lines += contenders
-        lines += ["    constants of contenders are of all groups together"] if contenders and groups else []
+        lines += ["    constants of contenders are of all groups together"] if contenders and texts else []
     if with_tables:
-        lines += [*_front_lines(equation["front"], names), ""]
+        lines += [*_front_lines(equation.front, names), ""]
     return "\n".join(lines)
 
 
-def _written_out(equation: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+def _written_out(equation: Equation, names: Sequence[str]) -> list[str]:
     """Return the expression with its constants where they are, if the display has other numbers, such as 1/4 for 4."""
-    program = from_infix(equation["expression"], names)
+    text = equation.expression or ""
+    program = from_infix(text, names)
     rounded = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))
-    seen = {float(number) for number in _NUMBER.findall(display(equation["expression"], names))}
-    known = {abs(float(f"{each['value']:.{DIGITS}g}")) for each in equation["constants"] if each["value"] is not None}
+    seen = {float(number) for number in _NUMBER.findall(display(text, names))}
+    values = [constant.value for constant in equation.constants if constant.value is not None]
+    known = {abs(float(f"{value:.{DIGITS}g}")) for value in values}
     return [] if known <= seen | {1.0} else [f"    written out: {to_infix(rounded, names)}"]
 
 
-def _standing(equation: Mapping[str, Any]) -> str:
-    if equation["why"] == "known":
-        return f"known: error {_number(equation['normalized_error'])} of the target's deviation"
-    found = "converged: " if equation["converged"] else "not converged: "
-    if equation["converged"] and equation.get("verdict") == "no model":  # the derivative is met, the measurements not
-        found = ""
-    text = f"{found}error {_number(equation['normalized_error'])} of the target's deviation"
-    text += f", size {equation['complexity']}, epoch {equation['epoch']}"
-    if not equation["converged"] and equation["why"] not in (None, "target"):  # "target": another member met it
-        text += f"; {_ENDS.get(equation['why'], equation['why'])}"
+def _standing(equation: Equation) -> str:
+    if equation.why == "known":
+        return f"known: error {_number(equation.normalized_error)} of the target's deviation"
+    outcome = "converged: " if equation.converged else "not converged: "
+    if equation.converged and equation.verdict == "no model":  # the derivative is met, the measurements not
+        outcome = ""
+    text = f"{outcome}error {_number(equation.normalized_error)} of the target's deviation"
+    text += f", size {equation.complexity}, epoch {equation.epoch}"
+    if not equation.converged and equation.why not in (None, "target"):  # "target": another member met it
+        text += f"; {_ENDS.get(equation.why, equation.why)}"
     return text
 
 
-def _front_lines(front: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[str]:
-    is_held_out = any(member["holdout_error"] is not None for member in front)
+def _front_lines(front: Sequence[Member], names: Sequence[str]) -> list[str]:
+    is_held_out = any(member.holdout_error is not None for member in front)
     beside = f" {'held out':>10}" if is_held_out else ""
     lines = [f"    {'pick':>4}   {'size':>4} {'error':>10}{beside} {'R2':>9}  expression"]
     for number, member in enumerate(front):
-        mark = "*" if member["selected"] else " "
+        mark = "*" if member.selected else " "
         unseen = f" {_number(_unseen(member)):>10}" if is_held_out else ""
-        figures = f"{member['complexity']:>4} {_number(member['normalized_error']):>10}{unseen}"
-        figures += f" {_rounded(member['r2']):>9}"
-        lines.append(f"    {number:>4} {mark} {figures}  {display(member['expression'], names)}")
+        figures = f"{member.complexity:>4} {_number(member.normalized_error):>10}{unseen}"
+        figures += f" {_rounded(member.r2):>9}"
+        lines.append(f"    {number:>4} {mark} {figures}  {display(member.expression, names)}")
     return lines
 
 
-def _unseen(member: Mapping[str, Any]) -> float | None:
+def _unseen(member: Member) -> float | None:
     """Return the error on held-out rows, over the deviation of the target on the rows of the search."""
-    unseen, error, normalized = member["holdout_error"], member["error"], member["normalized_error"]
+    unseen, error, normalized = member.holdout_error, member.error, member.normalized_error
     return unseen * normalized / error if unseen is not None and error and normalized else None
 
 

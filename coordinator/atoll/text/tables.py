@@ -1,13 +1,17 @@
 """What people are shown beside the equations: constants, contenders, noise, simulations. Lines of text.
 
-Works on the dictionary of ``result.json``; what a result does not have is not shown.
+What a result does not have is not shown.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import Final
 
 from atoll.model.parameters import constant_names, interval_text, r2_text
+from atoll_coordinator.result.equations import Candidate, Constant, Equation, GroupEquation, SimpleTogether, Units
+from atoll_coordinator.result.findings import Errors, ExcludedRows, Noise, Place, Quantisation
+from atoll_coordinator.result.result import Result
+from atoll_coordinator.result.trajectories import Simulated
 
 MOST_LINES: Final = 12
 """Trajectories and pairs of constants listed one by one; of more, the worst are."""
@@ -54,121 +58,126 @@ def plus_minus(value: float, error: float) -> str:
     return f"{value:.{max(decimals + size, 0)}e} ± {error:.1e}"
 
 
-def _has_errors(constant: Mapping[str, Any]) -> bool:
+def _has_errors(constant: Constant) -> bool:
     """Tell whether the error of a constant is known; where it is infinite, it is null, and nothing is determined."""
-    return constant["std_error"] is not None or not _is_told(constant) or bool(constant.get("at_bound"))
+    return constant.std_error is not None or not _is_told(constant) or bool(constant.at_bound)
 
 
-def _is_told(constant: Mapping[str, Any]) -> bool:
-    return bool(constant.get("identifiable", True))
+def _is_told(constant: Constant) -> bool:
+    return constant.identifiable
 
 
-def constants_line(constants: Sequence[Mapping[str, Any]]) -> str | None:
+def constants_line(constants: Sequence[Constant]) -> str | None:
     """Return all constants with their standard errors in a line; None when these are not known, or are rounding."""
-    known = [each for each in constants if _has_errors(each)]
-    if all(_is_exact(each) for each in known):
+    known = [constant for constant in constants if _has_errors(constant)]
+    if all(_is_exact(constant) for constant in known):
         return None
-    return "constants: " + ", ".join(_constant_text(each) for each in known)
+    return "constants: " + ", ".join(_constant_text(constant) for constant in known)
 
 
-def _is_exact(constant: Mapping[str, Any]) -> bool:
-    is_small = (constant["std_error"] or 0.0) <= _EXACT_SHARE * abs(constant["value"])
-    return is_small and _is_told(constant) and not constant.get("at_bound")
+def _is_exact(constant: Constant) -> bool:
+    is_small = (constant.std_error or 0.0) <= _EXACT_SHARE * abs(constant.value or 0.0)
+    return is_small and _is_told(constant) and not constant.at_bound
 
 
-def _constant_text(constant: Mapping[str, Any]) -> str:
+def _constant_text(constant: Constant) -> str:
     return _number_text(constant) + _unit_text(constant)
 
 
-def _unit_text(constant: Mapping[str, Any]) -> str:
-    unit = constant.get("unit")
+def _unit_text(constant: Constant) -> str:
+    unit = constant.unit
     return f" {unit}" if unit not in (None, "1") else ""
 
 
-def _remark(constant: Mapping[str, Any]) -> str:
-    if constant.get("at_bound"):
+def _remark(constant: Constant) -> str:
+    if constant.at_bound:
         return "on its bound"
     return _simple_text(constant) if _is_told(constant) else "not determined by the data"
 
 
-def _number_text(constant: Mapping[str, Any]) -> str:
-    fitted = constant["value"] if constant["fitted"] is None else constant["fitted"]
-    text = plus_minus(fitted, constant["std_error"] or 0.0)
-    shown = f"{constant['value']:.6g}"
+def _shown(constant: Constant) -> str:
+    return "?" if constant.value is None else f"{constant.value:.6g}"
+
+
+def _number_text(constant: Constant) -> str:
+    text = plus_minus(constant.estimate, constant.std_error or 0.0)
+    shown = _shown(constant)
     remark = "" if _is_told(constant) else "not determined"
-    if constant.get("at_bound"):
-        return f"{shown} (at its bound, {interval_text(constant.get('interval'))})"
-    if constant["std_error"] is None:
+    if constant.at_bound:
+        return f"{shown} (at its bound, {interval_text(constant.interval)})"
+    if constant.std_error is None:
         return f"{shown} ({remark})" if remark else shown
     if text.startswith(f"{shown} "):
         return f"{text} ({remark})" if remark else text
     return f"{shown} ({', '.join([text, remark] if remark else [text])})"
 
 
-def constants_table(constants: Sequence[Mapping[str, Any]]) -> list[str]:
+def constants_table(constants: Sequence[Constant]) -> list[str]:
     """Return a line for each constant whose standard error is known, or infinite, with a head; nothing for none."""
-    known = [each for each in constants if _has_errors(each)]
-    has_intervals = any(each.get("interval") is not None for each in known)
+    known = [constant for constant in constants if _has_errors(constant)]
+    has_intervals = any(constant.interval is not None for constant in known)
     heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
     rows = [
         (
-            f"{each['value']:.6g}{_unit_text(each)}",
-            plus_minus(each["value"] if each["fitted"] is None else each["fitted"], each["std_error"] or 0.0),
-            *((interval_text(each.get("interval")),) if has_intervals else ()),
-            _remark(each),
+            _shown(constant) + _unit_text(constant),
+            plus_minus(constant.estimate, constant.std_error or 0.0),
+            *((interval_text(constant.interval),) if has_intervals else ()),
+            _remark(constant),
         )
-        for each in known
+        for constant in known
     ]
     return columns(heads, rows, "    ") if rows else []
 
 
-def together_line(together: Mapping[str, Any] | None) -> list[str]:
+def together_line(together: SimpleTogether | None) -> list[str]:
     """Return a line on simple numbers of several constants, judged together; nothing where others are likelier."""
-    if not together or together["odds"] is None:
+    if not together or together.odds is None:
         return []
-    chi = "" if together["chi_square"] is None else f" (chi-square {together['chi_square']:.2g})"
-    numbers = " and ".join(f"{value:.6g}" for value in together["values"])
-    return [f"    {numbers} together{chi}: odds {together['odds']:.2g} against other numbers"]
+    chi = "" if together.chi_square is None else f" (chi-square {together.chi_square:.2g})"
+    numbers = " and ".join(f"{value:.6g}" for value in together.values if value is not None)
+    return [f"    {numbers} together{chi}: odds {together.odds:.2g} against other numbers"]
 
 
-def units_line(units: Mapping[str, Any] | None) -> list[str]:
+def units_line(units: Units | None) -> list[str]:
     """Return a line on factors of one that are not written but have a unit; nothing without any."""
-    if not units or not units["implied"]:
+    if not units or not units.implied:
         return []
-    factors = ", ".join(f"1 {each['unit']} before {each['of']}" for each in units["implied"])
+    factors = ", ".join(f"1 {factor.unit} before {factor.of}" for factor in units.implied)
     return [f"    units: not written is {factors}"]
 
 
-def groups_table(
-    constants: Sequence[Mapping[str, Any]], groups: Sequence[Mapping[str, Any]], names: Sequence[str]
-) -> list[str]:
+def groups_table(equation: Equation, texts: Sequence[str], names: Sequence[str]) -> list[str]:
     """Return a line for each group of trajectories with the constants of its own; nothing where all share them.
 
-    `names` are those of the constants.
+    `texts` are the expressions of the groups as they are shown, `names` those of the constants.
     """
-    own = [place for place, each in enumerate(constants) if each.get("shared") is False]
-    if not groups or not own:
+    own = [place for place, constant in enumerate(equation.constants) if constant.shared is False]
+    if not equation.groups or not own:
         return []
-    heads = ("group", *(f"{names[place]} = {constants[place]['value']:.6g}" for place in own), "")
-    rows = [(its["group"], *(_constant_text(its["constants"][place]) for place in own), its["text"]) for its in groups]
-    return columns(heads, rows, "    ")
+    heads = ("group", *(f"{names[place]} = {_shown(equation.constants[place])}" for place in own), "")
+    pairs = zip(equation.groups, texts, strict=True)
+    return columns(heads, [_group_row(group, own, text) for group, text in pairs], "    ")
 
 
-def _simple_text(constant: Mapping[str, Any]) -> str:
+def _group_row(group: GroupEquation, places: Sequence[int], text: str) -> tuple[str, ...]:
+    return (group.group, *(_constant_text(group.constants[place]) for place in places), text)
+
+
+def _simple_text(constant: Constant) -> str:
     """Return the odds of the simple number that is shown, or how far the nearest one is from the estimate."""
-    simple = constant.get("simple")
-    if simple is None or simple["odds"] is None:
+    simple = constant.simple
+    if simple is None or simple.odds is None:
         return ""
-    if simple["value"] == constant["value"]:
-        return f"odds {simple['odds']:.2g} against other numbers"
-    return f"{simple['value']:.6g} is {simple['standard_errors']:.1f} standard errors off, odds {simple['odds']:.2g}"
+    if simple.value is None or simple.value == constant.value:
+        return f"odds {simple.odds:.2g} against other numbers"
+    return f"{simple.value:.6g} is {simple.standard_errors or 0.0:.1f} standard errors off, odds {simple.odds:.2g}"
 
 
 # ------------------------------------------------------------------------------------------------ contenders
 
 
 def contenders_table(
-    candidates: Sequence[Mapping[str, Any]], display: Callable[[str], str], most: int | None = None
+    candidates: Sequence[Candidate], display: Callable[[str], str], most: int | None = None
 ) -> list[str]:
     """Return the contenders, the one shown first, by how much longer a description they are; nothing for one alone.
 
@@ -177,21 +186,21 @@ def contenders_table(
     if len(candidates) < 2:
         return []
     shown = candidates if most is None else candidates[: most + 1]
-    is_held_out = any(each["held_out_r2"] is not None for each in shown)
-    is_crossed = any(each.get("cross_validated") for each in shown)
+    is_held_out = any(candidate.held_out_r2 is not None for candidate in shown)
+    is_crossed = any(candidate.cross_validated for candidate in shown)
     unseen = "cross-validated" if is_crossed else "held out"
     heads = ("contender", "nats", "R2", *((unseen,) if is_held_out else ()), "size", "origin", "expression")
     rows = [
         (
-            "*" if each["selected"] else "",
-            "?" if each["nats"] is None else f"{each['nats']:.1f}",
-            r2_text(each["r2"]),
-            *((r2_text(each["held_out_r2"]),) if is_held_out else ()),
-            str(each["complexity"]),
-            each.get("origin") or "-",
-            display(each["expression"]),
+            "*" if candidate.selected else "",
+            "?" if candidate.nats is None else f"{candidate.nats:.1f}",
+            r2_text(candidate.r2),
+            *((r2_text(candidate.held_out_r2),) if is_held_out else ()),
+            str(candidate.complexity),
+            candidate.origin or "-",
+            display(candidate.expression),
         )
-        for each in shown
+        for candidate in shown
     ]
     rest = len(candidates) - len(shown)
     return [*columns(heads, rows, "    "), *([f"    {rest} more: coordinator result"] if rest else [])]
@@ -200,37 +209,37 @@ def contenders_table(
 # ---------------------------------------------------------------------------------------- the model as a whole
 
 
-def summary(result: Mapping[str, Any]) -> list[str]:
+def summary(result: Result) -> list[str]:
     """Return the noise in a line and the simulations in another; nothing for what is exact or not known."""
-    noisy = {state: its for state, its in result.get("noise", {}).items() if its["method"] != "interpolation"}
+    noisy = {state: noise for state, noise in result.noise.items() if noise.method != "interpolation"}
     lines = []
     if noisy:
-        parts = ", ".join(f"{state} {percent(its['relative'])}" for state, its in noisy.items())
+        parts = ", ".join(f"{state} {percent(noise.relative)}" for state, noise in noisy.items())
         lines.append(f"noise: {parts} of the deviation")
-    texts = {state: _error_text(its.get("errors")) for state, its in result.get("noise", {}).items()}
+    texts = {state: _error_text(noise.errors) for state, noise in result.noise.items()}
     lines += [f"errors of {state}{text.replace(';', ':', 1)}" for state, text in texts.items() if text]
-    if any(equation.get("verdict") != "exact" for equation in result["equations"]):
-        lines += _simulation_line(_trajectories(result))
+    if any(equation.verdict != "exact" for equation in result.equations):
+        lines += _simulation_line(result.simulated)
     return lines
 
 
-def _simulation_line(trajectories: Sequence[Mapping[str, Any]]) -> list[str]:
-    whole = [each for each in trajectories if each.get("values") or None not in each["r2"].values()]
+def _simulation_line(trajectories: Sequence[Simulated]) -> list[str]:
+    whole = [part for part in trajectories if part.values or None not in part.r2.values()]
     parts: list[str] = []
     for held_out in (False, True):
-        chosen = [each for each in whole if each["held_out"] is held_out]
+        chosen = [part for part in whole if part.held_out is held_out]
         if chosen:
             what = "held out" if held_out else "trajectory" if len(chosen) == 1 else "trajectories"
-            least = min(value for each in chosen for value in each["r2"].values() if value is not None)
+            least = min(value for part in chosen for value in part.r2.values() if value is not None)
             parts.append(f"{'' if parts else 'R2 at least '}{r2_text(least)} on {len(chosen)} {what}")
     if len(whole) < len(trajectories):
         parts.append(f"{len(trajectories) - len(whole)} not to the end")
     return [f"simulation: {', '.join(parts)}"] if parts else []
 
 
-def noise_lines(result: Mapping[str, Any]) -> list[str]:
+def noise_lines(result: Result) -> list[str]:
     """Return a line for each state: how noisy it is, and how it was smoothed."""
-    return [f"noise of {state}: {_noise_text(its)}" for state, its in result.get("noise", {}).items()]
+    return [f"noise of {state}: {_noise_text(noise)}" for state, noise in result.noise.items()]
 
 
 _ROUNDINGS: Final = {
@@ -241,98 +250,98 @@ _ROUNDINGS: Final = {
 }
 
 
-def _error_text(errors: Mapping[str, Any] | None) -> str:
+def _error_text(errors: Errors | None) -> str:
     """Return in words how errors differ from independent ones of one size, nothing where they do not."""
     if errors is None:
         return ""
     parts = []
-    if errors["proportional"]:
-        parts.append(f"{percent(errors['proportional'])} of their variance grows with the value squared")
-    if errors["add_up"]:
-        size = f"{errors['sd']:.2g} within {errors['piece']} rows"
+    if errors.proportional:
+        parts.append(f"{percent(errors.proportional)} of their variance grows with the value squared")
+    if errors.add_up:
+        size = f"{errors.sd or 0.0:.2g} within {errors.piece} rows"
         parts.append(f"errors add up along trajectories, as those of a solver do: {size}")
-    elif errors["correlated"]:
-        rows = max(2, round(errors["correlation_rows"]))
-        what = "errors" if errors["correlated"] == 1.0 else f"{percent(errors['correlated'])} of the errors' variance"
+    elif errors.correlated:
+        rows = max(2, round(errors.correlation_rows or 0.0))
+        what = "errors" if errors.correlated == 1.0 else f"{percent(errors.correlated)} of the errors' variance"
         verb = "go" if what == "errors" else "goes"
         parts.append(f"{what} of neighbouring rows {verb} together over about {rows} rows")
     return "".join(f"; {part}" for part in parts)
 
 
-def _noise_text(its: Mapping[str, Any]) -> str:
-    rounding = its.get("quantisation")
-    if its["method"] == "interpolation":
-        text = "none to speak of" if rounding is None else f"{percent(its['relative'])} of its deviation at most"
+def _noise_text(noise: Noise) -> str:
+    rounding = noise.quantisation
+    if noise.method == "interpolation":
+        text = "none to speak of" if rounding is None else f"{percent(noise.relative)} of its deviation at most"
         text += "; interpolated"
     else:
-        size = "?" if its["sd"] is None else f"{its['sd']:.3g}"
-        text = f"{size}, {percent(its['relative'])} of its deviation; {its['method']}"
-        text += f" of degree {its['degree']} over {its['span']} rows"
-        text += _residual_text(its)
-    text += _error_text(its.get("errors"))
+        size = "?" if noise.sd is None else f"{noise.sd:.3g}"
+        text = f"{size}, {percent(noise.relative)} of its deviation; {noise.method}"
+        text += f" of degree {noise.degree} over {noise.span} rows"
+        text += _residual_text(noise)
+    text += _error_text(noise.errors)
     if rounding is not None:
-        text += f"; {_ROUNDINGS[rounding['kind']].format(rounding['step'])}"
-    if its["doubtful_rows"]:
-        text += f"; derivatives doubtful on {its['doubtful_rows']} rows"
-    many = "1 outlier" if its["outliers"] == 1 else f"{its['outliers']} outliers"
-    text = f"{text}; {many}" if its["outliers"] else text
-    reasons = _reasons(its.get("doubtful", ()))
+        text += _rounding_text(rounding)
+    if noise.doubtful_rows:
+        text += f"; derivatives doubtful on {noise.doubtful_rows} rows"
+    many = "1 outlier" if noise.outliers == 1 else f"{noise.outliers} outliers"
+    text = f"{text}; {many}" if noise.outliers else text
+    reasons = _reasons(noise.doubtful)
     return f"{text}; not used: {reasons}" if reasons else text
 
 
-def _residual_text(its: Mapping[str, Any]) -> str:
+def _rounding_text(rounding: Quantisation) -> str:
+    words = _ROUNDINGS.get(rounding.kind or "", "values rounded in steps of {:.3g}")
+    return f"; {words.format(rounding.step or 0.0)}"
+
+
+def _residual_text(noise: Noise) -> str:
     """Return how far measurements lie from the smoothed curve at most; nothing where that is not known."""
-    largest = its.get("largest_residual")
-    if largest is None or largest["value"] is None:
+    largest = noise.largest_residual
+    if largest is None or largest.value is None:
         return ""
-    where = f"t = {largest['time']:.6g} of trajectory {largest['trajectory']}"
-    return f"; residuals {its['residual_rms']:.3g}, the largest {largest['value']:.3g} at {where}"
+    where = f"t = {largest.time or 0.0:.6g} of trajectory {largest.trajectory}"
+    return f"; residuals {noise.residual_rms or 0.0:.3g}, the largest {largest.value:.3g} at {where}"
 
 
-def _reasons(doubtful: Sequence[Mapping[str, Any]]) -> str:
+def _reasons(doubtful: Sequence[ExcludedRows]) -> str:
     """Return how many rows are not used for each reason, such as ``8 rows near ends, 3 outliers``."""
-    counts = {reason: sum(len(each["times"]) for each in doubtful if each["reason"] == reason) for reason in _PLACES}
+    counts = {reason: sum(len(rows.times) for rows in doubtful if rows.reason == reason) for reason in _PLACES}
     return ", ".join(f"{count} {_PLACES[reason]}" for reason, count in counts.items() if count)
 
 
-def simulation_table(result: Mapping[str, Any]) -> list[str]:
+def simulation_table(result: Result) -> list[str]:
     """Return R2 of every simulated trajectory and state; of many trajectories the worst."""
-    trajectories = _trajectories(result)
+    trajectories = result.simulated
     if not trajectories:
         return []
     shown = sorted(trajectories, key=_worst)[:MOST_LINES] if len(trajectories) > MOST_LINES else trajectories
-    states = [*trajectories[0]["r2"]]
+    states = [*trajectories[0].r2]
     rows = [
-        (each["name"], *(r2_text(each["r2"][state]) for state in states), "held out" if each["held_out"] else "")
-        for each in shown
+        (part.name, *(r2_text(part.r2[state]) for state in states), "held out" if part.held_out else "")
+        for part in shown
     ]
     head = "R2 of simulations from fitted initial values"
     rest = [f"the {MOST_LINES} worst of {len(trajectories)}"] if len(shown) < len(trajectories) else []
     return [head, *columns(("trajectory", *states, ""), rows, "    "), *(f"    {line}" for line in rest)]
 
 
-def _worst(trajectory: Mapping[str, Any]) -> float:
-    return min((-math.inf if value is None else value for value in trajectory["r2"].values()), default=math.inf)
+def _worst(trajectory: Simulated) -> float:
+    return min((-math.inf if value is None else value for value in trajectory.r2.values()), default=math.inf)
 
 
-def _trajectories(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    simulation = result.get("simulation")
-    return [] if simulation is None else list(simulation["trajectories"])
-
-
-def correlation_lines(result: Mapping[str, Any]) -> list[str]:
+def correlation_lines(result: Result) -> list[str]:
     """Return a line for each pair of constants that the data hardly tell apart, the closest first."""
-    constants = {equation["variable"]: equation["constants"] for equation in result["equations"]}
-    names = constant_names(result) if result.get("correlations") else {}
+    constants = {equation.variable: equation.constants for equation in result.equations}
+    names = constant_names(result) if result.correlations else {}
 
-    def named(place: Mapping[str, Any]) -> str:
-        variable, number = place["variable"], place["constant"]
-        name, value = names[variable][number], f"{constants[variable][number]['value']:.6g}"
+    def named(place: Place) -> str:
+        variable, number = place.variable, place.constant or 0
+        name, value = names[variable][number], _shown(constants[variable][number])
         return f"{value} of {variable}" + (f" ({name})" if name != value else "")
 
-    pairs = sorted(result.get("correlations", ()), key=lambda each: -abs(each["value"] or 0.0))
+    pairs = sorted(result.correlations, key=lambda pair: -abs(pair.value or 0.0))
     return [
-        f"hardly told apart: {named(pair['first'])} and {named(pair['second'])}, correlation {pair['value']:.3f}"
+        f"hardly told apart: {named(pair.first)} and {named(pair.second)}, correlation {pair.value:.3f}"
         for pair in pairs[:MOST_LINES]
-        if pair["value"] is not None
+        if pair.value is not None
     ]

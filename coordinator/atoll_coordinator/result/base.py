@@ -1,14 +1,24 @@
 """What the parts of a result share: kinds of values, and that nothing changes after it was read."""
 
+import math
 from typing import Annotated, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Strict
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict
 from pydantic_core import PydanticCustomError
 
 Text = Annotated[str, Strict()]
 Flag = Annotated[bool, Strict()]
 Count = Annotated[int, Strict()]
 Real = Annotated[float, Strict()]
+
+
+def _positive(value: object) -> object:
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0.0 < value < math.inf:
+        return value
+    raise PydanticCustomError("positive", "a number above 0 is expected")
+
+
+Positive = Annotated[Real, BeforeValidator(_positive), Field(gt=0.0)]
 Number = Real | None
 """A number, null where it is not known or not finite."""
 Pair = tuple[Number, Number]

@@ -1,6 +1,6 @@
 """What a result says of the model as a whole: columns, data, noise, errors of constants, processes, regressions."""
 
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,10 +13,9 @@ from atoll_coordinator.result.base import (
     Numbers,
     Pair,
     Part,
-    Real,
+    Positive,
     Text,
     misfit,
-    require_lengths,
 )
 from atoll_coordinator.result.trajectories import Recorded
 from atoll_coordinator.stochastic.discretisation import Discretisation
@@ -157,11 +156,6 @@ class PathEnsemble(Part):
     median: Curves = Field(default_factory=dict)
     upper: Curves = Field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        require_lengths(len(self.times), self.mean, self.lower, self.median, self.upper)
-        return self
-
 
 class Density(Part):
     """The density of a state that simulations settle into, between edges, beside the measured one."""
@@ -178,7 +172,7 @@ class Process(Part):
     """A stochastic process as a whole."""
 
     steps: Count | None = None
-    step: Annotated[Real, Field(gt=0.0, allow_inf_nan=False)]
+    step: Positive
     discretisation: Discretisation = "local linearisation"
     discretisation_nats: Number = None
     log_likelihood: Number = None

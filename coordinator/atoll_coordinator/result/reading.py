@@ -27,8 +27,7 @@ _KINDS: Final = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "float_type": "a number",
-    "greater_than": "a number above 0",
-    "finite_number": "a number above 0",
+    "positive": "a number above 0",
     "tuple_type": "a list",
     "too_short": "a list of at least one item",
     "too_long": "two numbers",
@@ -102,7 +101,7 @@ def _sentence(fault: ErrorDetails) -> str:
         return f"this result lacks {key!r}; give a result.json as it was written"
     expected = _KINDS.get(kind)
     if kind == "literal_error":
-        expected = fault["ctx"]["expected"].replace("'", "")
+        expected = " or ".join(sorted(fault["ctx"]["expected"].replace("'", "").split(" or ")))
     return f"this result has {shown(fault['input'])} as {key!r}, where {expected or 'another value'} is expected; " + (
         "give it as written"
     )

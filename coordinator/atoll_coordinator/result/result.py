@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Final, Literal, Self
+from typing import Final, Literal
 
 from pydantic import Field, JsonValue, TypeAdapter
 
@@ -74,7 +74,12 @@ class Result(Part):
     # ------------------------------------------------------------------------------------- reading and writing
 
     @classmethod
-    def load(cls, source: "str | Path | Mapping[str, object] | Result") -> Self:
+    def of(cls, content: "Mapping[str, object] | Result") -> "Result":
+        """Return the content of a ``result.json`` as a result; raises UsageError when it is none."""
+        return content if isinstance(content, Result) else as_parts(cls, content)
+
+    @classmethod
+    def load(cls, source: "str | Path | Mapping[str, object] | Result") -> "Result":
         """Return a result by its file, the folder of its ``result.json``, or its content.
 
         Files of earlier versions are brought up to date.
@@ -82,15 +87,13 @@ class Result(Part):
         Raises:
             UsageError: the file cannot be read, or holds no result of this version.
         """
-        if isinstance(source, cls):
-            return source
-        if isinstance(source, str | Path):
-            file, content = read_file(source)
-            try:
-                return as_parts(cls, content)
-            except UsageError as error:
-                raise UsageError(f"{file}: {error}") from None
-        return as_parts(cls, source)
+        if isinstance(source, Mapping | Result):
+            return cls.of(source)
+        file, content = read_file(source)
+        try:
+            return as_parts(cls, content)
+        except UsageError as error:
+            raise UsageError(f"{file}: {error}") from None
 
     def as_dict(self) -> dict[str, JsonValue]:
         """Return the content of ``result.json`` as plain values."""
@@ -174,7 +177,11 @@ class Result(Part):
     @property
     def data_settings(self) -> dict[str, JsonValue]:
         """The settings of the job that say how data are read, as far as they are not defaults."""
-        settings = self.config.get("data")
+        return self.settings("data")
+
+    def settings(self, part: str) -> dict[str, JsonValue]:
+        """Return a part of the settings of the job, as far as they are not defaults."""
+        settings = self.config.get(part)
         return settings if isinstance(settings, dict) else {}
 
 

@@ -26,7 +26,7 @@ from atoll_coordinator.service.jobs.job import (
 from atoll_coordinator.service.jobs.queue import Line, next_job
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.event_log import EventLog
-from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, result_text, view_of_record
+from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, view_of_record
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoints import StoredSearchState
 from atoll_coordinator.service.search.cut import Cut
@@ -223,7 +223,7 @@ class Controller:
         """Return a job's result as JSON text, while it runs the best so far; None while there is none."""
         job = self.jobs.get(job_id)
         if job is not None:
-            return result_text(job_result(job, now)) if job.prepared is not None else None
+            return job_result(job, now).to_json() if job.prepared is not None else None
         return self._store.result(job_id)
 
     def announcement(self, job_id: str) -> JobAnnouncement | None:
@@ -389,7 +389,7 @@ class Controller:
         with contextlib.suppress(Exception):
             if job is not None and job.prepared is not None:
                 job.state, job.fault, job.reason = "failed", "internal", sentence
-                text = result_text(job_result(job, now))
+                text = job_result(job, now).to_json()
         self._end_without_job(job_id, sentence, text)
         with self.breakages.tolerated("closing a job"):
             self._channel.publish(CloseJob(job=job_id))
@@ -432,7 +432,7 @@ class Controller:
             self.events.record_cut(job.id, cut)
 
     def _commit_result(self, job: Job, now: float) -> None:
-        text = result_text(job_result(job, now)) if job.prepared is not None else None
+        text = job_result(job, now).to_json() if job.prepared is not None else None
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
         is_crash_loop, finished = job.fault == "poison", self._clock()
         self._store.commit_result(job.id, job.state, text, job.reason, finished, keeps_checkpoints=is_crash_loop)

@@ -8,16 +8,16 @@ from typing import Any
 from atoll.cli.exit_codes import DONE
 from atoll.cli.saved_model import chosen_times, deliver, held_inputs, load, start_of
 from atoll.model.model import Model
-from atoll.model.saved import read_result
 from atoll.terminal.output import note
+from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
 
 def export(options: argparse.Namespace) -> int:
     """Write the model of ``options.result`` in ``options.format``. Return the exit code."""
-    from atoll.model.export.content import held_at_zero
-    from atoll.model.export.formats import PETAB, format_of
+    from atoll.export.content import held_at_zero
+    from atoll.export.formats import PETAB, format_of
 
     if options.format == PETAB:
         _write_petab(_chosen(load(options), options), options)
@@ -36,10 +36,10 @@ def export(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _result(options: argparse.Namespace) -> Mapping[str, Any]:
-    """Return the content of the result, which need not be a model unless a group or other equations are chosen."""
+def _result(options: argparse.Namespace) -> Result:
+    """Return the result, which need not be a model unless a group or other equations are chosen."""
     if options.group is None and options.candidate is None and not options.pick:
-        return read_result(options.result)
+        return Result.load(options.result)
     return _chosen(load(options), options).result
 
 
@@ -58,8 +58,9 @@ def _chosen(model: Model, options: argparse.Namespace) -> Model:
     if options.pick:
         from atoll.text.render import parse_picks, pick
 
-        kept = {"simulation": model.result.get("simulation")}  # where a simulation begins belongs to the data
-        return Model({**pick(model.result, parse_picks(options.pick)), **kept, "covariance": None})
+        kept = {"simulation": model.result.simulation}  # where a simulation begins belongs to the data
+        picked = pick(model.result, parse_picks(options.pick))
+        return Model(picked.model_copy(update={**kept, "covariance": None}))
     return model
 
 
@@ -87,7 +88,7 @@ def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArra
     from atoll_coordinator.data.trajectories.measurements import take_measurements
     from atoll_core.config import DataConfig
 
-    config = DataConfig.model_validate((model.provenance["config"] or {}).get("data") or {})
+    config = DataConfig.model_validate(model.result.data_settings)
     table = read_table([Path(file) for file in files], config)
     roles, config = assign_roles(table, config)
     measured = take_measurements(table, roles, config)

@@ -6,10 +6,11 @@ from pathlib import Path
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.result_files import REPORT
+from atoll.model.files import write_text
 from atoll.model.model import Model
-from atoll.model.saved import read_result, write_text
 from atoll.report.page import as_text, build_page, pictures
 from atoll.terminal.output import note
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError, UsageError
 
 
@@ -51,8 +52,8 @@ def _page(path: Path) -> Path:
 
 def _write(path: Path, options: argparse.Namespace) -> None:
     output = _page(path) if options.output is None else Path(options.output)
-    found = read_result(path)
-    page = build_page(found if options.group is None else Model(found).of_group(options.group).result)
+    result = Result.load(path)
+    page = build_page(result if options.group is None else Model(result).of_group(options.group).result)
     write_text(output, as_text(page))
     note(f"report in {output}")
     if options.pictures is not None:

@@ -5,15 +5,14 @@ The job is one of a coordinator, or a saved ``result.json``.
 
 import argparse
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.client.client import connected
-from atoll.model.saved import RESULT, read_result
 from atoll.terminal.output import as_json, say
+from atoll_coordinator.result.reading import RESULT
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 
 
@@ -23,31 +22,31 @@ def result(options: argparse.Namespace) -> int:
         raise UsageError(f"--json and --format {options.format} contradict each other; give one of them")
     path = Path(options.job)
     if path.suffix == ".json" or (path / RESULT).is_file():
-        found = read_result(path)
+        found = Result.load(path)
     else:
         if not (options.connect or os.environ.get("ATOLL_CONNECT")):
             found_nothing = f"{options.job} is no saved result, and no coordinator was named to look for such a job"
             raise UsageError(f"{found_nothing}; give PATH/result.json, or --connect tcp/HOST:PORT")
         with connected(address_of(options), CONNECT_LIMIT_S) as client:
-            found = client.result(client.resolve(options.job))
+            found = Result.of(client.result(client.resolve(options.job)))
     say(_text(found, "json" if options.json else options.format or "text", options.pick))
     return DONE
 
 
-def _text(found: dict[str, Any], how: str, picks: list[str]) -> str:
+def _text(found: Result, how: str, picks: list[str]) -> str:
     from atoll.text.render import parse_picks, pick, render, render_text
 
     chosen = pick(found, parse_picks(picks)) if picks else found
     if how == "json":
-        return as_json(chosen)
+        return as_json(chosen.as_dict())
     if how == "text":
         return "\n".join([*_heading(chosen), render_text(chosen, fronts=True)])
     return render(chosen, how)
 
 
-def _heading(found: Mapping[str, Any]) -> list[str]:
+def _heading(found: Result) -> list[str]:
     """Return a line on the state of a job that is not done."""
-    if found["state"] == "done":
+    if found.state == "done":
         return []
-    reason = f": {found['reason']}" if found.get("reason") else ""
-    return [f"job {found['job']} is {found['state']}{reason}"]
+    reason = f": {found.reason}" if found.reason else ""
+    return [f"job {found.job} is {found.state}{reason}"]

@@ -32,7 +32,7 @@ def simulate(options: argparse.Namespace) -> int:
         warnings.simplefilter("ignore", EarlyEndWarning)  # said in a line of its own
         simulation = model.simulate(start.state, times, inputs)
     deliver(as_json(simulation.as_dict()) if options.json else simulation.to_csv(), options.output)
-    if model.result.get("process") is not None:
+    if model.result.process is not None:
         note("coordinator: the drift was simulated, without the noise of the process; --paths draws paths with it")
     if simulation.status != "finished":
         note(f"coordinator: the simulation ended early: {simulation.message}")

@@ -21,6 +21,6 @@ def thinned(rows: int, most: int) -> list[int]:
     return [(index * (rows - 1)) // (most - 1) for index in range(most)]
 
 
-def curve(values: FloatArray, digits: int = CURVE_DIGITS) -> list[float | None]:
+def curve(values: FloatArray, digits: int = CURVE_DIGITS) -> tuple[float | None, ...]:
     """Return `values` (R,) rounded to so many significant digits, None for those that are not finite."""
-    return [finite(float(f"{value:.{digits}g}")) for value in values.tolist()]
+    return tuple(finite(float(f"{value:.{digits}g}")) for value in values.tolist())

@@ -1,7 +1,4 @@
-"""The result of a job as other programs read it: schema 1 of ``result.json``; docs/result.md says what its keys mean.
-
-Plain dictionaries, lists, texts and numbers only; a number that is not finite becomes null.
-"""
+"""The result of a job, made of what the search and refining have found; docs/result.md says what its keys mean."""
 
 import math
 import platform
@@ -9,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -34,6 +31,9 @@ from atoll_coordinator.model.result.trust import (
     simulation,
     verdict,
 )
+from atoll_coordinator.result import equations as parts
+from atoll_coordinator.result import findings
+from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig, Loss
 from atoll_core.data.dataset import Dataset, Problem, Target
@@ -45,7 +45,6 @@ from atoll_core.expression.writing.agreement import shortest_over
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
 
-SCHEMA: Final = 1
 KNOWN: Final = "known"
 """Why there was no search: the equation was given."""
 MOST_STEPS: Final = 40
@@ -105,8 +104,8 @@ def build_result(
     outcomes: Sequence[VariableOutcome],
     account: Account,
     refinement: Refinement | None = None,
-) -> dict[str, Any]:
-    """Return the result of `job` as it is written to ``result.json``; also the best so far while it runs.
+) -> Result:
+    """Return the result of `job`; also the best so far while it runs.
 
     Args:
         job: the job's id.
@@ -116,37 +115,36 @@ def build_result(
         account: state and times.
         refinement: what belongs to the model as a whole; what belongs to one equation is in its outcome.
     """
-    dataset, model = preparation.dataset, refinement or Refinement()
-    return {
-        "schema": SCHEMA,
-        "job": job,
-        "seed": config.seed,
-        "preset": config.preset,
-        "state": account.state,
-        "reason": account.reason,
-        "equations": [_equation(config, preparation, outcome, account.state) for outcome in outcomes],
-        "shared_terms": _shared_terms(config, dataset, outcomes, account.state, model),
-        "noise": noise(preparation.recording, model.errors),
-        "smoothing": smoothing(preparation.recording),
-        "correlations": correlations(model.correlations),
-        "covariance": covariance(model.covariance),
-        "groups": groups(preparation.recording, model.by_group),
-        "simulation": simulation(model.simulation, preparation),
-        "chaos": chaos(model.chaos),
-        "process": process(model.process, preparation.process),
-        "regression": regression(preparation, _first_program(outcomes, dataset, config)),
-        "symbols": dict(dataset.symbols),
-        "system": system(preparation),
-        "data": data(preparation, has_trajectories=account.state in FINAL_STATES),
-        "config": settings(config),
-        "refining": model.end if account.state in ("done", "cancelled") else None,
-        "warnings": [*dataset.warnings, *model.warnings, *_of_groups(preparation, model, account.state)],
-        "point_evaluations": sum(_total(outcome) for outcome in outcomes),
-        "search_seconds": finite(account.search_seconds),
-        "seconds": finite(account.seconds),
-        "digest": result_digest([outcome for outcome in outcomes if outcome.why != KNOWN] or outcomes),
-        "versions": versions(),
-    }
+    dataset, model, recording = preparation.dataset, refinement or Refinement(), preparation.recording
+    return Result(
+        job=job,
+        seed=config.seed,
+        preset=config.preset,
+        state=account.state,
+        reason=account.reason,
+        equations=tuple(_equation(config, preparation, outcome, account.state) for outcome in outcomes),
+        shared_terms=_shared_terms(config, dataset, outcomes, account.state, model),
+        noise=noise(recording, model.errors),
+        smoothing=smoothing(recording),
+        correlations=correlations(model.correlations),
+        covariance=covariance(model.covariance),
+        groups=groups(recording, model.by_group),
+        simulation=simulation(model.simulation, preparation),
+        chaos=chaos(model.chaos),
+        process=process(model.process, preparation.process),
+        regression=regression(preparation, _first_program(outcomes, dataset, config)),
+        symbols=dict(dataset.symbols),
+        system=system(preparation),
+        data=data(preparation, has_trajectories=account.state in FINAL_STATES),
+        config=settings(config),
+        refining=model.end if account.state in ("done", "cancelled") else None,
+        warnings=(*dataset.warnings, *model.warnings, *_of_groups(preparation, model, account.state)),
+        point_evaluations=sum(_total(outcome) for outcome in outcomes),
+        search_seconds=finite(account.search_seconds),
+        seconds=finite(account.seconds),
+        digest=result_digest([outcome for outcome in outcomes if outcome.why != KNOWN] or outcomes),
+        versions=dict(versions()),
+    )
 
 
 def _of_groups(preparation: Preparation, model: Refinement, state: JobState) -> list[str]:
@@ -158,12 +156,12 @@ def _of_groups(preparation: Preparation, model: Refinement, state: JobState) -> 
 
 def _shared_terms(
     config: JobConfig, dataset: Dataset, outcomes: Sequence[VariableOutcome], state: JobState, model: Refinement
-) -> list[dict[str, Any]]:
+) -> tuple[findings.SharedTerm, ...]:
     """Return the terms that equations have in common, none as long as these may change."""
     if state not in FINAL_STATES or len(outcomes) < 2:
-        return []
+        return ()
     shown = {outcome.variable: equation_of(outcome, dataset, config) for outcome in outcomes}
-    equations = {name: its for name, its in shown.items() if its is not None}
+    equations = {name: refined for name, refined in shown.items() if refined is not None}
     return shared_terms(equations, dataset.names, model.shared_terms)
 
 
@@ -187,39 +185,58 @@ def _version(package: str) -> str:
         return "unknown"
 
 
-def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, state: JobState) -> dict[str, Any]:
+def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, state: JobState) -> parts.Equation:
+    dataset = given.dataset
+    target = dataset.problem(outcome.variable).target
+    shown = equation_of(outcome, dataset, config)
+    member = None if shown is None else shown.member
+    has_trajectories = given.recording is not None
+    grade, reason = verdict(shown, target, state, has_trajectories=has_trajectories, is_known=outcome.why == KNOWN)
+    return parts.Equation(
+        variable=target.variable,
+        lhs=target.lhs,
+        **_best(shown, dataset, target, config),
+        verdict=grade,
+        reason=reason,
+        epoch=outcome.epoch,
+        generation=_generation(None if member is None else outcome.front[member], outcome, config),
+        point_evaluations=_total(outcome),
+        point_evaluations_by_part={part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
+        seconds=finite(outcome.seconds),
+        why=outcome.why,
+        bounds=_bounds(shown, dataset, config, target.variable),
+        derivative_floor=finite(target.uncertainty),
+        target_error=target.convergence_threshold(config.budget.target_error),
+        prediction=prediction(None if shown is None else shown.prediction),
+        convergence=_convergence(outcome, target),
+        candidates=candidates(shown.alternatives if shown is not None else (), dataset),
+        front=_front(config, given, outcome, member),
+    )
+
+
+def _front(
+    config: JobConfig, given: Preparation, outcome: VariableOutcome, selected: int | None
+) -> tuple[parts.Member, ...]:
     dataset = given.dataset
     target = dataset.problem(outcome.variable).target
     unseen = given.held_out.problem(outcome.variable) if given.held_out is not None else None
-    shown = equation_of(outcome, dataset, config)
-    member = None if shown is None else shown.member
-    return {
-        "variable": target.variable,
-        "lhs": target.lhs,
-        **_best(shown, dataset, target, config),
-        **verdict(
-            shown,
-            target,
-            state,
-            has_trajectories=given.recording is not None,
-            is_known=outcome.why == KNOWN,
-        ),
-        **_course(None if member is None else outcome.front[member], outcome, config),
-        "bounds": _bounds(shown, dataset, config, target.variable),
-        "derivative_floor": finite(target.uncertainty),
-        "target_error": target.convergence_threshold(config.budget.target_error),
-        "prediction": prediction(None if shown is None else shown.prediction),
-        "convergence": _convergence(outcome, target),
-        "candidates": candidates(shown.alternatives if shown is not None else (), dataset),
-        "front": [
-            {
-                **_member(entry, program, dataset, target),
-                "holdout_error": _unseen_error(program, unseen, config.evolution.loss),
-                "selected": is_selected,
-            }
-            for entry, program, is_selected in _written_front(outcome, dataset, member)
-        ],
-    }
+    return tuple(
+        parts.Member(
+            expression=to_infix(program, dataset.names),
+            complexity=len(program),
+            error=finite(entry.error),
+            normalized_error=finite(_normalized(entry.error, target)),
+            r2=_r2(entry.mse, target),
+            constants=_constants(program),
+            holdout_error=_unseen_error(program, unseen, config.evolution.loss),
+            selected=is_selected,
+        )
+        for entry, program, is_selected in _written_front(outcome, dataset, selected)
+    )
+
+
+def _normalized(error: float, target: Target) -> float:
+    return error / target.standard_deviation if target.standard_deviation else math.inf
 
 
 def equation_of(outcome: VariableOutcome, dataset: Dataset, config: JobConfig) -> Refined | None:
@@ -282,13 +299,11 @@ def is_printable(program: bytes, inputs: int) -> bool:
     return tree_size(Program.from_bytes(program, inputs)) <= PRINTABLE_SIZE
 
 
-def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, Any]:
-    """Return what is said of the equation; all null when there is none."""
+def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, object]:
+    """Return what is said of the equation, by field; nothing but that it is not known when there is none."""
     if shown is None:
-        unknown = dict.fromkeys(("expression", "program", "origin", "complexity", "error", "normalized_error", "r2"))
-        unknown |= dict.fromkeys(("units", "simple_together"))
-        return {**unknown, "converged": False, "constants": [], "groups": [], "implied": []}
-    normalized = shown.error / target.standard_deviation if target.standard_deviation else math.inf
+        return {"expression": None, "converged": False}
+    normalized = _normalized(shown.error, target)
     return {
         "expression": to_infix(shown.program, dataset.names),
         "program": shown.program.to_bytes().hex(),
@@ -302,46 +317,29 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
         "simple_together": _together(shown.simple_together),
         "units": _units(shown),
         "groups": _groups(shown, dataset),
-        "implied": [
-            {"of": to_infix(each.of, dataset.names), **_constant(each.constant)} for each in shown.unit_coefficients
-        ],
+        "implied": tuple(
+            parts.ImpliedConstant(of=to_infix(factor.of, dataset.names), **_estimate(factor.constant))
+            for factor in shown.unit_coefficients
+        ),
     }
 
 
-def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfig) -> dict[str, Any]:
-    """Return when the equation was found and what that took."""
-    generation = outcome.generation
-    if generation is None and entry is not None and outcome.why != KNOWN:
-        generation = entry.epoch * config.migration.generations + entry.generation
-    return {
-        "epoch": outcome.epoch,
-        "generation": generation,
-        "point_evaluations": _total(outcome),
-        "point_evaluations_by_part": {part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
-        "seconds": finite(outcome.seconds),
-        "why": outcome.why,
-    }
+def _generation(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfig) -> int | None:
+    """Return the generation in which the equation was found."""
+    if outcome.generation is None and entry is not None and outcome.why != KNOWN:
+        return entry.epoch * config.migration.generations + entry.generation
+    return outcome.generation
 
 
-def _convergence(outcome: VariableOutcome, target: Target) -> list[dict[str, Any]]:
+def _convergence(outcome: VariableOutcome, target: Target) -> tuple[parts.Convergence, ...]:
     """Return by island the generations in which its error fell, at most `MOST_STEPS`, and the normalized errors."""
-    found = []
+    courses = []
     for island, steps in sorted(outcome.convergence.items()):
         chosen = [steps[index] for index in thinned(len(steps), MOST_STEPS)]
         errors = np.array([error for _, error in chosen]) / (target.standard_deviation or math.nan)
-        found.append({"island": island, "generations": [step for step, _ in chosen], "errors": curve(errors)})
-    return found
-
-
-def _member(entry: FrontEntry, program: Program, dataset: Dataset, target: Target) -> dict[str, Any]:
-    return {
-        "expression": to_infix(program, dataset.names),
-        "complexity": len(program),
-        "error": finite(entry.error),
-        "normalized_error": finite(entry.error / target.standard_deviation if target.standard_deviation else math.inf),
-        "r2": _r2(entry.mse, target),
-        "constants": _constants(program),
-    }
+        generations = tuple(step for step, _ in chosen)
+        courses.append(parts.Convergence(island=island, generations=generations, errors=curve(errors)))
+    return tuple(courses)
 
 
 def _r2(mse: float, target: Target) -> float | None:
@@ -355,7 +353,9 @@ def _unseen_error(program: Program, unseen: Problem | None, loss: Loss) -> float
     return finite(errors_on(unseen, program, loss)[0]) if unseen is not None else None
 
 
-def _constants(program: Program, known: Sequence[Constant] = (), shown: Refined | None = None) -> list[dict[str, Any]]:
+def _constants(
+    program: Program, known: Sequence[Constant] = (), shown: Refined | None = None
+) -> tuple[parts.Constant, ...]:
     """Return the constants in node order; `known` is what refinement knows of them, if there was any.
 
     Of the equation that is `shown`, also their units and which of them all groups of trajectories have in common.
@@ -364,77 +364,81 @@ def _constants(program: Program, known: Sequence[Constant] = (), shown: Refined 
     pairs = zip(values, known or map(Constant, values), strict=True)
     shared = shown.shared if shown is not None else ()
     units = shown.units.constants if shown is not None and shown.units is not None else ()
-    return [
-        {
-            **_constant(replace(each, value=value)),
-            "shared": shared[place] if shared else None,
-            "unit": str(units[place]) if units and units[place] is not None else None,
-        }
-        for place, (value, each) in enumerate(pairs)
-    ]
+    return tuple(
+        parts.Constant(
+            **_estimate(replace(constant, value=value)),
+            shared=shared[place] if shared else None,
+            unit=str(units[place]) if units and units[place] is not None else None,
+        )
+        for place, (value, constant) in enumerate(pairs)
+    )
 
 
-def _units(shown: Refined) -> dict[str, Any] | None:
+def _units(shown: Refined) -> parts.Units | None:
     """Return what units say of an equation beside those of its constants; None where no unit is known."""
-    its = shown.units
-    if its is None:
+    if shown.units is None:
         return None
-    return {
-        "implied": [{"of": term, "unit": str(unit)} for term, unit in its.implied],
-        "faults": [*its.faults],
-    }
+    implied = tuple(parts.ImpliedUnit(of=term, unit=str(unit)) for term, unit in shown.units.implied)
+    return parts.Units(implied=implied, faults=tuple(shown.units.faults))
 
 
-def _groups(shown: Refined, dataset: Dataset) -> list[dict[str, Any]]:
+def _groups(shown: Refined, dataset: Dataset) -> tuple[parts.GroupEquation, ...]:
     """Return the equation of each group of trajectories, where these may differ in constants."""
-    return [
-        {
-            "group": its.group,
-            "expression": to_infix(its.program, dataset.names),
-            "program": its.program.to_bytes().hex(),
-            "constants": _constants(its.program, its.constants, shown),
-        }
-        for its in shown.by_group
-    ]
+    return tuple(
+        parts.GroupEquation(
+            group=equation.group,
+            expression=to_infix(equation.program, dataset.names),
+            program=equation.program.to_bytes().hex(),
+            constants=_constants(equation.program, equation.constants, shown),
+        )
+        for equation in shown.by_group
+    )
 
 
-def _constant(its: Constant) -> dict[str, Any]:
+def _estimate(constant: Constant) -> dict[str, object]:
+    """Return what is known of a constant, by field."""
     return {
-        "value": finite(its.value),
-        "std_error": finite(its.std_error),
-        "fitted": finite(its.fitted),
-        "interval": [finite(bound) for bound in its.interval] if its.interval is not None else None,
-        "identifiable": its.identifiable,
-        "simple": None if its.simple is None else _simple(its.simple),
-        "bounds": None if its.bounds is None else [finite(bound) for bound in its.bounds],
-        "at_bound": its.is_at_bound,
+        "value": finite(constant.value),
+        "std_error": finite(constant.std_error),
+        "fitted": finite(constant.fitted),
+        "interval": _pair(constant.interval),
+        "identifiable": constant.identifiable,
+        "simple": None if constant.simple is None else _simple(constant.simple),
+        "bounds": _pair(constant.bounds),
+        "at_bound": constant.is_at_bound,
     }
 
 
-def _bounds(shown: Refined | None, dataset: Dataset, config: JobConfig, variable: str) -> list[dict[str, Any]]:
+def _pair(ends: tuple[float, float] | None) -> tuple[float | None, float | None] | None:
+    return None if ends is None else (finite(ends[0]), finite(ends[1]))
+
+
+def _bounds(shown: Refined | None, dataset: Dataset, config: JobConfig, variable: str) -> tuple[parts.Bound, ...]:
     """Return the bounds that the user has set, with the numbers of the equation that each is about."""
     bounds = restrictions_of(config, variable, dataset.names).bounds
     if shown is None or bounds is None:
-        return []
-    return [
-        {"bound": its.bound.text, "values": [finite(value) for value in its.values], "active": its.is_active}
-        for its in bounds.governed(shown.program)
-    ]
+        return ()
+    return tuple(
+        parts.Bound(bound=one.bound.text, values=tuple(map(finite, one.values)), active=one.is_active)
+        for one in bounds.governed(shown.program)
+    )
 
 
-def _simple(its: SimpleNumber) -> dict[str, float | None]:
-    return {"value": its.value, "odds": finite(its.odds), "standard_errors": finite(its.standard_errors)}
+def _simple(simple: SimpleNumber) -> parts.SimpleNumber:
+    return parts.SimpleNumber(
+        value=simple.value, odds=finite(simple.odds), standard_errors=finite(simple.standard_errors)
+    )
 
 
-def _together(its: SimpleTogether | None) -> dict[str, Any] | None:
-    if its is None:
+def _together(together: SimpleTogether | None) -> parts.SimpleTogether | None:
+    if together is None:
         return None
-    return {
-        "constants": list(its.constants),
-        "values": [finite(value) for value in its.values],
-        "odds": finite(its.odds),
-        "chi_square": finite(its.chi_square),
-    }
+    return parts.SimpleTogether(
+        constants=together.constants,
+        values=tuple(map(finite, together.values)),
+        odds=finite(together.odds),
+        chi_square=finite(together.chi_square),
+    )
 
 
 def _program(entry: FrontEntry, dataset: Dataset) -> Program:

@@ -6,10 +6,12 @@ difference. Those that were fitted together have the same numbers there.
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
-from atoll_coordinator.model.refinement import Refined, SharedTerm
+from atoll_coordinator.model import refinement
+from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.result.numbers import finite
+from atoll_coordinator.result.findings import SharedTerm
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.operators import VARIABLE
@@ -23,8 +25,8 @@ _SAME_NUMBER: Final = 1e-9
 
 
 def shared_terms(
-    equations: Mapping[str, Refined], names: Sequence[str], together: Sequence[SharedTerm] = ()
-) -> list[dict[str, Any]]:
+    equations: Mapping[str, Refined], names: Sequence[str], together: Sequence[refinement.SharedTerm] = ()
+) -> tuple[SharedTerm, ...]:
     """Return the terms that two equations or more have, as `term`, with the `factors` that they have there.
 
     Numbers are no such terms, nor are lone variables that were not fitted together. Numbers inside are those of the
@@ -44,20 +46,20 @@ def shared_terms(
                     break
             else:
                 found.append((monomial, its, {variable: factor}))
-    return [
-        {
-            "term": _text(monomial, names),
-            "has_function": any(atom[0] != VARIABLE for atom, _ in monomial),
-            "factors": {variable: finite(factor) for variable, factor in factors.items()},
-            "multiples": _multiples(monomial, factors, together),
-        }
+    return tuple(
+        SharedTerm(
+            term=_text(monomial, names),
+            has_function=any(atom[0] != VARIABLE for atom, _ in monomial),
+            factors={variable: finite(factor) for variable, factor in factors.items()},
+            multiples=_multiples(monomial, factors, together),
+        )
         for monomial, _, factors in found
         if len(factors) > 1 and not (_is_variable(monomial) and _multiples(monomial, factors, together) is None)
-    ]
+    )
 
 
 def _multiples(
-    monomial: Monomial, factors: Mapping[str, float], together: Sequence[SharedTerm]
+    monomial: Monomial, factors: Mapping[str, float], together: Sequence[refinement.SharedTerm]
 ) -> dict[str, float | None] | None:
     """Return how many times the flux stands in each equation, None of a term that was not fitted together."""
     shape = shape_of(monomial)

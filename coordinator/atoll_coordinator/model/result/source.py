@@ -1,14 +1,14 @@
-"""What a result says of where it comes from: the data, what their columns are, the settings.
+"""What a result says of where it comes from: the data, what their columns are, the settings."""
 
-Plain dictionaries, lists, texts and numbers for ``result.json``.
-"""
-
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
+from pydantic import JsonValue
 
 from atoll_coordinator.data.recording import Preparation, Recording, Source, Trajectory
 from atoll_coordinator.model.result.numbers import curve, thinned
+from atoll_coordinator.result.findings import Data, Kind, System
+from atoll_coordinator.result.trajectories import Recorded
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 
@@ -22,80 +22,74 @@ DIGITS: Final = 12
 """Significant digits of what was measured: errors of less than 1e-11 of a value are none."""
 
 
-def data(given: Preparation, *, has_trajectories: bool = True) -> dict[str, Any] | None:
+def data(given: Preparation, *, has_trajectories: bool = True) -> Data | None:
     """Return digest, files and number of rows of the table, how it was read, and what was measured of each trajectory.
 
     None where the source is not known. `trajectories` is null where states were not measured in time, or not wanted.
     """
-    its = given.source
-    if its is None:
+    source = given.source
+    if source is None:
         return None
     listed = None if given.recording is None or not has_trajectories else _trajectories(given.recording)
-    return {
-        "digest": its.digest,
-        "files": list(its.files),
-        "rows": its.rows,
-        "read_as": its.read_as,
-        "trajectories": listed,
-    }
+    return Data(digest=source.digest, files=source.files, rows=source.rows, read_as=source.read_as, trajectories=listed)
 
 
-def _trajectories(recording: Recording) -> list[dict[str, Any]]:
-    rows = sum(len(each.times) for each in recording.trajectories)
+def _trajectories(recording: Recording) -> tuple[Recorded, ...]:
+    rows = sum(len(part.times) for part in recording.trajectories)
     most = min(MOST_ROWS, MOST_NUMBERS // (1 + len(recording.states) + 2 * len(recording.inputs)))
-    return [_trajectory(recording, each, min(1.0, most / max(rows, 1))) for each in recording.trajectories]
+    return tuple(_trajectory(recording, part, min(1.0, most / max(rows, 1))) for part in recording.trajectories)
 
 
-def _trajectory(recording: Recording, its: Trajectory, share: float) -> dict[str, Any]:
+def _trajectory(recording: Recording, part: Trajectory, share: float) -> Recorded:
     """Return one trajectory as it was measured, a `share` of its rows; weights are null where all are 1."""
-    count = len(its.times)
+    count = len(part.times)
     listed = thinned(count, max(LEAST_ROWS, int(share * count)))
-    robust = its.robustness_weights
-    return {
-        "name": its.name,
-        "held_out": its.held_out,
-        "rows": count,
-        "times": curve(its.times[listed] + recording.offset, DIGITS),
-        "measured": _by_name(recording.states, its.measured, listed),
-        "inputs": _by_name(recording.inputs, its.inputs, listed),
-        "input_slopes": _by_name(recording.inputs, its.input_slopes, listed),
-        "weights": None if its.weights is None else curve(its.weights[listed], DIGITS),
-        "robustness_weights": None if robust is None else _by_name(recording.states, robust, listed),
-    }
+    robust = part.robustness_weights
+    return Recorded(
+        name=part.name,
+        held_out=part.held_out,
+        rows=count,
+        times=curve(part.times[listed] + recording.offset, DIGITS),
+        measured=_by_name(recording.states, part.measured, listed),
+        inputs=_by_name(recording.inputs, part.inputs, listed),
+        input_slopes=_by_name(recording.inputs, part.input_slopes, listed),
+        weights=None if part.weights is None else curve(part.weights[listed], DIGITS),
+        robustness_weights=None if robust is None else _by_name(recording.states, robust, listed),
+    )
 
 
-def _by_name(names: tuple[str, ...], values: FloatArray, listed: list[int]) -> dict[str, list[float | None]]:
+def _by_name(names: tuple[str, ...], values: FloatArray, listed: list[int]) -> dict[str, tuple[float | None, ...]]:
     return {name: curve(np.asarray(row[listed]), DIGITS) for name, row in zip(names, values, strict=True)}
 
 
-def system(given: Preparation) -> dict[str, Any] | None:
+def system(given: Preparation) -> System | None:
     """Return what the columns are, their units, and the range of each variable in the rows that were searched.
 
     All by column name; angles are in radians there. None where the source is not known.
     """
-    its = given.source
-    if its is None:
+    source = given.source
+    if source is None:
         return None
     ranges = zip(given.dataset.symbols, given.dataset.inputs, strict=True)
-    return {
-        "kind": _kind(given, its),
-        "order": its.order,
-        "time": its.time,
-        "states": list(its.states),
-        "velocities": list(its.velocities),
-        "inputs": list(its.inputs),
-        "target": its.target,
-        "units": dict(its.units),
-        "ranges": {name: [float(values.min()), float(values.max())] for name, values in ranges},
-    }
+    return System(
+        kind=_kind(given, source),
+        order=source.order,
+        time=source.time,
+        states=source.states,
+        velocities=source.velocities,
+        inputs=source.inputs,
+        target=source.target,
+        units=dict(source.units),
+        ranges={name: (float(values.min()), float(values.max())) for name, values in ranges},
+    )
 
 
-def _kind(given: Preparation, its: Source) -> str:
-    if its.target is not None:
+def _kind(given: Preparation, source: Source) -> Kind:
+    if source.target is not None:
         return "regression"
     return "process" if given.process is not None else "dynamics"
 
 
-def settings(config: JobConfig) -> dict[str, Any]:
+def settings(config: JobConfig) -> dict[str, JsonValue]:
     """Return the settings that are not the preset's defaults, as a job file has them."""
     return config.model_dump(mode="json", exclude_defaults=True)

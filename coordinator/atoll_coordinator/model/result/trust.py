@@ -1,29 +1,20 @@
-"""What a result says of how far its model can be trusted: alternatives, verdicts, correlations, simulations.
-
-Plain dictionaries, lists, texts and numbers for ``result.json``; a number that is not known or not finite is null.
-"""
+"""What a result says of how far its model can be trusted: alternatives, verdicts, correlations, simulations."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation, Recording, Source
+from atoll_coordinator.model import refinement
 from atoll_coordinator.model.inference.verdict import Evidence, judge
-from atoll_coordinator.model.refinement import (
-    Alternative,
-    Chaos,
-    Correlation,
-    Covariance,
-    GroupCovariance,
-    Prediction,
-    Refined,
-    Simulated,
-    Simulation,
-)
+from atoll_coordinator.model.refinement import Alternative, GroupCovariance, Refined
 from atoll_coordinator.model.result.numbers import curve, finite, thinned
+from atoll_coordinator.result.equations import Candidate, Prediction
+from atoll_coordinator.result.findings import Chaos, Correlation, Covariance, Group, Place
+from atoll_coordinator.result.trajectories import Simulated, Simulation
 from atoll_core.data.dataset import Dataset, FloatArray, Target
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
@@ -38,24 +29,24 @@ MOST_CANDIDATES: Final = 20
 
 def verdict(
     shown: Refined | None, target: Target, state: JobState, *, has_trajectories: bool, is_known: bool = False
-) -> dict[str, Any]:
-    """Return grade and reason of an equation; null while the job has not ended.
+) -> tuple[str | None, str | None]:
+    """Return grade and reason of an equation; None while the job has not ended.
 
     Where refining did not judge it, its error on the target decides. Where there are trajectories, it is doubtful at
     best then: it could not be simulated along them, or there was no time.
     """
     if state not in FINAL_STATES:
-        return {"verdict": None, "reason": None}
+        return None, None
     if shown is None:
-        return {"verdict": "no model", "reason": "The search has found no equation."}
+        return "no model", "The search has found no equation."
     grade, reason = (
         (shown.grade, shown.reason)
         if shown.grade is not None
         else judge(replace(_on_target(shown, target, is_known), is_unsimulated=has_trajectories))
     )
     if shown.units is not None and shown.units.faults and grade in ("exact", "good"):
-        return {"verdict": "doubtful", "reason": f"Units contradict it: {shown.units.faults[0]}."}
-    return {"verdict": grade, "reason": reason}
+        return "doubtful", f"Units contradict it: {shown.units.faults[0]}."
+    return grade, reason
 
 
 def _on_target(shown: Refined, target: Target, is_known: bool) -> Evidence:
@@ -72,104 +63,103 @@ def _on_target(shown: Refined, target: Target, is_known: bool) -> Evidence:
     )
 
 
-def prediction(its: Prediction | None) -> dict[str, Any] | None:
+def prediction(known: refinement.Prediction | None) -> Prediction | None:
     """Return how far a state can be foretold from other initial states in the measured box; None: not known."""
-    if its is None:
+    if known is None:
         return None
-    return {
-        "starts": its.starts,
-        "followed": its.followed,
-        "unfinished": its.unfinished,
-        "probability": finite(its.probability),
-        "novelty": finite(its.novelty),
-        "reached": finite(its.reached),
-        "is_disputed": its.is_disputed,
-        "measure_from": dict(its.measure_from) if its.measure_from else None,
-    }
+    return Prediction(
+        starts=known.starts,
+        followed=known.followed,
+        unfinished=known.unfinished,
+        probability=finite(known.probability),
+        novelty=finite(known.novelty),
+        reached=finite(known.reached),
+        is_disputed=known.is_disputed,
+        measure_from=dict(known.measure_from) if known.measure_from else None,
+    )
 
 
-def chaos(its: Chaos | None) -> dict[str, Any] | None:
+def chaos(known: refinement.Chaos | None) -> Chaos | None:
     """Return what is known of a model whose courses cannot be foretold for long; None where they can be, or unknown."""
-    if its is None:
+    if known is None:
         return None
-    return {
-        "lyapunov_time": its.lyapunov_time,
-        "is_kept": its.is_kept,
-        "is_unfinished": its.is_unfinished,
-        "probability": finite(its.probability),
-    }
+    return Chaos(
+        lyapunov_time=known.lyapunov_time,
+        is_kept=known.is_kept,
+        is_unfinished=known.is_unfinished,
+        probability=finite(known.probability),
+    )
 
 
-def candidates(alternatives: Sequence[Alternative], dataset: Dataset) -> list[dict[str, Any]]:
+def candidates(alternatives: Sequence[Alternative], dataset: Dataset) -> tuple[Candidate, ...]:
     """Return the equations that were compared with the one shown, itself first, then the best."""
-    printable = [each for each in alternatives if tree_size(each.program) <= PRINTABLE_SIZE]
-    ordered = sorted(printable, key=lambda each: (not each.is_shown, each.nats))
-    return [
-        {
-            "expression": to_infix(each.program, dataset.names),
-            "complexity": len(each.program),
-            "nats": finite(each.nats),
-            "r2": finite(each.r2),
-            "held_out_r2": finite(each.held_out_r2),
-            "cross_validated": each.is_cross_validated,
-            "origin": each.origin,
-            "selected": each.is_shown,
-        }
-        for each in ordered[:MOST_CANDIDATES]
-    ]
+    printable = [other for other in alternatives if tree_size(other.program) <= PRINTABLE_SIZE]
+    ordered = sorted(printable, key=lambda other: (not other.is_shown, other.nats))
+    return tuple(
+        Candidate(
+            expression=to_infix(other.program, dataset.names),
+            complexity=len(other.program),
+            nats=finite(other.nats),
+            r2=finite(other.r2),
+            held_out_r2=finite(other.held_out_r2),
+            cross_validated=other.is_cross_validated,
+            origin=other.origin,
+            selected=other.is_shown,
+        )
+        for other in ordered[:MOST_CANDIDATES]
+    )
 
 
-def correlations(pairs: Sequence[Correlation]) -> list[dict[str, Any]]:
+def correlations(pairs: Sequence[refinement.Correlation]) -> tuple[Correlation, ...]:
     """Return pairs of constants that the data hardly tell apart; ``constant`` counts an equation's ``constants``."""
-    return [
-        {
-            "first": {"variable": pair.first[0], "constant": pair.first[1]},
-            "second": {"variable": pair.second[0], "constant": pair.second[1]},
-            "value": finite(pair.value),
-        }
-        for pair in pairs
-    ]
+    return tuple(
+        Correlation(first=_place(*pair.first), second=_place(*pair.second), value=finite(pair.value)) for pair in pairs
+    )
 
 
-def covariance(its: Covariance | None) -> dict[str, Any] | None:
+def _place(variable: str, number: int | None) -> Place:
+    return Place(variable=variable, constant=number)
+
+
+def covariance(known: refinement.Covariance | None) -> Covariance | None:
     """Return the joint covariance of all constants; ``constant`` counts an equation's ``constants``.
 
     It is null for a factor of one that is not written; these come in the order of the equation's ``implied``.
     """
-    if its is None:
+    if known is None:
         return None
-    return {
-        "constants": [{"variable": variable, "constant": number} for variable, number in its.constants],
-        "matrix": [[finite(value) for value in row] for row in its.matrix.tolist()],
-        "freedom": finite(its.freedom),
-    }
+    return Covariance(
+        constants=tuple(_place(*place) for place in known.constants),
+        matrix=tuple(tuple(finite(value) for value in row) for row in known.matrix.tolist()),
+        freedom=finite(known.freedom),
+    )
 
 
-def groups(recording: Recording | None, known: Sequence[GroupCovariance]) -> list[dict[str, Any]]:
+def groups(recording: Recording | None, known: Sequence[GroupCovariance]) -> tuple[Group, ...]:
     """Return the groups of trajectories that may differ in constants, with the covariance of those of each."""
     if recording is None:
-        return []
-    found = {its.group: its.covariance for its in known}
-    return [
-        {
-            "group": name,
-            "trajectories": [each.name for each in recording.trajectories if each.group == name],
-            "covariance": covariance(found.get(name)),
-        }
+        return ()
+    by_name = {fitted.group: fitted.covariance for fitted in known}
+    return tuple(
+        Group(
+            group=name,
+            trajectories=tuple(part.name for part in recording.trajectories if part.group == name),
+            covariance=covariance(by_name.get(name)),
+        )
         for name in recording.groups
-    ]
+    )
 
 
-def simulation(its: Simulation | None, given: Preparation) -> dict[str, Any] | None:
+def simulation(known: refinement.Simulation | None, given: Preparation) -> Simulation | None:
     """Return the simulated trajectories, thinned, at the times of the user's file; None when there are none."""
-    if its is None:
+    if known is None:
         return None
     recording = given.recording
     offset = recording.offset if recording is not None else 0.0
-    numbers = len(its.trajectories) * (1 + 4 * len(its.states))
-    names = _with_velocities(its.states, given.source)
+    numbers = len(known.trajectories) * (1 + 4 * len(known.states))
+    names = _with_velocities(known.states, given.source)
     most = max(LEAST_POINTS, min(MOST_POINTS, MOST_NUMBERS // max(numbers, 1)))
-    return {"trajectories": [_trajectory(each, its, offset, most, names) for each in its.trajectories]}
+    return Simulation(trajectories=tuple(_trajectory(part, known, offset, most, names) for part in known.trajectories))
 
 
 def _with_velocities(states: Sequence[str], source: Source | None) -> tuple[str, ...]:
@@ -179,32 +169,40 @@ def _with_velocities(states: Sequence[str], source: Source | None) -> tuple[str,
     return (*states, *(source.velocities[source.states.index(name)] for name in states))
 
 
-def _trajectory(its: Simulated, of: Simulation, offset: float, most: int, names: Sequence[str]) -> dict[str, Any]:
-    rows = thinned(len(its.times), most)
-    return {
-        "name": its.name,
-        "held_out": its.held_out,
-        "r2": dict(zip(of.states, map(finite, its.r2), strict=True)),
-        "offsets": {state: finite(value) for state, value in its.offsets.items()},
-        "start": None
-        if its.start is None
-        else {name: finite(value) for name, value in zip(names, its.start.tolist(), strict=False)},
-        "times": curve(its.times[rows] + offset, digits=12),
-        "measured": _curves(its.measured, of.states, rows),
-        "values": _curves(its.values, of.states, rows),
-        "lower": _curves(_beside(its, -of.quantile), of.states, rows),
-        "upper": _curves(_beside(its, of.quantile), of.states, rows),
-    }
+def _trajectory(
+    part: refinement.Simulated, of: refinement.Simulation, offset: float, most: int, names: Sequence[str]
+) -> Simulated:
+    rows = thinned(len(part.times), most)
+    return Simulated(
+        name=part.name,
+        held_out=part.held_out,
+        r2=dict(zip(of.states, map(finite, part.r2), strict=True)),
+        offsets={state: finite(value) for state, value in part.offsets.items()},
+        start=_start(part, names),
+        times=curve(part.times[rows] + offset, digits=12),
+        measured=_curves(part.measured, of.states, rows),
+        values=None if part.values is None else _curves(part.values, of.states, rows),
+        lower=_beside(part, -of.quantile, of.states, rows),
+        upper=_beside(part, of.quantile, of.states, rows),
+    )
 
 
-def _beside(its: Simulated, errors: float) -> FloatArray | None:
-    if its.values is None or its.errors is None:
+def _start(part: refinement.Simulated, names: Sequence[str]) -> dict[str, float | None] | None:
+    if part.start is None:
+        return None
+    return {name: finite(value) for name, value in zip(names, part.start.tolist(), strict=False)}
+
+
+Curves = dict[str, tuple[float | None, ...]]
+
+
+def _beside(part: refinement.Simulated, errors: float, states: Sequence[str], rows: list[int]) -> Curves | None:
+    """Return the curves so many standard errors above the simulated ones; None where these are not known."""
+    if part.values is None or part.errors is None:
         return None
     with np.errstate(all="ignore"):
-        return np.asarray(its.values + errors * its.errors)
+        return _curves(np.asarray(part.values + errors * part.errors), states, rows)
 
 
-def _curves(values: FloatArray | None, states: Sequence[str], rows: list[int]) -> dict[str, Any] | None:
-    if values is None:
-        return None
-    return {state: curve(its[rows]) for state, its in zip(states, values, strict=True)}
+def _curves(values: FloatArray, states: Sequence[str], rows: list[int]) -> Curves:
+    return {state: curve(row[rows]) for state, row in zip(states, values, strict=True)}

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from atoll_coordinator.model.result.trust import verdict
+from atoll_coordinator.result.result import Result
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job, Prepared
 from atoll_coordinator.service.jobs.queue import Line
@@ -22,8 +23,8 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.wire.messages.views import FINAL_STATES, JobCounters, JobState, JobView, VariableView
 
 
-def job_result(job: Job, now: float) -> dict[str, Any]:
-    """Return the contents of result.json for a prepared job: final, or the best so far."""
+def job_result(job: Job, now: float) -> Result:
+    """Return the result of a prepared job: final, or the best so far."""
     prepared = job.prepared
     if prepared is None:
         raise ValueError(f"job {job.id} has no dataset yet")
@@ -35,11 +36,6 @@ def job_result(job: Job, now: float) -> dict[str, Any]:
         reason=job.reason,
     )
     return build_result(job.id, prepared.config, prepared.preparation, outcomes, account, job.refinement)
-
-
-def result_text(result: dict[str, Any]) -> str:
-    """Return a result as JSON text."""
-    return json.dumps(result, ensure_ascii=False, allow_nan=False)
 
 
 def outcomes_of(job: Job) -> list[VariableOutcome]:
@@ -203,7 +199,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
     )
     shown = equation_of(outcome, prepared.dataset, prepared.config)
     has_trajectories = prepared.preparation.recording is not None
-    grade = verdict(shown, target, state, has_trajectories=has_trajectories, is_known=outcome.why == KNOWN)["verdict"]
+    grade, _ = verdict(shown, target, state, has_trajectories=has_trajectories, is_known=outcome.why == KNOWN)
     view = view.model_copy(update={"verdict": grade})
     if shown is None:
         return view

@@ -70,7 +70,7 @@ def test_a_covariance_is_square_and_curves_are_as_long_as_their_times() -> None:
 @pytest.mark.parametrize("content", [None, [], {}, {"schema": 2}, {"schema": 1, "equations": [{}], "symbols": {}}])
 def test_what_is_no_result_is_named_as_such(content: object) -> None:
     with pytest.raises(UsageError, match=r"^this is no result of this version"):
-        Result.load(content)  # type: ignore[arg-type]
+        Result.of(content)  # type: ignore[arg-type]
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from atoll.cli.next_step import next_step
 from atoll.cli.options.parser import parse
+from atoll_coordinator.result.result import Result
 
 WORDS = ["run", "my data.csv", "--seed", "3", "--out", "here"]
 ENDED_BY_EPOCHS = {"why": "max-epochs", "config": {"budget": {"max_epochs": 20}}}
@@ -20,14 +21,19 @@ def after(
     verdict: str = "good", reason: str = "", why: str = "law", loose: bool = False, rivals: int = 0, **changes: Any
 ) -> str | None:
     equation = {
+        "variable": "x",
+        "lhs": "dx/dt",
+        "expression": "x",
         "verdict": verdict,
         "reason": reason,
         "why": why,
         "constants": [{"identifiable": True}, {"identifiable": not loose}],
-        "candidates": [{"nats": 0.5}] * rivals,
+        "candidates": [{"expression": "1", "nats": 0.5}] * rivals,
     }
-    result = {"state": "done", "equations": [equation], "warnings": [], "system": {"kind": "dynamics", "inputs": []}}
-    return next_step({**result, "config": {}, **changes}, Path("here"), changes.pop("words", WORDS))
+    words = changes.pop("words", WORDS)
+    content = {"schema": 1, "symbols": {"x": "x"}, "state": "done", "equations": [equation], "warnings": []}
+    content |= {"system": {"kind": "dynamics", "inputs": []}, "config": {}}
+    return next_step(Result.of({**content, **changes}), Path("here"), words)
 
 
 @pytest.mark.parametrize(

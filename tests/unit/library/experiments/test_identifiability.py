@@ -12,6 +12,7 @@ from atoll.experiments.relations import relation_of
 from atoll.experiments.space import Request
 from atoll.experiments.suggestions import suggest
 from atoll.model.model import Model
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from tests.unit.library.experiments.made import measured
 
@@ -21,12 +22,12 @@ DECAY = 3.0 * np.exp(-0.6 * TIMES) + 0.02 * NOISE
 
 
 def of_decay(text: str) -> Identifiability:
-    return identify(measured({"x": text}, [(TIMES, {"x": DECAY})], 0.02))
+    return identify(Result.of(measured({"x": text}, [(TIMES, {"x": DECAY})], 0.02)))
 
 
 def test_the_profile_of_a_linear_model_is_its_quadratic() -> None:
     x = 1.0 + 2.0 * TIMES + 0.3 * NOISE
-    found = identify(measured({"x": "1.8"}, [(TIMES, {"x": x})], 0.3))
+    found = identify(Result.of(measured({"x": "1.8"}, [(TIMES, {"x": x})], 0.3)))
     design = np.stack([np.ones(20), TIMES], axis=1)
     solution, squares, *_ = np.linalg.lstsq(design, x, rcond=None)
     error = float(np.sqrt(squares[0] / 18.0 * np.linalg.inv(design.T @ design)[1, 1]))
@@ -53,7 +54,7 @@ def test_of_a_decay_one_combination_is_determined(text: str, relation: str) -> N
 
 def test_saturation_that_was_not_reached_is_open_to_one_side() -> None:
     x = 0.5 * np.exp(-0.2 * TIMES) + 0.005 * NOISE
-    found = identify(measured({"x": "-2*x/(10 + x)"}, [(TIMES, {"x": x})], 0.005))
+    found = identify(Result.of(measured({"x": "-2*x/(10 + x)"}, [(TIMES, {"x": x})], 0.005)))
     fastest, half = found["c1"], found["c2"]
     assert (fastest.verdict, half.verdict) == ("open below", "open above")  # the text has -2
     assert (fastest.interval[0], half.interval[1]) == (-np.inf, np.inf)
@@ -81,7 +82,7 @@ def test_factors_of_one_are_constants_that_have_no_number() -> None:
 def test_inputs_act_along_the_profile() -> None:
     u = np.sin(TIMES)
     course = np.array([1.0 + (1.0 - np.cos(time)) * 0.7 for time in TIMES])
-    found = identify(measured({"x": "0.5*u"}, [(TIMES, {"x": course + 0.01 * NOISE, "u": u})], 0.01, ("u",)))
+    found = identify(Result.of(measured({"x": "0.5*u"}, [(TIMES, {"x": course + 0.01 * NOISE, "u": u})], 0.01, ("u",))))
     low, high = found["c1"].interval
     assert low < 0.7 < high < low + 0.1
 
@@ -90,14 +91,14 @@ def test_errors_that_go_together_widen_intervals() -> None:
     course = [(TIMES, {"x": DECAY})]
     errors = {"errors": {"independent_rows": 5.0, "piece": None}, "sd": 0.02, "relative": 0.02, "method": "loess"}
     narrow = of_decay("-0.5*x")["c1"].std_error
-    wide = identify(measured({"x": "-0.5*x"}, course, 0.02) | {"noise": {"x": errors}})["c1"].std_error
+    wide = identify(Result.of(measured({"x": "-0.5*x"}, course, 0.02) | {"noise": {"x": errors}}))["c1"].std_error
     assert wide == pytest.approx(2.0 * narrow, rel=1e-3)
 
 
 def test_rows_that_a_result_does_not_list_count_as_well() -> None:
     full = measured({"x": "-0.5*x"}, [(TIMES, {"x": DECAY})], 0.02)
     full["data"]["trajectories"][0]["rows"] = 80
-    found = identify(full)
+    found = identify(Result.of(full))
     assert "20 of 80 rows" in found.source
     assert found["c1"].std_error == pytest.approx(0.5 * of_decay("-0.5*x")["c1"].std_error, rel=0.05)
 
@@ -124,7 +125,7 @@ def test_an_interval_of_the_model_is_by_its_profile_where_that_is_asked_for() ->
 )
 def test_what_cannot_be_profiled_is_a_sentence(changes: dict[str, object], sentence: str) -> None:
     with pytest.raises(UsageError, match=sentence):
-        identify(measured({"x": "-0.5*x"}, [(TIMES, {"x": DECAY})], 0.02) | changes)
+        identify(Result.of(measured({"x": "-0.5*x"}, [(TIMES, {"x": DECAY})], 0.02) | changes))
 
 
 def of_groups() -> dict[str, Any]:
@@ -150,7 +151,7 @@ def table_of_groups(*names: str) -> dict[str, Any]:
 
 def test_constants_that_differ_between_groups_cannot_be_profiled_together() -> None:
     with pytest.raises(UsageError, match=r"differ between groups of trajectories.*give the data of one group"):
-        identify(of_groups())
+        identify(Result.of(of_groups()))
 
 
 @pytest.mark.parametrize("names", ["abc", "b"])
@@ -192,7 +193,7 @@ def test_a_model_without_constants_cannot_be_profiled() -> None:
     result = measured({"x": "-x"}, [(TIMES, {"x": DECAY})], 0.02)
     result["equations"][0]["origin"] = "known"
     with pytest.raises(UsageError, match="constants"):
-        identify(result)
+        identify(Result.of(result))
 
 
 def test_a_profile_ends_at_a_bound_of_its_constant() -> None:
@@ -200,7 +201,7 @@ def test_a_profile_ends_at_a_bound_of_its_constant() -> None:
     bound = free.estimate - 0.5 * free.std_error
     result = measured({"x": "-0.5*x"}, [(TIMES, {"x": DECAY})], 0.02)
     result["equations"][0]["constants"] = [{"value": -0.5, "bounds": [bound, None]}]
-    its = identify(result)["c1"]
+    its = identify(Result.of(result))["c1"]
     assert its.interval[0] == pytest.approx(bound, rel=1e-9)
     assert its.interval[1] == pytest.approx(free.interval[1], rel=1e-4)
     assert its.is_cut == (True, False)
@@ -211,7 +212,7 @@ def test_constants_stand_in_the_order_of_the_text_and_ends_can_be_told_apart() -
     y = 2.0 + TIMES + 1e-6 * NOISE
     text = {"x": "-3*x + 2*y", "y": "1.00000001"}
     x = (2.0 / 3.0) * (2.0 - 1.0 / 3.0 + TIMES) + np.exp(-3.0 * TIMES) + 1e-6 * NOISE
-    found = identify(measured(text, [(TIMES, {"x": x, "y": y})], 1e-6))
+    found = identify(Result.of(measured(text, [(TIMES, {"x": x, "y": y})], 1e-6)))
     assert [each.name for each in found.constants] == ["c1", "c2", "c3"]
     assert [round(each.estimate) for each in found.constants] == [-3, 2, 1]
     low, high = found["c3"].sentence.partition(": ")[2].split(" to ")
@@ -225,8 +226,8 @@ def test_a_trajectory_in_pieces_lasts_as_long_as_it_was_measured() -> None:
     noise = {"x": {"sd": 0.02, "relative": 0.02, "method": "loess", "errors": {"piece": 20}}}
     x = 3.0 * np.exp(-0.6 * times) + 0.02 * np.random.default_rng(4).standard_normal(60)
     result = measured({"x": "-0.5*x"}, [(times, {"x": x})], 0.02) | {"noise": noise}
-    assert identify(result).piece == 20
-    first = suggest(result, Request({})).experiments[0]
+    assert identify(Result.of(result)).piece == 20
+    first = suggest(Result.of(result), Request({})).experiments[0]
     assert (len(first.times), first.times[-1]) == (60, pytest.approx(5.0))
 
 

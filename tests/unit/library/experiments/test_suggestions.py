@@ -14,6 +14,7 @@ from atoll.experiments.space import Request
 from atoll.experiments.suggestions import suggest
 from atoll.experiments.systems import equations_of
 from atoll.model.model import Model
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.infix import to_infix
 from tests.unit.library.experiments.made import measured
@@ -39,7 +40,7 @@ LINEAR = measured({"x": "-0.5*x"}, [(TIMES, {"x": 2.0 * np.exp(-0.5 * TIMES) + 0
 
 
 def test_candidates_are_told_apart_where_they_differ() -> None:
-    found = suggest(FOUND, Request(WIDE))
+    found = suggest(Result.of(FOUND), Request(WIDE))
     assert found.purpose == "discrimination"
     assert found.measured == ()
     assert sorted(each.origin for each in found.candidates) == ["candidate", "shown"]
@@ -58,21 +59,21 @@ def test_candidates_are_told_apart_where_they_differ() -> None:
 
 
 def test_the_same_seed_suggests_the_same_and_the_model_as_well() -> None:
-    first = suggest(FOUND, Request(WIDE, count=2, seed=5)).as_dict()
+    first = suggest(Result.of(FOUND), Request(WIDE, count=2, seed=5)).as_dict()
     assert Model(FOUND).suggest(WIDE, count=2, seed=5).as_dict() == first
     assert len(first["experiments"]) <= 2
 
 
 def test_costs_make_experiments_shorter() -> None:
-    by_time = suggest(FOUND, Request(WIDE, cost="duration", count=1)).experiments[0]
-    by_sample = suggest(FOUND, Request(WIDE, cost="samples", count=1)).experiments[0]
+    by_time = suggest(Result.of(FOUND), Request(WIDE, cost="duration", count=1)).experiments[0]
+    by_sample = suggest(Result.of(FOUND), Request(WIDE, cost="samples", count=1)).experiments[0]
     assert by_time.cost == pytest.approx(by_time.times[-1])
     assert by_time.times[-1] < 2.0
     assert by_sample.cost == len(by_sample.times) < 12
 
 
 def test_a_linear_model_alone_is_measured_where_its_constant_shows_most() -> None:
-    found = suggest(LINEAR, Request({}))
+    found = suggest(Result.of(LINEAR), Request({}))
     assert (found.purpose, found.reason) == ("precision", "there is only one candidate")
     assert found.entropy == 0.0
     assert found.measured == ("x",)
@@ -92,7 +93,7 @@ def test_a_candidate_that_the_data_have_excluded_is_said_to_be() -> None:
     times = np.linspace(0.0, 2.0, 150)
     x = 2.0 * np.exp(-0.5 * times) + 1e-5 * np.random.default_rng(3).standard_normal(150)
     data = measured({"x": "-0.5*x"}, [(times, {"x": x})], 1e-5)
-    found = suggest(data, Request({}, rivals=[{"x": "-0.2"}]))
+    found = suggest(Result.of(data), Request({}, rivals=[{"x": "-0.2"}]))
     assert found.purpose == "precision"
     assert found.reason == "the data have excluded all but one of 2 candidates already"
 
@@ -101,17 +102,17 @@ def test_a_model_without_constants_and_candidates_is_refused() -> None:
     known = measured({"x": "-x"}, [(TIMES, {"x": 2.0 * np.exp(-TIMES) + 0.01 * NOISE})], 0.01)
     known["equations"][0]["origin"] = "known"
     with pytest.raises(UsageError, match="no experiment tells more"):
-        suggest(known, Request({}))
+        suggest(Result.of(known), Request({}))
 
 
 def test_candidates_that_foretell_the_same_are_not_told_apart() -> None:
-    found = suggest(FOUND, Request({"x": (0.01, 0.02)}))
+    found = suggest(Result.of(FOUND), Request({"x": (0.01, 0.02)}))
     assert found.purpose == "precision"
     assert found.reason == "all 2 candidates foretell the same within the bounds"
 
 
 def test_rivals_that_are_given_are_candidates() -> None:
-    found = suggest(LINEAR, Request({"x": (0.5, 9.0)}, rivals=[{"dx/dt": "-0.7"}]))
+    found = suggest(Result.of(LINEAR), Request({"x": (0.5, 9.0)}, rivals=[{"dx/dt": "-0.7"}]))
     assert sorted(each.origin for each in found.candidates) == ["given", "shown"]
     assert found.purpose == "discrimination"
 
@@ -119,13 +120,15 @@ def test_rivals_that_are_given_are_candidates() -> None:
 @pytest.mark.parametrize("rival", ["-0.5*x*(1 + 0.2)/(1 + 0.2*x)", "-0.4*x - x*0.1/(1 + x/3)"])
 def test_constants_of_a_rival_that_data_without_noise_do_not_tell_apart_are_no_error(rival: str) -> None:
     clean = measured({"x": "-0.5*x"}, [(TIMES, {"x": 2.0 * np.exp(-0.5 * TIMES)})], 1e-12)
-    found = suggest(clean, Request(WIDE, rivals=[{"x": rival}]))
+    found = suggest(Result.of(clean), Request(WIDE, rivals=[{"x": rival}]))
     assert sorted(each.origin for each in found.candidates) == ["given", "shown"]
 
 
 def test_a_quotient_has_rivals_without_its_pole() -> None:
     y = np.array([(4.0 + 2.0 * time) ** 0.5 for time in TIMES])  # dx/dt = 1/x
-    found = suggest(measured({"x": "1.02/x"}, [(TIMES, {"x": y + 0.01 * NOISE})], 0.01), Request({"x": (0.2, 3.0)}))
+    found = suggest(
+        Result.of(measured({"x": "1.02/x"}, [(TIMES, {"x": y + 0.01 * NOISE})], 0.01)), Request({"x": (0.2, 3.0)})
+    )
     origins = {each.origin for each in found.candidates}
     assert origins <= {"shown", "denominator"}
     assert "shown" in origins
@@ -133,7 +136,7 @@ def test_a_quotient_has_rivals_without_its_pole() -> None:
 
 def test_denominators_are_made_without_the_constant_that_they_have() -> None:
     result = measured({"x": "-x*y/(2 + y)", "y": "1/x"}, [(TIMES, {"x": 3.0 - TIMES, "y": 1.0 + TIMES})], 0.01)
-    its, equations = measured_of(result), equations_of(result)
+    its, equations = measured_of(Result.of(result)), equations_of(Result.of(result))
     made = [
         [to_infix(each, ("x", "y"), digits=3) for each in without_poles(program, equations, its)]
         for program in equations.programs
@@ -147,7 +150,7 @@ def test_constant_inputs_are_chosen_within_their_bounds() -> None:
     x = 1.0 - 0.5 * np.exp(-0.5 * TIMES) + 0.01 * NOISE
     result = measured({"x": "u - 0.5*x"}, [(TIMES, {"x": x, "u": np.full(12, 0.5)})], 0.01, ("u",))
     bounds = {"x": (0.0, 3.0), "u": (0.0, 2.0)}
-    found = suggest(result, Request(bounds, rivals=[{"x": "0.5 - 0.5*x*u"}]))
+    found = suggest(Result.of(result), Request(bounds, rivals=[{"x": "0.5 - 0.5*x*u"}]))
     assert all(0.0 <= each.inputs["u"] <= 2.0 for each in found.experiments)
     assert found.bounds == bounds
 
@@ -156,7 +159,7 @@ def test_an_input_that_is_the_time_goes_on_and_is_not_chosen() -> None:
     times = 3.0 + TIMES
     x = 2.0 - 0.3 * (times**2 - 9.0) / 2.0 + 0.01 * NOISE
     result = measured({"x": "-0.3*t"}, [(times, {"x": x, "t": times})], 0.01, ("t",))
-    found = suggest(result, Request({"x": (0.5, 2.0)}, rivals=[{"x": "-1.2 + 0*t"}]))
+    found = suggest(Result.of(result), Request({"x": (0.5, 2.0)}, rivals=[{"x": "-1.2 + 0*t"}]))
     assert set(found.bounds) == {"x"}
     first = found.experiments[0]
     assert (first.times[0], first.times[-1]) == (3.0, pytest.approx(5.0))
@@ -177,7 +180,7 @@ def test_an_input_that_is_the_time_goes_on_and_is_not_chosen() -> None:
 )
 def test_what_does_not_fit_is_a_sentence(changes: dict[str, Any], sentence: str) -> None:
     with pytest.raises(UsageError, match=sentence):
-        suggest(FOUND, Request(**({"bounds": WIDE} | changes)))
+        suggest(Result.of(FOUND), Request(**({"bounds": WIDE} | changes)))
 
 
 def test_the_discrepancy_is_that_of_a_difference_its_errors_cannot_explain() -> None:

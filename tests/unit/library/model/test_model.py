@@ -12,6 +12,7 @@ import pytest
 import atoll
 from atoll.model.model import Model
 from atoll.model.simulation import EarlyEndWarning
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.library.model.results import constant, result
@@ -37,9 +38,9 @@ def test_the_class_is_an_attribute_of_the_package() -> None:
 
 def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
     Model(decay()).save(tmp_path / "m.json")
-    assert Model.load(tmp_path / "m.json").result == decay()
+    assert Model.load(tmp_path / "m.json").result == Result.of(decay())
     Model(decay()).save(tmp_path / "result.json")
-    assert Model.load(tmp_path).result == decay()
+    assert Model.load(tmp_path).result == Result.of(decay())
 
 
 @pytest.mark.parametrize(
@@ -322,11 +323,9 @@ def test_a_candidate_is_not_of_the_groups_of_the_equation_that_is_shown() -> Non
         assert candidate.groups == ()
         assert "dx/dt" in candidate.remark
         assert "of all groups together" in candidate.remark
-        assert candidate.result["groups"] == []
-        assert (
-            candidate.result["equations"][0] | {"groups": [], "bounds": [], "units": None}
-            == (candidate.result["equations"][0])
-        )
+        assert candidate.result.groups == ()
+        equation = candidate.result.equations[0]
+        assert (equation.groups, equation.bounds, equation.units) == ((), (), None)
 
 
 def test_constants_have_their_units() -> None:

@@ -6,7 +6,7 @@ import io
 import numpy as np
 import pytest
 
-from atoll.model.parameters import JointErrors
+from atoll.model.joint_errors import JointErrors
 from atoll.model.simulation import followed_sizes, simulate
 from atoll.model.vector_field import VectorField
 from atoll_core.errors import UsageError
@@ -49,7 +49,7 @@ def test_csv_has_a_column_for_each_state_and_no_bands_without_errors() -> None:
 
 def test_one_time_has_a_band_without_width() -> None:
     field = VectorField.of({"x": "3.0*x"})
-    errors = JointErrors(field, np.array([3.0]), (0,), np.ones(1), np.ones((1, 1)))
+    errors = JointErrors(field, (0,), np.ones((1, 1)))
     its = simulate(field, np.array([2.0]), TIMES[:1], bands=(errors, 2.0))
     assert its.status == "finished"
     assert its.lower is not None
@@ -100,7 +100,7 @@ def test_a_state_that_comes_back_from_a_deep_trough_is_right(start: float, until
 
 
 def test_bands_come_back_from_a_deep_trough() -> None:
-    errors = JointErrors(PREY, PREY.values_of_parameters, (0,), np.ones(1), np.full((1, 1), 1e-20))
+    errors = JointErrors(PREY, (0,), np.full((1, 1), 1e-20))
     its = simulate(PREY, np.array([20.0, 20.0]), np.linspace(0.0, 60.0, 9), bands=(errors, 2.0))
     assert its.stderr is not None
     assert (its.stderr < 1e-6 * its.x).all()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from atoll.model.vector_field import VectorField
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.evaluation import values_of
 
@@ -58,26 +59,27 @@ def _equation(variable: str, lhs: str, expression: str | None) -> dict[str, obje
     return {"variable": variable, "lhs": lhs, "expression": expression}
 
 
+def _field(equations: list[dict[str, object]], symbols: dict[str, str]) -> VectorField:
+    return VectorField.from_result(Result.of({"schema": 1, "equations": equations, "symbols": symbols}))
+
+
 def test_a_result_of_first_order_keeps_its_order_and_its_symbols() -> None:
     equations = [_equation("y rate", "dy rate/dt", "1.0 - u*x"), _equation("x", "dx/dt", "y_rate")]
-    field = VectorField.from_result({"equations": equations, "symbols": {"y rate": "y_rate", "x": "x", "u": "u"}})
+    field = _field(equations, {"y rate": "y_rate", "x": "x", "u": "u"})
     assert (field.states, field.inputs) == (("y_rate", "x"), ("u",))
     assert field.values([2.0, 3.0], [0.5]).tolist() == [-0.5, 2.0]
 
 
 def test_a_result_of_second_order_is_a_system_of_first_order() -> None:
-    found = {
-        "equations": [_equation("a", "d2a/dt2", "-a - 0.1*a_dot"), _equation("b", "d2b/dt2", "-b + a")],
-        "symbols": {"a": "a", "b": "b", "a_dot": "a_dot", "b_dot": "b_dot"},
-    }
-    field = VectorField.from_result(found)
+    equations = [_equation("a", "d2a/dt2", "-a - 0.1*a_dot"), _equation("b", "d2b/dt2", "-b + a")]
+    field = _field(equations, {"a": "a", "b": "b", "a_dot": "a_dot", "b_dot": "b_dot"})
     assert field.states == ("a", "b", "a_dot", "b_dot")
     assert field.values([1.0, 2.0, 3.0, 4.0]).tolist() == [3.0, 4.0, -1.3, -1.0]
 
 
 def test_the_drift_of_a_process_is_its_field() -> None:
     equations = [_equation("x", "dx/dt", "-x"), _equation("g_x", "dg_x/dt", "0.1")]
-    assert VectorField.from_result({"equations": equations, "symbols": {"x": "x"}}).expressions == ("-x",)
+    assert _field(equations, {"x": "x"}).expressions == ("-x",)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +88,7 @@ def test_the_drift_of_a_process_is_its_field() -> None:
 )
 def test_results_without_dynamics_are_refused(equation: dict[str, object], message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        VectorField.from_result({"equations": [equation], "symbols": {"x": "x", "y": "y"}})
+        _field([equation], {"x": "x", "y": "y"})
 
 
 def test_wrong_shapes_are_named() -> None:

@@ -18,6 +18,7 @@ from atoll.report.origin import origin
 from atoll.report.overview import overview
 from atoll.report.page import as_html
 from atoll.report.trajectories import trajectories
+from atoll_coordinator.result.result import Result
 from tests.unit.library.report.results import dynamics, process, regression
 
 
@@ -45,7 +46,7 @@ class Reader(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page() -> Reader:
-    return Reader(as_html(dynamics()))
+    return Reader(as_html(Result.of(dynamics())))
 
 
 def test_all_that_is_known_of_dynamics_has_a_section(page: Reader) -> None:
@@ -89,7 +90,7 @@ def test_names_from_data_are_text_wherever_they_stand() -> None:
     for key in ("values", "lower", "upper", "measured", "r2", "start"):
         part = found["simulation"]["trajectories"][0]
         part[key] = {hostile if name == "x" else name: value for name, value in part[key].items()}
-    page = Reader(as_html(found))
+    page = Reader(as_html(Result.of(found)))
     assert "img" not in page.tags
     assert f"Equations of {hostile}" in page.texts
 
@@ -98,18 +99,19 @@ def test_what_repeats_a_run_is_not_the_clock() -> None:
     found = dynamics()
     assert any(
         "same digest on any number" in text and "clock" not in text
-        for text in read([origin(Findings(found, None))]).texts
+        for text in read([origin(Findings(Result.of(found), None))]).texts
     )
     found["equations"][0] |= {"why": "max-time", "epoch": 12}
     assert any(
-        "--max-epochs x=12 in the place of --max-time" in text for text in read([origin(Findings(found, None))]).texts
+        "--max-epochs x=12 in the place of --max-time" in text
+        for text in read([origin(Findings(Result.of(found), None))]).texts
     )
 
 
 def test_an_equation_that_was_not_found_leaves_the_rest_of_the_page() -> None:
     found = dynamics(simulation=None)
     found["equations"][1] |= {"expression": None, "verdict": "no model", "reason": "Nothing.", "front": []}
-    page = Reader(as_html(found))
+    page = Reader(as_html(Result.of(found)))
     assert "dy/dt: no equation" in page.texts
     assert any("not analysed" in text for text in page.texts)
 
@@ -119,14 +121,14 @@ def read(sections: list[Element]) -> Reader:
 
 
 def test_a_verdict_is_explained_once_however_many_equations_have_it() -> None:
-    page = read([overview(Findings(dynamics(), None))])
+    page = read([overview(Findings(Result.of(dynamics()), None))])
     assert sum("can be relied on within" in text for text in page.texts) == 1
 
 
 def test_a_page_says_what_the_equation_of_noise_is() -> None:
     said = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time."
-    assert said in read([overview(Findings(process(), None))]).texts
-    assert said not in read([overview(Findings(dynamics(), None))]).texts
+    assert said in read([overview(Findings(Result.of(process()), None))]).texts
+    assert said not in read([overview(Findings(Result.of(dynamics()), None))]).texts
 
 
 def test_columns_without_any_entry_are_left_out() -> None:
@@ -138,7 +140,7 @@ def test_columns_without_any_entry_are_left_out() -> None:
 def test_many_constants_are_not_profiled_for_a_page() -> None:
     found = dynamics()
     found["equations"][0]["constants"] *= MOST_PROFILES + 1
-    page = read(constants(Findings(found, None)))
+    page = read(constants(Findings(Result.of(found), None)))
     assert any("coordinator analyse --identifiability" in text for text in page.texts)
 
 
@@ -146,7 +148,9 @@ def test_profiles_say_what_the_data_determine_of_each_constant() -> None:
     values, ends = np.array([1.0, 2.0, 3.0]), (1.25, 2.75)
     its = ProfiledConstant("c1", "x", True, 2.0, 0.25, ends, ends, "open above", (False, False), values, values - 1.0)
     open_one = Direction(9.0, values, True, "only c1/c2 is determined")
-    found = Findings(dynamics(), None, identifiability=Identifiability(0.95, 9.0, 2.0, (its,), (open_one,), "", 3))
+    found = Findings(
+        Result.of(dynamics()), None, identifiability=Identifiability(0.95, 9.0, 2.0, (its,), (open_one,), "", 3)
+    )
     page = read(constants(found))
     assert {"c1 = 2, open above: at least 1.25", "only c1/c2 is determined"} <= set(page.texts)
     assert "svg" in page.tags
@@ -156,7 +160,7 @@ def test_constants_are_called_as_those_of_the_model() -> None:
     found = dynamics(correlations=[{"first": {"variable": "x", "constant": 0}, "value": -0.99,
                                     "second": {"variable": "y", "constant": 0}}])  # fmt: skip
     found["equations"][1]["constants"] = [{**found["equations"][1]["constants"][0], "value": 2.0}]
-    page = read(constants(Findings(found, None)))
+    page = read(constants(Findings(Result.of(found), None)))
     names = [name for name, its in Model(found).params.items() if its.stderr is not None]
     assert [text for text in page.texts if text in Model(found).params] == names
     assert f"{names[0]} and {names[1]} are hardly told apart: correlation -0.99." in page.texts
@@ -166,13 +170,13 @@ def test_the_next_experiment_stands_with_the_candidates() -> None:
     rivals = tuple(Candidate({"dx/dt": text}, "candidate", 0.5, 0.0) for text in ("x", "2*x"))
     one = Suggestion({"x": 1.5}, {"u": 2.5}, (0.0, 4.0), 1.0, 3.0, 0.625, 7.5)
     found = Suggestions("discrimination", "2 candidates differ", 0.7, rivals, (one,), {}, (), "trajectory", "")
-    page = read(choice(Findings(dynamics(), None, suggestions=found)))
+    page = read(choice(Findings(Result.of(dynamics()), None, suggestions=found)))
     assert {"x = 1.5, u = 2.5", "2, from 0 to 4", "0.625", "7.5", "dx/dt = 2*x"} <= set(page.texts)
 
 
 @pytest.mark.parametrize(("found", "section", "number"), [(regression(), "fit", "0.5"), (process(), "process", "0.75")])
 def test_regressions_and_processes_have_sections_of_their_own(found: dict[str, Any], section: str, number: str) -> None:
-    page = Reader(as_html(found))
+    page = Reader(as_html(Result.of(found)))
     assert section in page.sections
     assert number in page.texts
     assert ("dynamics" in page.sections) == (section == "process")
@@ -196,7 +200,7 @@ def of_groups() -> dict[str, Any]:
 
 
 def test_constants_of_each_group_are_listed() -> None:
-    read = Reader(as_html(of_groups()))
+    read = Reader(as_html(Result.of(of_groups())))
     place = read.texts.index("<b>")
     assert read.texts[read.texts.index("a") : place + 2].count("2.5") == 1
     assert "3.5" in read.texts[place : place + 4]
@@ -218,7 +222,7 @@ def test_figures_have_the_digits_that_their_errors_leave() -> None:
     (part,) = found["simulation"]["trajectories"]
     part["r2"] = {"x": 0.99999919, "y": 1.0}
     found["equations"][0]["candidates"][0]["r2"] = 0.99999919
-    its = Findings(found, None)
+    its = Findings(Result.of(found), None)
     assert "1.99956 to 2.00019" in to_text(constants(its)[0])
     assert "R² at least 0.9999" in to_text(overview(its))
     assert all(">0.9999<" in to_text(each) for each in (trajectories(its)[0], choice(its)[0]))
@@ -229,7 +233,7 @@ def test_dynamics_of_equations_that_do_not_fit_are_said_to_be_so() -> None:
     found["equations"][1]["verdict"] = "no model"
     analysis = Model(found).analyse()
     assert str(analysis).startswith("The verdict on dy/dt is no model:")
-    section = to_text(section_of_dynamics(Findings(found, Model(found), analysis))[0])
+    section = to_text(section_of_dynamics(Findings(Result.of(found), Model(found), analysis))[0])
     assert section.index("The verdict on dy/dt is no model:") < section.index("<svg")
 
 
@@ -239,13 +243,13 @@ def test_constants_of_the_result_stand_beside_those_fitted_again() -> None:
     lines = str(its).splitlines()
     assert "fitted again" in lines[0]
     assert lines[2].strip() == "with the constants of the result  dx/dt = 2*x"
-    text = to_text(choice(Findings(dynamics(), None, suggestions=its))[0])
+    text = to_text(choice(Findings(Result.of(dynamics()), None, suggestions=its))[0])
     assert "shown, with the constants of the result" in text
     assert "2*x" in text
 
 
 def test_constants_are_stacked_on_narrow_pages() -> None:
-    text = to_text(constants(Findings(dynamics(), None))[0])
+    text = to_text(constants(Findings(Result.of(dynamics()), None))[0])
     assert '<table class="stacked">' in text
     assert 'data-head="standard error"' in text
 
@@ -287,7 +291,7 @@ def test_no_text_of_a_result_is_taken_for_markup(kind: Any) -> None:
     assert dangers(HOSTILE)
     found = hostile(kind())
     model = Model(found)
-    page = as_html(found)
+    page = as_html(Result.of(found))
     for text in (model._repr_html_(), model.mathml(), page):
         assert dangers(text) == []
     assert page.count("&lt;script&gt;") > 20
@@ -298,5 +302,5 @@ def test_simple_numbers_together_have_a_sentence_below_the_constants() -> None:
     found = dynamics()
     together = {"constants": [0], "values": [3.0], "odds": 14.7, "chi_square": 0.61}
     found["equations"][0]["simple_together"] = together
-    page = read(constants(Findings(found, None)))
+    page = read(constants(Findings(Result.of(found), None)))
     assert "c1 = 3, judged together: odds 15 against all other numbers (chi-square 0.61)." in page.texts

@@ -19,20 +19,27 @@ from atoll.text.tables import (
     summary,
     together_line,
 )
+from atoll_coordinator.result.equations import Candidate, Constant, SimpleTogether
+from atoll_coordinator.result.result import Result
 
 
 def constant(value: float, fitted: float | None, error: float | None, **more: Any) -> dict[str, Any]:
     return {"value": value, "fitted": fitted, "std_error": error, "interval": None, "identifiable": True, **more}
 
 
+def constants(*values: dict[str, Any]) -> list[Constant]:
+    return [Constant.model_validate(value) for value in values]
+
+
 def trajectory(name: str, *r2: float | None, held_out: bool = False) -> dict[str, Any]:
-    return {"name": name, "held_out": held_out, "r2": dict(zip(("x", "y"), r2, strict=False))}
+    return {"name": name, "held_out": held_out, "r2": dict(zip(("x", "y"), r2, strict=False)), "times": []}
 
 
-def result(*trajectories: dict[str, Any], **more: Any) -> dict[str, Any]:
-    equation = {"variable": "x", "verdict": "good", "constants": [constant(3.0, 2.98, 0.02), constant(0.5, 0.4, 0.3)]}
-    equation |= {"expression": "3.0*x"}
-    return {"equations": [equation], "symbols": {"x": "x"}, "simulation": {"trajectories": list(trajectories)}, **more}
+def result(*trajectories: dict[str, Any], verdict: str = "good", **more: Any) -> Result:
+    known = [constant(3.0, 2.98, 0.02), constant(0.5, 0.4, 0.3)]
+    equation = {"variable": "x", "lhs": "dx/dt", "expression": "3.0*x", "verdict": verdict, "constants": known}
+    parts = {"trajectories": list(trajectories)}
+    return Result.of({"schema": 1, "equations": [equation], "symbols": {"x": "x"}, "simulation": parts, **more})
 
 
 LOESS = {"sd": 0.123456, "relative": 0.0512, "method": "loess", "span": 21, "degree": 3, "doubtful_rows": 0}
@@ -76,18 +83,18 @@ def test_columns_are_aligned_and_nothing_trails() -> None:
 
 
 def test_constants_stand_in_a_line_with_their_errors() -> None:
-    given = [
+    given = constants(
         constant(3.0, 2.981, 0.018),
         constant(2.98, 2.98, 0.25),
         constant(2.0, 2.04, 1.5, identifiable=False),
         constant(7.0, None, None),
-    ]
+    )
     assert constants_line(given) == "constants: 3 (2.981 ± 0.018), 2.98 ± 0.25, 2 (2.0 ± 1.5, not determined)"
 
 
 def test_units_and_bounds_stand_beside_constants() -> None:
     met = constant(0.5, 0.5, None, at_bound=True, interval=[0.48, 0.5])
-    given = [constant(3.0, 2.981, 0.018, unit="1/h"), constant(2.0, 2.0, 0.1, unit="1"), met]
+    given = constants(constant(3.0, 2.981, 0.018, unit="1/h"), constant(2.0, 2.0, 0.1, unit="1"), met)
     line = "constants: 3 (2.981 ± 0.018) 1/h, 2 (2.00 ± 0.10), 0.5 (at its bound, 0.48 to 0.5)"
     assert constants_line(given) == line
     assert constants_table(given)[1].split()[:2] == ["3", "1/h"]
@@ -95,24 +102,26 @@ def test_units_and_bounds_stand_beside_constants() -> None:
 
 
 def test_constants_known_but_for_rounding_need_no_line() -> None:
-    assert constants_line([constant(3.0, 3.0, 1e-12), constant(1.0, None, None)]) is None
+    assert constants_line(constants(constant(3.0, 3.0, 1e-12), constant(1.0, None, None))) is None
     assert constants_line([]) is None
 
 
 def test_the_table_of_constants_has_intervals() -> None:
-    given = [constant(3.0, 2.981, 0.018, interval=[2.9457, 3.0163]), constant(2.0, 2.04, 1.5, identifiable=False)]
+    given = constants(
+        constant(3.0, 2.981, 0.018, interval=[2.9457, 3.0163]), constant(2.0, 2.04, 1.5, identifiable=False)
+    )
     heads, first, second = constants_table(given)
     assert heads.split("  ")[-1].strip() == "95 % interval"
     assert first.split() == ["3", "2.981", "±", "0.018", "2.946", "to", "3.016"]
     assert second.endswith("-  not determined by the data")
-    assert constants_table([constant(7.0, None, None)]) == []
-    assert "interval" not in constants_table([constant(3.0, 2.981, 0.018)])[0]
+    assert constants_table(constants(constant(7.0, None, None))) == []
+    assert "interval" not in constants_table(constants(constant(3.0, 2.981, 0.018)))[0]
 
 
 def test_contenders_show_how_close_the_race_was() -> None:
-    def contender(text: str, nats: float | None, held_out: float | None) -> dict[str, Any]:
+    def contender(text: str, nats: float | None, held_out: float | None, **more: bool) -> Candidate:
         shown = {"expression": text, "complexity": 3, "r2": 0.998, "selected": nats == 0.0}
-        return {**shown, "nats": nats, "held_out_r2": held_out, "origin": "front"}
+        return Candidate.model_validate({**shown, "nats": nats, "held_out_r2": held_out, "origin": "front", **more})
 
     lines = contenders_table([contender("a*x", 0.0, 0.9), contender("a+x", 2.13, None)], str.upper)
     assert lines[0].split() == ["contender", "nats", "R2", "held", "out", "size", "origin", "expression"]
@@ -121,7 +130,7 @@ def test_contenders_show_how_close_the_race_was() -> None:
     without = contenders_table([contender("a*x", 0.0, None), contender("a+x", None, None)], str)
     assert "held" not in without[0]
     assert contenders_table([contender("a*x", 0.0, None)], str) == []
-    crossed = [{**contender(text, 0.0, 0.9), "cross_validated": True} for text in ("a", "b", "c", "d")]
+    crossed = [contender(text, 0.0, 0.9, cross_validated=True) for text in ("a", "b", "c", "d")]
     heads, *rest = contenders_table(crossed, str, most=2)
     assert heads.split()[3] == "cross-validated"
     assert [line.split()[-1] for line in rest[:3]] == ["a", "b", "c"]
@@ -130,7 +139,7 @@ def test_contenders_show_how_close_the_race_was() -> None:
 
 def test_noise_is_said_in_a_line_for_each_state() -> None:
     noise = {"x": {**LOESS, "outliers": 1}, "y": {**CLEAN, "doubtful_rows": 9, "outliers": 0}}
-    assert noise_lines({"noise": noise}) == [
+    assert noise_lines(result(noise=noise)) == [
         "noise of x: 0.123, 5.1 % of its deviation; loess of degree 3 over 21 rows; 1 outlier",
         "noise of y: none to speak of; interpolated; derivatives doubtful on 9 rows",
     ]
@@ -141,10 +150,10 @@ def test_residuals_and_reasons_are_said_where_they_are_known() -> None:
     times = (("end", [0.0, 0.1]), ("end", [9.0]), ("jump", [2.0]))
     doubtful = [{"trajectory": "1", "reason": reason, "times": its} for reason, its in times]
     its = {**LOESS, "doubtful_rows": 4, "outliers": 0, "residual_rms": 0.1, "largest_residual": largest}
-    (line,) = noise_lines({"noise": {"x": {**its, "doubtful": doubtful}}})
+    (line,) = noise_lines(result(noise={"x": {**its, "doubtful": doubtful}}))
     assert "; residuals 0.1, the largest -0.5 at t = 3.25 of trajectory 2; " in line
     assert line.endswith("; not used: 3 near ends, 1 at jumps")
-    assert noise_lines({}) == []
+    assert noise_lines(result()) == []
 
 
 def test_the_summary_is_two_lines_and_exact_models_need_none() -> None:
@@ -156,9 +165,7 @@ def test_the_summary_is_two_lines_and_exact_models_need_none() -> None:
     ]
     broken = summary(result(trajectory("1", 0.99, None), trajectory("2", 0.5, 0.5)))
     assert broken == ["simulation: R2 at least 0.5000 on 1 trajectory, 1 not to the end"]
-    exact = result(*several, noise={"x": CLEAN})
-    exact["equations"][0]["verdict"] = "exact"
-    assert summary(exact) == []
+    assert summary(result(*several, verdict="exact", noise={"x": CLEAN})) == []
 
 
 def test_simulations_stand_in_a_table_and_of_many_the_worst() -> None:
@@ -172,7 +179,7 @@ def test_simulations_stand_in_a_table_and_of_many_the_worst() -> None:
     assert len(many) == MOST_LINES + 3
     assert many[2].split() == ["0", "0.0000", "1"]
     assert many[-1].strip() == f"the {MOST_LINES} worst of 50"
-    assert simulation_table({"equations": []}) == []
+    assert simulation_table(result()) == []
 
 
 def test_constants_that_are_hardly_told_apart_are_named() -> None:
@@ -188,12 +195,12 @@ def test_constants_that_are_hardly_told_apart_are_named() -> None:
 
 
 def test_a_constant_of_infinite_error_is_said_not_to_be_determined() -> None:
-    loose = constant(2.0, 2.0, None, identifiable=False)
-    assert constants_line([loose]) == "constants: 2 (not determined)"
-    assert "not determined by the data" in constants_table([loose])[1]
+    loose = constants(constant(2.0, 2.0, None, identifiable=False))
+    assert constants_line(loose) == "constants: 2 (not determined)"
+    assert "not determined by the data" in constants_table(loose)[1]
 
 
 def test_simple_numbers_together_have_a_line_with_their_odds() -> None:
-    its = {"constants": [0, 1], "values": [0.9, 1.0 / 9.0], "odds": 14.7, "chi_square": 0.61}
-    assert together_line(its) == ["    0.9 and 0.111111 together (chi-square 0.61): odds 15 against other numbers"]
-    assert together_line(None) == together_line({**its, "odds": None}) == []
+    together = SimpleTogether(constants=(0, 1), values=(0.9, 1.0 / 9.0), odds=14.7, chi_square=0.61)
+    assert together_line(together) == ["    0.9 and 0.111111 together (chi-square 0.61): odds 15 against other numbers"]
+    assert together_line(None) == together_line(SimpleTogether(constants=(0, 1), values=(0.9, 1.0 / 9.0))) == []

@@ -7,7 +7,6 @@ import pytest
 
 from atoll.api.tables import table_of
 from atoll.model.model import Model
-from atoll.text.render import render_text
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.roles.roles import assign_roles
@@ -22,6 +21,7 @@ from atoll_core.errors import DataError, UsageError
 from atoll_core.expression.evaluation import values_of
 from atoll_core.search.pareto import FrontEntry
 from tests.unit.coordinator.model.fitting import settings
+from tests.unit.coordinator.model.result.plain import render_text
 from tests.unit.coordinator.model.shooting.made import pools
 
 RATES, CAPACITY = (0.5, 1.0, 1.7), 2.0
@@ -71,7 +71,9 @@ def test_what_differs_is_told_and_what_does_not_is_shared():
 def test_a_result_has_the_equation_of_each_group():
     preparation, refinement = refined(group="strain")
     outcome = VariableOutcome("x", (), 1, refined=refinement.equations["x"])
-    result = build_result("j", config(group="strain"), preparation, [outcome], Account("done", 1.0, 1.0), refinement)
+    result = build_result(
+        "j", config(group="strain"), preparation, [outcome], Account("done", 1.0, 1.0), refinement
+    ).as_dict()
     (equation,) = result["equations"]
     assert [each["group"] for each in equation["groups"]] == ["1", "2", "3"]
     assert [each["trajectories"] for each in result["groups"]] == [["1"], ["2"], ["3"]]
@@ -104,7 +106,7 @@ def test_a_known_equation_alone_has_no_constants_by_group(data):
     refinement = refine_all(preparation, its, {})
     front = (FrontEntry(9, 0.1, 0.1, 0, 0, 0, refinement.equations["x"].program.to_bytes()),)
     outcome = VariableOutcome("x", front, 0, refined=refinement.equations["x"], why=KNOWN)
-    result = build_result("j", its, preparation, [outcome], Account("done", 1.0, 1.0), refinement)
+    result = build_result("j", its, preparation, [outcome], Account("done", 1.0, 1.0), refinement).as_dict()
     model = Model(result)
     assert model.groups == ()
     assert model.simulate({"x": 0.1}, 5.0).status == "finished"
@@ -133,7 +135,9 @@ def test_a_result_says_that_constants_were_not_fitted_by_group():
     for state, count in (("running", 0), ("done", 1)):
         refinement = Refinement({}, warnings=("cut short",), end="max-time")
         outcome = VariableOutcome("x", (), 1)
-        result = build_result("j", config(group="strain"), preparation, [outcome], Account(state, 1.0, 1.0), refinement)
+        result = build_result(
+            "j", config(group="strain"), preparation, [outcome], Account(state, 1.0, 1.0), refinement
+        ).as_dict()
         assert result["warnings"].count(NOT_BY_GROUP) == count
 
 

@@ -9,7 +9,13 @@ import pytest
 from atoll.text.tables import noise_lines
 from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.refinement import StateErrors
-from atoll_coordinator.model.result.diagnostics import MOST_EXCLUDED, MOST_ROWS, noise, smoothing
+from atoll_coordinator.model.result import diagnostics
+from atoll_coordinator.model.result.diagnostics import MOST_EXCLUDED, MOST_ROWS
+from atoll_coordinator.result.result import Result
+from tests.unit.coordinator.model.result.plain import plainly
+
+noise = plainly(diagnostics.noise)
+smoothing = plainly(diagnostics.smoothing)
 
 
 def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory:
@@ -119,13 +125,17 @@ def test_no_table_without_smoothed_states_and_nothing_but_numbers() -> None:
     json.dumps([found, noise(recording(wild), {})], allow_nan=False)
 
 
+def whole(errors: dict[str, StateErrors]) -> Result:
+    return Result(equations=(), symbols={}, noise=diagnostics.noise(recording(trajectory(101)), errors))
+
+
 def test_what_residuals_say_of_errors_is_listed_and_told_in_words():
     solver = StateErrors(2e-4, 0.0, 1.0, 5.0, 20.0, True, 10)
     sensor = StateErrors(0.1, 0.8, 0.5, 6.3, 30.0, False)
     found = noise(recording(trajectory(101)), {"x": sensor})["x"]["errors"]
     assert (found["sd"], found["proportional"], found["correlation_rows"], found["add_up"]) == (0.1, 0.8, 6.3, False)
-    line, *_ = noise_lines({"noise": noise(recording(trajectory(101)), {"x": sensor})})
+    line, *_ = noise_lines(whole({"x": sensor}))
     assert "80 % of their variance grows with the value squared" in line
     assert "50 % of the errors' variance of neighbouring rows goes together over about 6 rows" in line
-    line, *_ = noise_lines({"noise": noise(recording(trajectory(101)), {"x": solver})})
+    line, *_ = noise_lines(whole({"x": solver}))
     assert "errors add up along trajectories, as those of a solver do: 0.0002 within 10 rows" in line

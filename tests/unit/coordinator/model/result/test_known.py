@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.text.render import render_text
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.result.digest import result_digest
 from atoll_coordinator.model.result.known import known_entries, with_remarks
@@ -14,6 +13,7 @@ from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcom
 from atoll_core.config import EvolutionConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.expression.text.parsing import from_infix
+from tests.unit.coordinator.model.result.plain import render_text
 
 X = np.linspace(-2.0, 2.0, 50)
 DATASET = Dataset(
@@ -50,7 +50,9 @@ def test_one_without_a_value_everywhere_is_warned_of():
 def result(text="-x/10"):
     entry = entries(y=text)["y"]
     outcomes = [VariableOutcome("x", (), 0), VariableOutcome("y", (entry,), 0, why=KNOWN)]
-    return build_result("j", JobConfig(), Preparation(DATASET, None), outcomes, Account("done", 1.0, 1.0)), outcomes
+    return build_result(
+        "j", JobConfig(), Preparation(DATASET, None), outcomes, Account("done", 1.0, 1.0)
+    ).as_dict(), outcomes
 
 
 def test_it_stands_in_the_result_with_its_error_and_the_cause():
@@ -76,7 +78,9 @@ def test_the_digest_covers_what_was_searched_alone():
 def test_without_a_search_it_covers_what_is_known_and_the_data():
     def digest(text):
         outcomes = [replace(each, why=KNOWN) for each in result(text)[1]]
-        built = build_result("j", JobConfig(), Preparation(DATASET, None), outcomes, Account("done", 1.0, 1.0))
+        built = build_result(
+            "j", JobConfig(), Preparation(DATASET, None), outcomes, Account("done", 1.0, 1.0)
+        ).as_dict()
         return built["digest"]
 
     assert digest("-x/10") == digest("-x/10")

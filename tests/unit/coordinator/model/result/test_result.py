@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll.text.render import parse_picks, pick, render, render_text
+from atoll.text.render import parse_picks
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.model.refinement import (
     Constant,
@@ -21,12 +21,14 @@ from atoll_coordinator.model.refinement import (
 )
 from atoll_coordinator.model.result.digest import result_digest
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
+from atoll_coordinator.result.equations import Equation
 from atoll_core.config import BudgetConfig, JobConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import UsageError
 from atoll_core.expression.simplification import complexity
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.search.pareto import FrontEntry
+from tests.unit.coordinator.model.result.plain import pick, render_text, rendered
 
 NAMES = ("x", "S", "v")
 SYMBOLS = {"x": "x", "S": "S", "v [m/s]": "v"}
@@ -55,7 +57,7 @@ def outcomes() -> list[VariableOutcome]:
 
 def result(**changes: object) -> dict:
     account = Account("done", 1.9, 0.4)
-    return build_result("job-1", JobConfig(seed=7), PREPARATION, outcomes(), replace(account, **changes))
+    return build_result("job-1", JobConfig(seed=7), PREPARATION, outcomes(), replace(account, **changes)).as_dict()
 
 
 def test_the_equation_says_what_was_found_when_and_at_what_cost():
@@ -76,7 +78,7 @@ def test_the_equation_says_what_was_found_when_and_at_what_cost():
 def test_convergence_is_listed_by_island_relative_to_the_target():
     steps = {1: ((7, 2.5),), 0: tuple((generation, 250.0 - generation) for generation in range(200))}
     outcome = replace(outcomes()[0], convergence=steps)
-    found = build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0))
+    found = build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0)).as_dict()
     first, second = found["equations"][0]["convergence"]
     assert second == {"island": 1, "generations": [7], "errors": [2.0]}
     assert (len(first["errors"]), first["generations"][0], first["generations"][-1]) == (40, 0, 199)
@@ -85,7 +87,7 @@ def test_convergence_is_listed_by_island_relative_to_the_target():
 def test_measured_and_fitted_values_of_a_regression_are_listed():
     source = Source("0" * 64, ("a.csv",), 50, {}, None, (), (), ("x", "S", "v [m/s]"), "v [m/s]", 1)
     given = replace(PREPARATION, source=source)
-    found = build_result("job-1", JobConfig(), given, outcomes()[:1], Account("done", 1.0, 1.0))["regression"]
+    found = build_result("job-1", JobConfig(), given, outcomes()[:1], Account("done", 1.0, 1.0)).as_dict()["regression"]
     assert (found["rows"], found["listed"], set(found["fitted"])) == (50, 50, {0.0})
     assert found["measured"][:2] == pytest.approx([-2.0, -1.918367])
     assert set(found["variables"]) == {"x", "S", "v [m/s]"}
@@ -108,7 +110,7 @@ def test_members_that_are_one_function_fall_together_and_the_front_is_one_of_sho
         entry("sin(v + 1.5707963267948966)", 0.35),
     )
     selected = VariableOutcome("x", front, 1)
-    shown = build_result("j", JobConfig(), PREPARATION, [selected], Account("done", 1.0, 1.0))["equations"][0]
+    shown = build_result("j", JobConfig(), PREPARATION, [selected], Account("done", 1.0, 1.0)).as_dict()["equations"][0]
     assert [(each["expression"], each["complexity"], each["error"]) for each in shown["front"]] == [
         ("x", 1, 0.4),
         ("cos(v)", 2, 0.35),
@@ -119,7 +121,7 @@ def test_members_that_are_one_function_fall_together_and_the_front_is_one_of_sho
 
 def test_a_known_equation_is_shown_as_it_was_given():
     given = VariableOutcome("x", (entry("x*1.0 + S - S", 0.5),), 0, why=KNOWN)
-    shown = build_result("j", JobConfig(), PREPARATION, [given], Account("done", 1.0, 1.0))["equations"][0]
+    shown = build_result("j", JobConfig(), PREPARATION, [given], Account("done", 1.0, 1.0)).as_dict()["equations"][0]
     assert shown["expression"] == shown["front"][0]["expression"] == "1.0*x + S - S"
 
 
@@ -130,7 +132,7 @@ def test_the_front_is_measured_on_held_out_rows_as_well():
     unseen = replace(seen, inputs=rows, targets=targets)
     front = (entry("2.0*x", 0.4), entry("2.5*x/v", 0.3))
     given = Preparation(seen, held_out=unseen)
-    built = build_result("j", JobConfig(), given, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    built = build_result("j", JobConfig(), given, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0)).as_dict()
     assert [member["holdout_error"] for member in built["equations"][0]["front"]] == [1.0, None]
     heads, first, second = render_text(built, fronts=True).splitlines()[3:6]
     assert heads.split()[:5] == ["pick", "size", "error", "held", "out"]
@@ -146,7 +148,7 @@ def test_an_equation_without_a_front_is_null_and_not_converged():
 
 def test_a_generation_without_a_hit_is_that_of_the_selected_member():
     changed = [replace(outcomes()[0], generation=None), outcomes()[1]]
-    built = build_result("j", JobConfig(), PREPARATION, changed, Account("done", 1.0, 1.0))
+    built = build_result("j", JobConfig(), PREPARATION, changed, Account("done", 1.0, 1.0)).as_dict()
     assert built["equations"][0]["generation"] == 285
 
 
@@ -163,7 +165,7 @@ def test_numbers_that_are_not_finite_become_null():
     strange = replace(entry("x", 0.5), mse=math.inf)
     built = build_result(
         "j", JobConfig(), PREPARATION, [VariableOutcome("x", (strange,), 1)], Account("done", math.inf, 1.0)
-    )
+    ).as_dict()
     text = json.dumps(built, allow_nan=False)
     assert json.loads(text)["seconds"] is None
     assert built["equations"][0]["front"][0]["r2"] is None
@@ -172,10 +174,14 @@ def test_numbers_that_are_not_finite_become_null():
 def test_an_explicit_target_error_decides_what_has_converged():
     config = JobConfig(budget=BudgetConfig(target_error=0.5))
     front = (entry("2.0*x", 0.4),)
-    built = build_result("j", config, PREPARATION, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    built = build_result(
+        "j", config, PREPARATION, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0)
+    ).as_dict()
     assert built["equations"][0]["converged"] is True
     stricter = JobConfig(budget=BudgetConfig(target_error=0.1))
-    built = build_result("j", stricter, PREPARATION, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    built = build_result(
+        "j", stricter, PREPARATION, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0)
+    ).as_dict()
     assert built["equations"][0]["converged"] is False
 
 
@@ -184,7 +190,9 @@ def test_an_expression_too_long_to_print_is_left_out():
     for _ in range(15):
         text = f"sin({text})/({text})" if len(text) < 40_000 else text
     huge = entry(text, 1e-3)
-    built = build_result("j", JobConfig(), PREPARATION, [VariableOutcome("x", (huge,), 1)], Account("done", 1.0, 1.0))
+    built = build_result(
+        "j", JobConfig(), PREPARATION, [VariableOutcome("x", (huge,), 1)], Account("done", 1.0, 1.0)
+    ).as_dict()
     assert built["equations"][0]["front"] == []
 
 
@@ -232,7 +240,7 @@ def refined_result() -> dict:
     curve = Simulated("1", False, np.arange(3.0), np.ones((1, 3)), np.ones((1, 3)), None, (0.99,))
     model = Refinement({"x": shown}, Simulation(("x",), (curve,), 2.0), (Correlation(("x", 0), ("x", 1), 0.99),))
     outcome = replace(outcomes()[0], refined=shown)
-    return build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0), model)
+    return build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0), model).as_dict()
 
 
 def test_text_of_a_refined_model_has_constants_verdict_and_tables():
@@ -257,7 +265,7 @@ def test_text_of_a_result_from_before_verdicts_is_shown_as_it_is():
 
 
 def test_csv_has_the_equation_shown_and_one_line_for_each_member():
-    rows = list(csv.DictReader(io.StringIO(render(result(), "csv"))))
+    rows = list(csv.DictReader(io.StringIO(rendered(result(), "csv"))))
     assert [row["pick"] for row in rows] == ["", "0", "1", "2"]
     assert rows[3]["expression"] == TRUTH
     assert rows[3]["selected"] == "True"
@@ -268,13 +276,13 @@ def test_csv_has_the_equation_shown_and_one_line_for_each_member():
 
 def test_sympy_source_runs_and_gives_the_equations():
     scope: dict = {}
-    exec(render(result(), "sympy"), scope)
+    exec(rendered(result(), "sympy"), scope)
     x, s = scope["symbols"]["x"], scope["symbols"]["S"]
     assert scope["equations"]["dx/dt"].subs({x: 2, s: 5}) == -18.0
 
 
 def test_latex_writes_fractions_and_rounded_constants():
-    text = render(result(), "latex")
+    text = rendered(result(), "latex")
     assert r"\frac{d x}{d t} &= " in text
     assert r"\begin{align*}" in text
     assert r"x \left(3 - x - 2 S\right)" in text
@@ -282,7 +290,7 @@ def test_latex_writes_fractions_and_rounded_constants():
 
 def test_latex_of_nothing_found_yet_has_no_blank_line():
     empty = {**result(), "equations": [{**each, "expression": None} for each in result()["equations"]]}
-    assert render(empty, "latex").splitlines() == [r"\begin{align*}", r"\end{align*}"]
+    assert rendered(empty, "latex").splitlines() == [r"\begin{align*}", r"\end{align*}"]
 
 
 def test_a_picked_equation_that_has_not_converged_is_not_said_to_have_met_the_target():
@@ -328,16 +336,16 @@ def test_malformed_picks_are_refused(text):
 
 def test_an_unknown_format_is_refused():
     with pytest.raises(UsageError, match="choose one of"):
-        render(result(), "yaml")
+        rendered(result(), "yaml")
 
 
 def test_what_is_no_model_is_not_said_to_have_converged():
     from atoll.text.render import _standing
 
-    equation = {"why": "target", "converged": True, "verdict": "no model", "normalized_error": 0.1}
-    equation |= {"complexity": 3, "epoch": 2}
+    known = {"why": "target", "converged": True, "verdict": "no model", "normalized_error": 0.1}
+    equation = Equation(variable="x", lhs="dx/dt", expression="x", complexity=3, epoch=2, **known)
     assert _standing(equation) == "error 0.1 of the target's deviation, size 3, epoch 2"
-    assert _standing({**equation, "verdict": "good"}).startswith("converged: error 0.1")
+    assert _standing(equation.model_copy(update={"verdict": "good"})).startswith("converged: error 0.1")
 
 
 def test_an_equation_whose_display_has_other_numbers_is_written_out():

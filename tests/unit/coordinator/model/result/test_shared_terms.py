@@ -3,9 +3,12 @@
 import pytest
 
 from atoll_coordinator.model.refinement import Constant, Refined, SharedTerm
-from atoll_coordinator.model.result.shared_terms import shared_terms
+from atoll_coordinator.model.result import shared_terms as made
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.writing.opened import shape_of, terms_of
+from tests.unit.coordinator.model.result.plain import plainly
+
+shared_terms = plainly(made.shared_terms)
 
 NAMES = ("x", "y", "z")
 

@@ -8,8 +8,11 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.model.result import source
-from atoll_coordinator.model.result.source import data, settings, system
+from atoll_coordinator.model.result.source import settings
 from atoll_core.config import DataConfig, JobConfig
+from tests.unit.coordinator.model.result.plain import plainly
+
+data, system = plainly(source.data), plainly(source.system)
 
 CONFIG = JobConfig(seed=3, data=DataConfig(target="y"))
 

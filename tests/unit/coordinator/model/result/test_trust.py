@@ -9,9 +9,16 @@ import pytest
 
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Source
 from atoll_coordinator.model.refinement import Alternative, Correlation, Covariance, Refined, Simulated, Simulation
-from atoll_coordinator.model.result.trust import MOST_POINTS, candidates, correlations, covariance, simulation, verdict
+from atoll_coordinator.model.result import trust
+from atoll_coordinator.model.result.trust import MOST_POINTS, verdict
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.expression.text.parsing import from_infix
+from tests.unit.coordinator.model.result.plain import plainly
+
+candidates = plainly(trust.candidates)
+correlations = plainly(trust.correlations)
+covariance = plainly(trust.covariance)
+simulation = plainly(trust.simulation)
 
 VALUES = np.linspace(-1.0, 1.0, 20)
 TARGET = Target("x", "dx/dt", VALUES, 1e-9, 0.6)
@@ -113,14 +120,14 @@ def test_correlations_name_constants() -> None:
 
 def test_a_verdict_is_given_when_the_job_has_ended() -> None:
     shown = Refined(0, from_infix("2.0*x", ("x",)), 1e-12, 1e-24)
-    assert verdict(shown, TARGET, "running", has_trajectories=False) == {"verdict": None, "reason": None}
-    assert verdict(shown, TARGET, "done", has_trajectories=False)["verdict"] == "exact"
+    assert verdict(shown, TARGET, "running", has_trajectories=False) == (None, None)
+    assert verdict(shown, TARGET, "done", has_trajectories=False)[0] == "exact"
     worse = replace(shown, error=0.4, mse=0.3)
-    assert verdict(worse, TARGET, "cancelled", has_trajectories=False)["verdict"] == "doubtful"
-    missing = {"verdict": "no model", "reason": "The search has found no equation."}
+    assert verdict(worse, TARGET, "cancelled", has_trajectories=False)[0] == "doubtful"
+    missing = ("no model", "The search has found no equation.")
     assert verdict(None, TARGET, "done", has_trajectories=False) == missing
-    unsimulated = verdict(shown, TARGET, "done", has_trajectories=True)
-    assert unsimulated["verdict"] == "doubtful"
-    assert "not simulated" in unsimulated["reason"]
+    grade, reason = verdict(shown, TARGET, "done", has_trajectories=True)
+    assert grade == "doubtful"
+    assert "not simulated" in str(reason)
     judged = replace(shown, grade="good", reason="Because.")
-    assert verdict(judged, TARGET, "done", has_trajectories=True) == {"verdict": "good", "reason": "Because."}
+    assert verdict(judged, TARGET, "done", has_trajectories=True) == ("good", "Because.")

@@ -64,6 +64,6 @@ def test_a_verdict_names_the_term_that_units_contradict():
     program = from_infix("2*exp(x)", ("x", "v"))
     target = Target("x", "dx/dt", np.ones(4), 0.0, 1.0)
     shown = Refined(0, program, 0.0, 0.0, grade="good", reason="It fits.", units=units("2*exp(x)", units={"x": "m"}))
-    found = verdict(shown, target, "done", has_trajectories=True)
-    assert found["verdict"] == "doubtful"
-    assert found["reason"] == "Units contradict it: the argument x of a function has the unit m instead of none."
+    grade, reason = verdict(shown, target, "done", has_trajectories=True)
+    assert grade == "doubtful"
+    assert reason == "Units contradict it: the argument x of a function has the unit m instead of none."

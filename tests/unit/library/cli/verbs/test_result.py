@@ -7,12 +7,13 @@ import pytest
 
 from atoll.cli.main import main
 from atoll.cli.result_files import write_result
+from atoll_coordinator.result.result import Result
 from tests.unit.coordinator.model.result.test_known import result
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> str:
-    return str(write_result(tmp_path, result()[0]))
+    return str(write_result(tmp_path, Result.of(result()[0])))
 
 
 @pytest.mark.parametrize(

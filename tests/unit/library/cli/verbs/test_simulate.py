@@ -86,7 +86,7 @@ def test_a_regression_has_no_time_to_simulate(saved: Path, capsys: pytest.Captur
 def test_the_drift_of_a_process_is_simulated_with_the_band_of_its_own_constants(
     saved: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = result({"x": "0.5 - x"}, process={})
+    found = result({"x": "0.5 - x"}, process={"step": 0.1})
     diffusion = result({"x": "0.25"})["equations"][0] | {"variable": "[x]", "lhs": "d[x]/dt"}
     found["equations"].insert(0, diffusion)
     names = [{"variable": "[x]", "constant": 0}, {"variable": "x", "constant": 0}]

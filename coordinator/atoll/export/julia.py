@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from atoll.model.export.content import Content, Language, Wording
-from atoll.model.export.naming import Naming
+from atoll.export.content import Content, Language, Wording
+from atoll.export.naming import Naming
 from atoll_core.expression.text.notation import JULIA
 
 _WORDS: Final = (

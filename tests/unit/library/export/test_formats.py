@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from atoll.cli.options.parser import EXPORT_FORMATS
-from atoll.model.export.formats import FORMATS, NAMES
+from atoll.export.formats import FORMATS, NAMES
+from atoll.model.beginnings import times_of
 from atoll.model.model import Model
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import OPERATORS
 from benchmarks.exports import programs, readers
 from benchmarks.exports.models import published
 from benchmarks.harness.systems import TABLE_III
-from tests.unit.library.model.export.exported import (
+from tests.unit.library.export.exported import (
     TIMES,
     decay,
     difference,
@@ -41,7 +42,7 @@ def test_texts_agree_with_simulations_of_published_systems(systems: dict[str, Mo
     assert difference(run_python(its.to_python())["simulate"](), its) < 1e-8
     for name, read in READERS.items():
         reading = read(its.export(name))
-        assert difference(reading.simulate(its.times_of(None)), its) < 1e-8
+        assert difference(reading.simulate(times_of(its, None)), its) < 1e-8
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -83,7 +84,7 @@ def test_a_state_may_have_the_name_of_a_constant_or_of_a_helper() -> None:
         assert "c1_2 is the constant c1" in text
         assert difference(read(text).simulate(TIMES), its) < 1e-8
     assert difference(run_python(its.to_python())["simulate"](), its) < 1e-8
-    noisy = process().result
+    noisy = process().result.as_dict()
     noisy["symbols"] = {"w1": "w1", "g1_1": "g1_1"}
     for each in noisy["equations"]:
         for key in ("variable", "expression"):
@@ -121,7 +122,7 @@ def test_an_input_is_a_number_a_table_or_the_time() -> None:
 
 def recorded(values: list[float | None]) -> Model:
     """Return a model whose result has the measurements of its input."""
-    found = decay().result
+    found = decay().result.as_dict()
     part = {"name": "1", "times": TIMES.tolist(), "measured": {}, "inputs": {"u": values}}
     return Model({**found, "data": {**found["data"], "trajectories": [part]}})
 
@@ -155,7 +156,7 @@ def test_c_goes_along_tables() -> None:
         def to_c(self, *_: object) -> str:
             return self.export("c", None, TIMES, {"u": values})
 
-    assert difference(programs.c(Given(decay().result)), decay(), t=TIMES, u={"u": values}) < 1e-8
+    assert difference(programs.c(Given(decay().result.as_dict())), decay(), t=TIMES, u={"u": values}) < 1e-8
     its = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
     assert difference(programs.c(its), its) < 1e-8
 
@@ -223,7 +224,7 @@ def model_of_noise() -> Model:
     """Return dx = -x dt + dW, which settles into the variance 1/2."""
     found = result({"x": "-x"})
     found["equations"].append({**found["equations"][0], "variable": "[x]", "lhs": "d[x]/dt", "expression": "1.0"})
-    return Model({**found, "process": {"ensemble": {"times": TIMES.tolist(), "mean": {"x": [0.0]}}}})
+    return Model({**found, "process": {"step": 0.1, "ensemble": {"times": TIMES.tolist(), "mean": {"x": [0.0]}}}})
 
 
 def test_a_regression_is_a_function_or_is_refused() -> None:
@@ -264,7 +265,7 @@ def test_what_a_format_cannot_hold_is_refused_in_a_sentence() -> None:
 
 
 def test_constants_of_groups_are_exported_group_by_group() -> None:
-    its = model({"x": "-0.5*x"}).result
+    its = model({"x": "-0.5*x"}).result.as_dict()
     part = {"group": "a", "expression": "-0.75*x", "program": None, "constants": []}
     its["equations"][0]["groups"] = [part, part | {"group": "b"}]
     its["groups"] = [{"group": name, "trajectories": ["1"], "covariance": None} for name in ("a", "b")]
@@ -274,7 +275,7 @@ def test_constants_of_groups_are_exported_group_by_group() -> None:
 
 
 def test_no_text_breaks_out_of_a_comment() -> None:
-    its = model({"x": "-2.5*x"}).result
+    its = model({"x": "-2.5*x"}).result.as_dict()
     its["equations"][0]["reason"] = "*/ \\\nimport os #\u2028system()\u202e"
     its["data"]["files"] = ['a".csv\r\nexit']
     for name in OF_CONTENT:

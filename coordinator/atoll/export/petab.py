@@ -14,9 +14,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from atoll.model.export import sbml
-from atoll.model.export.content import Content, Wording, refuse_tables
+from atoll.export import sbml
+from atoll.export.content import Content, Wording, content_of, inputs_beside_time, refuse_tables
+from atoll.model.beginnings import measured_beginning, values_of_curve
 from atoll.model.parameters import Parameter
+from atoll.model.rows import inputs_of, rows_of
+from atoll_coordinator.result.findings import Errors, Noise
+from atoll_coordinator.result.trajectories import Recorded, Simulated
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
@@ -101,47 +105,49 @@ def _recorded(model: "Model") -> list[Trajectory]:
 
     A trajectory without a fitted one begins at its first row that has every state.
     """
-    symbols, result = model.result["symbols"], model.result
-    simulated = (result.get("simulation") or {}).get("trajectories") or ()
-    starts = {str(part["name"]): part["start"] for part in simulated if part.get("start")}
-    found = []
-    for part in (result.get("data") or {}).get("trajectories") or simulated:
-        if part.get("held_out") or not part.get("measured"):
-            continue
-        times, its_start = _values(part["times"]), starts.get(str(part["name"]))
-        first = 0
-        if its_start is None:
-            beginning = model.measured_beginning(part)
-            if not beginning:
-                continue
-            its_start, first = beginning["start"], int(np.searchsorted(times, beginning["times"][0]))
-        values = {symbols[name]: _values(its)[first:] for name, its in part["measured"].items()}
-        inputs = {symbols[name]: _values(its)[first:] for name, its in (part.get("inputs") or {}).items()}
-        named = {symbols[name]: float(value) for name, value in its_start.items()}
-        start = tuple(named[name] for name in model.states)
-        found.append(Trajectory(str(part["name"]), times[first:], values, start, inputs))
-    return found
+    starts = {part.name: part.start for part in model.result.simulated if part.start}
+    parts = model.result.recorded or model.result.simulated
+    trajectories = (_trajectory(model, part, starts.get(part.name)) for part in parts if not part.held_out)
+    return [trajectory for trajectory in trajectories if trajectory is not None]
 
 
-def _values(listed: Sequence[float | None]) -> FloatArray:
-    return np.array(listed, dtype=np.float64)
+def _trajectory(
+    model: "Model", part: Recorded | Simulated, fitted: Mapping[str, float | None] | None
+) -> Trajectory | None:
+    """Return the measured rows of a trajectory from its initial state on; None where it has none."""
+    if not part.measured:
+        return None
+    times, start, first = values_of_curve(part.times), fitted, 0
+    if start is None:
+        beginning = measured_beginning(model, part)
+        if beginning is None:
+            return None
+        start, first = beginning.start, int(np.searchsorted(times, beginning.times[0]))
+    symbols = model.result.symbols
+    recorded = part.inputs if isinstance(part, Recorded) else {}
+    values, inputs = (
+        {symbols[name]: values_of_curve(curve)[first:] for name, curve in curves.items()}
+        for curves in (part.measured, recorded)
+    )
+    named = {symbols[name]: np.nan if value is None else value for name, value in start.items()}
+    return Trajectory(part.name, times[first:], values, tuple(named[name] for name in model.states), inputs)
 
 
 def _given(model: "Model", data: Sequence[Mapping[str, Any]]) -> list[Trajectory]:
     """Return measurements that are given, each with the initial state of its first row."""
-    found = []
+    trajectories = []
     for number, part in enumerate(data, start=1):
-        times, values, start = model.rows_of(part)
-        inputs = model.inputs_of(part)
-        found.append(Trajectory(str(number), times, values, tuple(start[name] for name in model.states), inputs))
-    return found
+        times, values, start = rows_of(model, part)
+        inputs = inputs_of(model, part)
+        trajectories.append(Trajectory(str(number), times, values, tuple(start[name] for name in model.states), inputs))
+    return trajectories
 
 
 def beginning(model: "Model", data: Sequence[Mapping[str, Any]]) -> tuple[dict[str, float], FloatArray]:
     """Return the initial state and the times of the first trajectory of measurements that are given."""
     if not data:
         raise UsageError("no trajectory of measurements was given; give at least one")
-    times, _, start = model.rows_of(data[0])
+    times, _, start = rows_of(model, data[0])
     return start, times
 
 
@@ -160,15 +166,13 @@ class _Noise:
 
     @classmethod
     def of(cls, model: "Model", state: str, trajectories: Sequence[Trajectory]) -> "_Noise":
-        column = next((name for name, symbol in model.result["symbols"].items() if symbol == state), state)
-        its = (model.result.get("noise") or {}).get(column) or {}
-        errors = its.get("errors") or {}
+        noise = model.result.noise.get(model.result.columns_by_symbol.get(state, state)) or Noise()
+        errors = noise.errors or Errors()
         values = np.concatenate([part.values[state] for part in trajectories if state in part.values])
         size = float(np.sqrt(np.nanmean(values**2))) or 1.0
         rounding = float(np.spacing(size))
-        known = (float(each) for each in (errors.get("sd"), its.get("sd")) if each)
-        found = next((each for each in known if each > rounding), rounding)
-        return cls(found, float(errors.get("proportional") or 0.0), size)
+        sd = next((sd for sd in (errors.sd, noise.sd) if sd and sd > rounding), rounding)
+        return cls(sd, errors.proportional or 0.0, size)
 
     def formula(self, state: str) -> str:
         """Return the standard deviation as a formula of the model."""
@@ -279,3 +283,10 @@ def _table(rows: Iterable[Row]) -> str:
     for row in its:
         writer.writerow({name: repr(value) if isinstance(value, float) else value for name, value in row.items()})
     return stream.getvalue()
+
+
+def export_petab(model: "Model", folder: str | Path, data: Sequence[Mapping[str, Any]] | None = None) -> None:
+    """Write a PEtab problem into a folder; see `atoll.Model.to_petab`."""
+    start, times = (None, None) if data is None else beginning(model, data)
+    placeholders = dict.fromkeys(inputs_beside_time(model), 0.0)
+    save(write(model, content_of(model, start, times, placeholders), data), folder)

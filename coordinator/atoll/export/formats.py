@@ -2,11 +2,15 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from atoll.model.export import c, julia, matlab, modelica, python, sbml, text, xppaut
-from atoll.model.export.content import Content
+from atoll.export import c, julia, matlab, modelica, python, sbml, text, xppaut
+from atoll.export.content import Content, content_of
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
+
+if TYPE_CHECKING:
+    from atoll.model.model import Model
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,7 @@ class Format:
     holds: str
     opens: str
     of_content: Callable[[Content], str] | None = None
-    of_result: Callable[[Mapping[str, Any]], str] | None = None
+    of_result: Callable[[Result], str] | None = None
     without_tables: str = ""
 
 
@@ -39,10 +43,10 @@ FORMATS: Final = {
         Format("latex", "the equations, aligned", "LaTeX", None, text.as_latex),
         Format("sympy", "the equations as sympy objects", "Python with sympy", None, text.as_sympy),
         Format("csv", "the fronts, a row for each equation", "spreadsheets, pandas, R", None, text.as_csv),
-        Format("json", "the whole result", "coordinator, atoll.Model", None, text.as_json),
+        Format("json", "the whole result", "coordinator, atoll.Model", None, Result.to_json),
     )
 }
-"""By name. PEtab is a folder and has its own writer (`atoll.model.export.petab`)."""
+"""By name. PEtab is a folder and has its own writer (`atoll.export.petab`)."""
 
 PETAB: Final = "petab"
 NAMES: Final = (*FORMATS, PETAB)
@@ -55,3 +59,12 @@ def format_of(name: str) -> Format:
             f"{name!r} is no format of an export; choose one of {', '.join(FORMATS)}, or petab with a folder"
         )
     return FORMATS[name]
+
+
+def written(model: "Model", name: str, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+    """Return a model in a format of one file; see `atoll.Model.export`."""
+    chosen = format_of(name)
+    if chosen.of_content is not None:
+        return chosen.of_content(content_of(model, x0, t, u, chosen.without_tables))
+    assert chosen.of_result is not None
+    return chosen.of_result(model.result)

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 import pytest
 
-from atoll.model.export.sbml_units import factors_of
+from atoll.export.sbml_units import factors_of
 from atoll.model.model import Model
 from benchmarks.exports.readers import integrated
-from tests.unit.library.model.export.exported import TIMES, decay, difference, everything
+from tests.unit.library.export.exported import TIMES, decay, difference, everything
 
 CORE: Final = "{http://www.sbml.org/sbml/level3/version2/core}"
 MATH: Final = "{http://www.w3.org/1998/Math/MathML}"
@@ -85,7 +85,7 @@ def test_constants_have_their_errors_in_notes() -> None:
 
 
 def with_units() -> Model:
-    its = decay().result
+    its = decay().result.as_dict()
     its["system"]["units"] = {"x": "mg/L", "t": "min"}
     its["equations"][0]["constants"][0]["unit"] = "1/min"
     return Model(its)

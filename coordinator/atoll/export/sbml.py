@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Final
 from xml.sax.saxutils import escape, quoteattr
 
-from atoll.model.export.content import Content, Formula, Input, Language, Wording, refuse_noise, refuse_regression
-from atoll.model.export.naming import Naming, harmless
-from atoll.model.export.sbml_units import Units
+from atoll.export.content import Content, Formula, Input, Language, Wording, refuse_noise, refuse_regression
+from atoll.export.naming import Naming, harmless
+from atoll.export.sbml_units import Units
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import (
     ADD,

@@ -3,8 +3,8 @@
 import re
 from typing import Final
 
-from atoll.model.export.content import Content, Language, Wording, refuse_regression, refuse_tables
-from atoll.model.export.naming import Naming
+from atoll.export.content import Content, Language, Wording, refuse_regression, refuse_tables
+from atoll.export.naming import Naming
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.notation import XPPAUT
 

@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.model.export import petab
+from atoll.export import petab
 from atoll.model.model import Model
 from atoll_core.errors import UsageError
 from benchmarks.exports import programs
-from tests.unit.library.model.export.exported import TIMES, decay, model, process
+from tests.unit.library.export.exported import TIMES, decay, model, process
 from tests.unit.library.model.results import constant
 
 
 def measured(u: tuple[float, ...] = (1.0, 1.0, 1.0)) -> Model:
     """Return a model with two trajectories, one of them held out, and a value that is missing."""
-    its = decay().result
+    its = decay().result.as_dict()
     part = {"name": "1", "times": [2.0, 3.0, 5.0], "measured": {"x": [1.1, None, 0.9]}, "inputs": {"u": u}}
     its["data"]["trajectories"] = [part | {"held_out": False}, part | {"name": "2", "held_out": True}]
     return Model({**its, "noise": {"x": {"sd": 0.05, "errors": {"sd": 0.2, "proportional": 0.5}}}})
@@ -25,7 +25,7 @@ def measured(u: tuple[float, ...] = (1.0, 1.0, 1.0)) -> Model:
 
 def alone() -> Model:
     """Return a model without an input."""
-    its = model({"x": "-0.3*x"}).result
+    its = model({"x": "-0.3*x"}).result.as_dict()
     its["equations"][0]["constants"] = [constant(-0.3, 0.1)]
     return Model(its)
 
@@ -42,7 +42,7 @@ def test_measurements_begin_at_time_0_and_leave_out_what_is_missing_or_held_out(
 
 
 def test_measurements_of_a_result_that_was_not_simulated_begin_at_their_first_whole_row(tmp_path: Path) -> None:
-    its = alone().result
+    its = alone().result.as_dict()
     part = {"name": "1", "times": [2.0, 3.0, 5.0], "measured": {"x": [None, 1.25, 0.75]}, "inputs": {}}
     its["data"]["trajectories"] = [part | {"held_out": False}]
     Model({**its, "simulation": None}).to_petab(tmp_path)
@@ -52,7 +52,7 @@ def test_measurements_of_a_result_that_was_not_simulated_begin_at_their_first_wh
 
 
 def test_a_time_column_of_two_words_is_the_time_of_the_model(tmp_path: Path) -> None:
-    its = alone().result
+    its = alone().result.as_dict()
     its["system"]["time"], its["symbols"]["elapsed time"] = "elapsed time", "elapsed_time"
     its["equations"][0]["expression"] = "-0.3*x + 0.1*elapsed_time"
     data = [{"elapsed time": np.array([2.0, 3.0]), "x": np.array([1.0, 0.5])}]
@@ -73,7 +73,7 @@ def test_constants_starts_and_noise_are_estimated_within_bounds(tmp_path: Path) 
 
 
 def test_bounds_that_were_set_are_kept(tmp_path: Path) -> None:
-    its = alone().result
+    its = alone().result.as_dict()
     its["equations"][0]["expression"] = "-1.0*x"
     its["equations"][0]["constants"] = [constant(1.0, 0.1) | {"std_error": None, "bounds": [0.0, None]}]
     Model(its).to_petab(tmp_path, [{"t": TIMES, "x": TIMES}])

@@ -3,11 +3,12 @@
 Each function draws into `axes`, or into a new figure, and returns the axes as an array.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from atoll_coordinator.result.trajectories import Simulated
 from atoll_core.errors import UsageError
 
 if TYPE_CHECKING:
@@ -20,20 +21,19 @@ _GRID = 24
 def plot_fit(model: "Model", axes: Any = None) -> Any:
     """Plot each state over time: measured, and simulated with its 95 % band; a row of axes for each state."""
     parts = _trajectories(model)
-    states = list(parts[0]["values"] or {})
+    states = list(parts[0].values or {})
     axes = _axes(axes, len(states))
     for at, state in zip(axes, states, strict=True):
         for number, part in enumerate(parts):
-            if not part["values"]:
+            if not part.values:
                 continue
-            color, times = f"C{number % 10}", part["times"]
-            if part["lower"]:
-                at.fill_between(
-                    times, *(_numbers(part[side][state]) for side in ("lower", "upper")), color=color, alpha=0.3
-                )
-            at.plot(times, _numbers(part["values"][state]), color=color, label=part["name"])
-            if part.get("measured"):
-                at.plot(times, _numbers(part["measured"][state]), ".", color=color, markersize=3)
+            color, times = f"C{number % 10}", part.times
+            if part.lower:
+                bounds = (_numbers(curves[state]) for curves in (part.lower, part.upper or part.lower))
+                at.fill_between(times, *bounds, color=color, alpha=0.3)
+            at.plot(times, _numbers(part.values[state]), color=color, label=part.name)
+            if part.measured:
+                at.plot(times, _numbers(part.measured[state]), ".", color=color, markersize=3)
         at.set_ylabel(_label(model, state))
     axes[-1].set_xlabel(_label(model, model.time))
     return axes
@@ -41,15 +41,15 @@ def plot_fit(model: "Model", axes: Any = None) -> Any:
 
 def plot_residuals(model: "Model", axes: Any = None) -> Any:
     """Plot measured less simulated values over time, for each state, along each trajectory."""
-    parts = [part for part in _trajectories(model) if part["values"] and part.get("measured")]
+    parts = [part for part in _trajectories(model) if part.values and part.measured]
     if not parts:
         raise UsageError("the result has no measured rows beside simulated ones, so there are no residuals to plot")
-    states = list(parts[0]["values"])
+    states = list(parts[0].values or {})
     axes = _axes(axes, len(states))
     for at, state in zip(axes, states, strict=True):
         for number, part in enumerate(parts):
-            residuals = _numbers(part["measured"][state]) - _numbers(part["values"][state])
-            at.plot(part["times"], residuals, ".", color=f"C{number % 10}")
+            residuals = _numbers(part.measured[state]) - _numbers((part.values or {})[state])
+            at.plot(part.times, residuals, ".", color=f"C{number % 10}")
         at.axhline(0.0, color="0.5", linewidth=0.8)
         at.set_ylabel(_label(model, state))
     axes[-1].set_xlabel(_label(model, model.time))
@@ -62,12 +62,15 @@ def plot_phase(model: "Model", axes: Any = None) -> Any:
         raise UsageError("a phase plane takes two states; this model has one")
     if model.inputs:
         raise UsageError(f"the model has the inputs {', '.join(model.inputs)}, so that no plane shows its directions")
-    columns = {symbol: column for column, symbol in model.result["symbols"].items()}
-    ranges = [(model.result["system"] or {})["ranges"][columns[name]] for name in model.states]
+    columns, known = model.result.columns_by_symbol, model.result.ranges
+    lacking = next((name for name in model.states if name not in known), None)
+    if lacking is not None:
+        raise UsageError(f"the result does not say in which range {lacking!r} was measured")
+    ranges = [known[name] for name in model.states]
     (at,) = _axes(axes, 1)
     (left, right), (low, high) = ranges[0], ranges[1]
     first, second = np.meshgrid(np.linspace(left, right, _GRID), np.linspace(low, high, _GRID))
-    points = np.tile([0.5 * sum(each) for each in ranges], (first.size, 1))
+    points = np.tile([0.5 * (one + other) for one, other in ranges], (first.size, 1))
     points[:, 0], points[:, 1] = first.ravel(), second.ravel()
     rates = model.field.values(points)
     at.streamplot(
@@ -75,8 +78,8 @@ def plot_phase(model: "Model", axes: Any = None) -> Any:
     )
     x, y = (columns[name] for name in model.states[:2])
     for part in _trajectories(model):
-        if part["values"] and {x, y} <= set(part["values"]):
-            at.plot(_numbers(part["values"][x]), _numbers(part["values"][y]))
+        if part.values and {x, y} <= set(part.values):
+            at.plot(_numbers(part.values[x]), _numbers(part.values[y]))
     at.set_xlabel(_label(model, x))
     at.set_ylabel(_label(model, y))
     return np.array([at])
@@ -84,16 +87,14 @@ def plot_phase(model: "Model", axes: Any = None) -> Any:
 
 def plot_front(model: "Model", axes: Any = None) -> Any:
     """Plot for each equation the error of its front over complexity; the member it was made of is marked."""
-    equations = model.result["equations"]
+    equations = model.result.equations
     axes = _axes(axes, len(equations))
     for at, equation in zip(axes, equations, strict=True):
-        members = [each for each in equation.get("front") or () if each["normalized_error"]]
-        at.semilogy([each["complexity"] for each in members], [each["normalized_error"] for each in members], "o-")
-        chosen = [each for each in members if each["selected"]]
-        at.semilogy(
-            [each["complexity"] for each in chosen], [each["normalized_error"] for each in chosen], "s", color="C3"
-        )
-        at.set_ylabel(f"error of {equation['lhs']}")
+        members = [member for member in equation.front if member.normalized_error]
+        at.semilogy([one.complexity for one in members], [one.normalized_error for one in members], "o-")
+        chosen = [member for member in members if member.selected]
+        at.semilogy([one.complexity for one in chosen], [one.normalized_error for one in chosen], "s", color="C3")
+        at.set_ylabel(f"error of {equation.lhs}")
     axes[-1].set_xlabel("complexity")
     return axes
 
@@ -114,17 +115,17 @@ def _axes(axes: Any, number: int) -> Any:
     return made.ravel()
 
 
-def _trajectories(model: "Model") -> Sequence[Mapping[str, Any]]:
-    found = (model.result.get("simulation") or {}).get("trajectories")
-    if not found:
+def _trajectories(model: "Model") -> Sequence[Simulated]:
+    parts = model.result.simulated
+    if not parts:
         raise UsageError("the result has no simulated trajectory; only a model of trajectories can be plotted so")
-    return list(found)
+    return parts
 
 
 def _numbers(values: Sequence[float | None]) -> Any:
-    return np.array([np.nan if each is None else each for each in values], dtype=np.float64)
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
 def _label(model: "Model", column: str) -> str:
-    unit = ((model.result.get("system") or {}).get("units") or {}).get(column)
+    unit = model.result.columns.units.get(column)
     return f"{column} [{unit}]" if unit else column

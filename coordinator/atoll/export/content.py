@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from atoll.model.export.naming import Naming, harmless, spelled
+from atoll.export.naming import Naming, harmless, spelled
+from atoll.model.beginnings import recorded_inputs, start_of, times_of
+from atoll.model.driving import inputs_along, require_inputs
 from atoll.model.parameters import Parameter
 from atoll.model.simulation import followed_sizes
 from atoll_core import VERSION
@@ -136,13 +138,12 @@ def content_of(
             between groups of trajectories.
     """
     model.require_one_group()
-    model.require_inputs(u or {})
-    result = model.result
-    names = tuple(result["symbols"].values())
+    require_inputs(model, u or {})
+    names = model.result.names
     formulas = _formulas(model, names)
     components = {} if model.is_regression else model.components
-    by_name = dict(zip((each["variable"] for each in result["equations"]), formulas, strict=True))
-    times = np.zeros(1) if model.is_regression else model.times_of(t)
+    by_name = dict(zip((equation.variable for equation in model.equations), formulas, strict=True))
+    times = np.zeros(1) if model.is_regression else times_of(model, t)
     held = held_at_zero(model, x0, u, without_tables)
     recorded = _recorded(model, x0, without_tables)
     return Content(
@@ -152,14 +153,14 @@ def content_of(
         tuple(each for each in model.params.values() if _is_named(each)),
         tuple(formulas[:1]) if model.is_regression else _rates(model, formulas, names),
         {pair: by_name[name] for name, pair in components.items()},
-        () if model.is_regression else tuple(model.start_of(x0).tolist()),
+        () if model.is_regression else tuple(start_of(model, x0).tolist()),
         () if model.is_regression or components else _sizes(model, x0, times, u),
         float(times[0]),
         float(times[-1]),
         max(len(times) - 1, 1),
         model.time,
-        _units(model).get(model.time, ""),
-        str(result["equations"][0]["variable"]) if model.is_regression else "",
+        model.result.units.get(model.time, ""),
+        model.equations[0].variable if model.is_regression else "",
         (*_origin(model), *([""] if held else []), *held),
     )
 
@@ -168,10 +169,9 @@ def _sizes(model: "Model", x0: Any, times: FloatArray, u: Mapping[str, Any] | No
     """Return how large simulations take the states to be, inputs of which nothing is known held at 0 as here."""
     known = {*(u or {}), *(_recorded(model, x0))}
     left = {name: 0.0 for name, column in inputs_beside_time(model).items() if not {name, column} & known}
-    found = followed_sizes(
-        model.field, model.start_of(x0), times, model.inputs_along({**left, **(u or {})}, times, x0), _MOST_EVALUATIONS
-    )
-    return tuple(found.tolist())
+    recorded = recorded_inputs(model) if x0 is None else {}
+    inputs = inputs_along(model, {**left, **(u or {})}, times, recorded)
+    return tuple(followed_sizes(model.field, start_of(model, x0), times, inputs, _MOST_EVALUATIONS).tolist())
 
 
 def held_at_zero(model: "Model", x0: Any, u: Mapping[str, Any] | None, without_tables: str = "") -> tuple[str, ...]:
@@ -198,7 +198,7 @@ def _recorded(model: "Model", x0: Any, without_tables: str = "") -> dict[str, tu
     """Return times and values of recorded inputs as far as an export holds them; of another state than x0 none."""
     if x0 is not None or model.is_regression:
         return {}
-    return {name: rows for name, rows in model.recorded.items() if not without_tables or _is_constant(rows[1])}
+    return {name: rows for name, rows in recorded_inputs(model).items() if not without_tables or _is_constant(rows[1])}
 
 
 def _is_constant(values: FloatArray) -> bool:
@@ -225,7 +225,7 @@ def _formulas(model: "Model", names: Sequence[str]) -> list[Formula]:
 
 def _rates(model: "Model", formulas: Sequence[Formula], names: Sequence[str]) -> tuple[Formula, ...]:
     """Return the rates in the order of the states: for order 2 those of positions are the velocities."""
-    symbols = model.result["symbols"]
+    symbols = model.result.symbols
     of = {
         symbols[each.variable]: its
         for each, its in zip(model.equations, formulas, strict=True)
@@ -238,17 +238,13 @@ def _rates(model: "Model", formulas: Sequence[Formula], names: Sequence[str]) ->
     return (*velocities, *(of[name] for name in model.states[:half]))
 
 
-def _units(model: "Model") -> dict[str, str]:
-    return (model.result.get("system") or {}).get("units") or {}
-
-
 def _column(model: "Model", symbol: str) -> str:
-    return next(str(column) for column, name in model.result["symbols"].items() if name == symbol)
+    return model.result.columns_by_symbol[symbol]
 
 
 def _variable(model: "Model", name: str) -> Variable:
     column = _column(model, name)
-    return Variable(name, column, _units(model).get(column, ""))
+    return Variable(name, column, model.result.units.get(column, ""))
 
 
 def _input(
@@ -259,7 +255,7 @@ def _input(
     recorded: tuple[FloatArray, FloatArray] | None,
 ) -> Input:
     column = _column(model, name)
-    unit = _units(model).get(column, "")
+    unit = model.result.units.get(column, "")
     its = next((given[each] for each in (name, column) if each in given), None)
     if its is None and column == model.time and not model.is_regression:
         return Input(name, column, unit, "time")

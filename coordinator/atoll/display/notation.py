@@ -4,11 +4,13 @@ import html as escaping
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from atoll.model.export.text import latex_lines
+from atoll.export.text import latex_lines
 from atoll_core.expression.text.export import left_side_to_mathml, to_mathml
 from atoll_core.expression.text.parsing import from_infix
 
 if TYPE_CHECKING:
+    import sympy
+
     from atoll.model.model import Model
     from atoll.model.parameters import Parameter
 
@@ -43,9 +45,17 @@ def latex(model: "Model") -> str:
     return r"\begin{aligned}" + r" \\ ".join(latex_lines(model.result)) + r"\end{aligned}"
 
 
+def sympy_expressions(model: "Model") -> "dict[str, sympy.Expr]":
+    """Return the right-hand sides as sympy expressions, by left-hand side."""
+    from atoll_core.expression.text.export import to_sympy
+
+    names = model.result.names
+    return {equation.lhs: to_sympy(from_infix(equation.exact, names), names) for equation in model.equations}
+
+
 def mathml(model: "Model") -> str:
     """Return the equations as the rows of a table in presentation MathML."""
-    names = list(model.result["symbols"].values())
+    names = model.result.names
     rows = [
         "<mtr>"
         + "".join(f"<mtd>{cell}</mtd>" for cell in _mathml_parts(each.lhs, each.variable, each.expression, names))

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.model.export import c, julia, matlab, modelica, python, sbml, xppaut
-from atoll.model.export.content import Language
-from atoll.model.export.formats import FORMATS
-from atoll.model.export.naming import Naming
+from atoll.export import c, julia, matlab, modelica, python, sbml, xppaut
+from atoll.export.content import Language
+from atoll.export.formats import FORMATS
+from atoll.export.naming import Naming
 from atoll.model.model import Model
 from atoll_core.expression.operators import OPERATORS
 from benchmarks.exports import programs, readers
-from tests.unit.library.model.export.exported import TIMES, difference, model, process, run_python
+from tests.unit.library.export.exported import TIMES, difference, model, process, run_python
 from tests.unit.library.model.results import constant, result
 
 LANGUAGES: dict[str, Language] = {
@@ -46,13 +46,13 @@ SCOPES = {
 def contents(name: str) -> list[str]:
     """Return files of a format: with constants, the time, numbers and tables as inputs, noise, and of a regression."""
     forced = model({"zqa": "-0.3*zqu*zqa + cos(t) - abs(zqb)**1.5", "zqb": "zqa/3.7 - log(zqb)"}, inputs=("zqu", "t"))
-    its = forced.result
+    its = forced.result.as_dict()
     its["equations"][0]["constants"] = [constant(-0.3, 0.1)]
     found = [Model(its).export(name, None, TIMES, {"zqu": 1.5})]
     if name not in ("xppaut",):
         found.append(Model(its).export(name, None, TIMES, {"zqu": np.sin(TIMES)}))
     if name in ("python", "julia", "xppaut"):
-        noisy = process().result
+        noisy = process().result.as_dict()
         noisy["symbols"] = {"zqa": "zqa", "zqb": "zqb"}
         for each in noisy["equations"]:
             for key in ("variable", "expression"):

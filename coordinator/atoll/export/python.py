@@ -3,8 +3,8 @@
 import keyword
 from typing import Final
 
-from atoll.model.export.content import Content, Language, Wording
-from atoll.model.export.naming import Naming
+from atoll.export.content import Content, Language, Wording
+from atoll.export.naming import Naming
 from atoll_core.expression.text.notation import PYTHON
 
 _OWN: Final = {

@@ -44,7 +44,7 @@ def everything() -> Model:
 
 def decay() -> Model:
     """Return dx/dt = -0.3 u x + u, the constant known to 0.1, with the input u."""
-    its = model({"x": "-0.3*u*x + u"}, inputs=("u",)).result
+    its = model({"x": "-0.3*u*x + u"}, inputs=("u",)).result.as_dict()
     its["equations"][0]["constants"] = [constant(-0.3, 0.1)]
     return Model(its)
 
@@ -56,7 +56,7 @@ def process() -> Model:
     for name, text in (("[x]", "0.04"), ("[y]", "0.09 + 0.01*x**2"), ("[x,y]", "0.03*y")):
         found["equations"].append({**part, "variable": name, "lhs": f"d{name}/dt", "expression": text})
     ensemble = {"times": TIMES.tolist(), "mean": {"x": [1.0], "y": [0.5]}}
-    return Model({**found, "process": {"ensemble": ensemble}})
+    return Model({**found, "process": {"step": 0.1, "ensemble": ensemble}})
 
 
 def run_python(text: str) -> dict[str, Any]:

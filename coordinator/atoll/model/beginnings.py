@@ -1,0 +1,155 @@
+"""Where a simulation begins and at which times it is wanted: as users say, else as was measured.
+
+Letters: D states, N rows or times.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.model.arguments import number, numbers
+from atoll.model.rows import rows_of
+from atoll_coordinator.result.base import Curve
+from atoll_coordinator.result.trajectories import Recorded, Simulated
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+from atoll_core.hints import did_you_mean
+
+if TYPE_CHECKING:
+    from atoll.model.model import Model
+
+ROWS: Final = 501
+"""Times of a simulation whose end alone is given."""
+
+Given = Mapping[str, float] | Sequence[float] | FloatArray
+"""Numbers by name, or in the order of the states or inputs."""
+
+
+def _no_times() -> FloatArray:
+    return np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """The beginning of a trajectory: its `name`, its initial state by column, its `times` (N,); empty where unknown."""
+
+    name: str | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
+    times: FloatArray = field(default_factory=_no_times)
+
+
+def beginning_of(model: "Model") -> Beginning:
+    """Return that of the first simulated trajectory, of the ensemble of a process, else of the first measured one."""
+    return _first_simulated(model) or _first_of_ensemble(model) or _first_measured(model) or Beginning()
+
+
+def _first_simulated(model: "Model") -> Beginning | None:
+    for part in model.result.simulated:
+        if part.start:
+            return Beginning(part.name, _known(part.start), values_of_curve(part.times))
+    return None
+
+
+def _first_of_ensemble(model: "Model") -> Beginning | None:
+    process = model.result.process
+    if process is None or process.ensemble is None:
+        return None
+    ensemble = process.ensemble
+    start = {name: curve[0] if curve else None for name, curve in ensemble.mean.items()}
+    return Beginning(ensemble.trajectory, _known(start), values_of_curve(ensemble.times))
+
+
+def _first_measured(model: "Model") -> Beginning | None:
+    return next(filter(None, (measured_beginning(model, part) for part in model.result.recorded)), None)
+
+
+def measured_beginning(model: "Model", part: Recorded | Simulated) -> Beginning | None:
+    """Return that of the whole rows of a measured trajectory; None where no row has all states."""
+    columns = {name: values_of_curve(curve) for name, curve in part.measured.items()}
+    times = values_of_curve(part.times)
+    known = np.flatnonzero(np.isfinite([times, *columns.values()]).all(axis=0))
+    if not len(known):
+        return None
+    rows = {name: values[known] for name, values in {model.time: times, **columns}.items()}
+    names = model.result.columns_by_symbol
+    start = {names[name]: value for name, value in rows_of(model, rows)[2].items()}
+    return Beginning(part.name, start, rows[model.time])
+
+
+def recorded_inputs(model: "Model") -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return times (N,) and values (N,) of the inputs recorded along the first trajectory, by symbol."""
+    name, symbols = beginning_of(model).name, model.result.symbols
+    part = next((part for part in model.result.recorded if part.name == name), None)
+    if part is None:
+        return {}
+    times = values_of_curve(part.times)
+    columns = {symbols.get(column, column): values_of_curve(curve) for column, curve in part.inputs.items()}
+    known = {name: np.isfinite(values) for name, values in columns.items()}
+    return {name: (times[known[name]], values[known[name]]) for name, values in columns.items() if known[name].any()}
+
+
+def start_of(model: "Model", x0: Given | None) -> FloatArray:
+    """Return the initial state (D,) that is given, else the one that was measured; raises UsageError."""
+    given = _measured_start(model) if x0 is None else x0
+    if not isinstance(given, Mapping):
+        values = numbers(given, "an initial state")
+        if values.shape != (len(model.states),):
+            raise UsageError(f"an initial state has one number for each of {', '.join(model.states)}")
+        return values
+    symbols = model.result.symbols
+    named = {symbols.get(name, name): value for name, value in given.items()}
+    _require_states(model, named)
+    return np.array([number(named[name], f"the initial value of {name!r}") for name in model.states])
+
+
+def _measured_start(model: "Model") -> Given:
+    beginning, symbols = beginning_of(model), model.result.symbols
+    if not beginning.start:
+        example = model.states[0]
+        raise UsageError(
+            "the result has no fitted initial state",
+            python=f"give one, such as x0={{{example!r}: 1.0}}",
+            command=f"give one, such as --initial {example}=1",
+        )
+    return {symbols.get(name, name): value for name, value in beginning.start.items()}
+
+
+def _require_states(model: "Model", named: Mapping[str, object]) -> None:
+    unknown = next((name for name in named if name not in model.states), None)
+    missing = next((name for name in model.states if name not in named), None)
+    if unknown is not None or missing is not None:
+        fault = f"names {unknown!r}" if unknown is not None else f"lacks {missing!r}"
+        hint = "" if unknown is None else did_you_mean(unknown, model.states)
+        raise UsageError(f"the initial state {fault}; the states are {', '.join(model.states)}{hint}")
+
+
+def times_of(model: "Model", t: npt.ArrayLike | float | None) -> FloatArray:
+    """Return the times (N,) that are given, else those that were measured; raises UsageError."""
+    first = beginning_of(model).times
+    if t is None:
+        if not len(first):
+            raise UsageError(
+                "the result has no simulated trajectory",
+                python="give the times, such as t=10.0",
+                command="give the last time, such as --until 10",
+            )
+        return first
+    times = numbers(t, "times")
+    if times.ndim:
+        return times
+    begin = float(first[0]) if len(first) else 0.0
+    if not float(times) > begin:
+        raise UsageError(f"a simulation begins at {model.time} = {begin:g} and ends later, but {t!r} was given")
+    return np.linspace(begin, float(times), ROWS)
+
+
+def values_of_curve(curve: Curve) -> FloatArray:
+    """Return a curve as an array, NaN where it is not known."""
+    return np.array(curve, dtype=np.float64)
+
+
+def _known(start: Mapping[str, float | None]) -> dict[str, float]:
+    return {name: value for name, value in start.items() if value is not None}

@@ -1,0 +1,97 @@
+"""Inputs of a simulation as functions of time: as users give them, else as they were recorded.
+
+Letters: U inputs, N times.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.model.arguments import number, numbers
+from atoll.model.rows import has, has_columns
+from atoll.model.simulation import Inputs, interpolated, together
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+from atoll_core.hints import did_you_mean
+
+if TYPE_CHECKING:
+    from atoll.model.model import Model
+
+GivenInputs = Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None
+"""By name numbers, arrays or functions of time; an array (N, U); or a function of time that returns U numbers."""
+
+_Recorded = tuple[FloatArray, FloatArray]
+
+
+def require_inputs(model: "Model", names: Iterable[str]) -> None:
+    """Raise UsageError where one of `names`, symbols or columns, is no input."""
+    symbols = model.result.symbols
+    unknown = next((name for name in names if symbols.get(name, name) not in model.inputs), None)
+    if unknown is not None:
+        hint = did_you_mean(str(unknown), model.inputs)
+        raise UsageError(f"there is no input {unknown!r}; the inputs are {', '.join(model.inputs) or 'none'}{hint}")
+
+
+def inputs_along(model: "Model", u: GivenInputs, times: FloatArray, recorded: Mapping[str, _Recorded]) -> Inputs | None:
+    """Return all inputs as one function of time, those that `u` lacks as `recorded`; None of a model without inputs.
+
+    Raises:
+        UsageError: a name is no input, an input is not known, or a number of values does not fit.
+    """
+    if isinstance(u, Mapping):
+        require_inputs(model, u)
+    if not model.inputs:
+        return None
+    if callable(u):
+        return lambda t: np.atleast_1d(numbers(u(t), "what u returns"))
+    if u is not None and not has_columns(u):
+        return interpolated(times, _rows(model, u, times))
+    given = {} if u is None else u
+    return together([_input(model, name, given, times, recorded.get(name)) for name in model.inputs])
+
+
+def _rows(model: "Model", u: object, times: FloatArray) -> FloatArray:
+    values = numbers(u, "inputs")
+    values = values.reshape(len(times), -1) if values.ndim and len(values) == len(times) else values
+    if values.shape != (len(times), len(model.inputs)):
+        shape = f"({len(times)}, {len(model.inputs)})"
+        raise UsageError(f"inputs have the shape {values.shape}, expected {shape}: rows by {model.inputs}")
+    return values
+
+
+def _input(
+    model: "Model", name: str, given: Any, times: FloatArray, recorded: _Recorded | None
+) -> Callable[[float], float]:
+    column = model.result.columns_by_symbol[name]
+    key = next((key for key in (name, column) if has(given, key)), None)
+    if key is None:
+        return _measured_input(model, name, column, recorded)
+    value = given[key]
+    if callable(value):
+        return lambda t: number(value(t), f"what the function of the input {name!r} returns")
+    values = numbers(value, f"the input {name!r}")
+    if values.ndim == 0:
+        return lambda _: float(values)
+    if values.shape != times.shape:
+        raise UsageError(f"the input {name!r} has {values.size} values for {len(times)} times; give one for each")
+    return _curve(times, values)
+
+
+def _measured_input(model: "Model", name: str, column: str, recorded: _Recorded | None) -> Callable[[float], float]:
+    if column == model.time:
+        return lambda t: t
+    if recorded is not None:
+        return _curve(*recorded)
+    raise UsageError(
+        f"the model has the input {name!r}, of which nothing is given",
+        python="name it in u",
+        command=f"give a number, such as --hold {name}=1, or a file with its column as --initial",
+    )
+
+
+def _curve(times: FloatArray, values: FloatArray) -> Callable[[float], float]:
+    """Return `values` (N,) at `times` (N,) as a function of time."""
+    curve = interpolated(times, values[:, np.newaxis])
+    return lambda t: float(curve(t)[0])

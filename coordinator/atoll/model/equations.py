@@ -1,0 +1,71 @@
+"""The equations of a model as people read them."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from atoll_coordinator.result import equations
+from atoll_coordinator.result.result import Result
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+
+DIGITS: Final = 6
+"""Significant digits of the constants that people are shown."""
+
+_COMPOUND: Final = re.compile(r"[\s*/^.·⋅×⁻¹²³]|\d")
+"""What a unit of several factors or with a power has."""
+
+
+@dataclass(frozen=True)
+class Equation:
+    """One equation: `lhs` = `expression`, for people with rounded constants; `exact` is the text to the last bit.
+
+    `unit` is that of the left-hand side, "" where columns have none. `verdict` and `reason` say how far to trust it.
+    """
+
+    variable: str
+    lhs: str
+    expression: str
+    exact: str
+    unit: str = ""
+    verdict: str | None = None
+    reason: str | None = None
+    complexity: int | None = None
+    nats: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.lhs} = {self.expression}" + (f"  [{self.unit}]" if self.unit else "")
+
+
+def equations_of(result: Result) -> tuple[Equation, ...]:
+    """Return all equations; of a stochastic process those of the diffusion as well."""
+    return tuple(_equation(result, equation) for equation in result.equations)
+
+
+def _equation(result: Result, equation: equations.Equation) -> Equation:
+    exact = equation.expression or ""
+    time = None if result.kind == "regression" else result.time
+    return Equation(
+        equation.variable,
+        equation.lhs,
+        to_infix(from_infix(exact, result.names), result.names, digits=DIGITS),
+        exact,
+        _unit(equation.variable, equation.lhs, result.units, time),
+        equation.verdict,
+        equation.reason,
+        equation.complexity,
+        equation.nats or 0.0,
+    )
+
+
+def _unit(variable: str, lhs: str, units: Mapping[str, str], time: str | None) -> str:
+    """Return the unit of a left-hand side, of a regression without `time`; "" where a column has none."""
+    above = units.get(variable, "")
+    if time is None or "/" not in lhs:
+        return above
+    below = units.get(time, "")
+    if not above or not below:
+        return ""
+    above, below = (f"({unit})" if _COMPOUND.search(unit) else unit for unit in (above, below))
+    return f"{above}/{below}^2" if lhs.startswith("d2") else f"{above}/{below}"

@@ -1,0 +1,111 @@
+"""The joint errors of the constants of a model.
+
+Letters: D states, P constants of a vector field, K constants whose joint covariance is known.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from atoll.model.programs import program_of
+from atoll.model.vector_field import VectorField
+from atoll_coordinator.result.findings import Covariance
+from atoll_coordinator.result.result import Result
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import Program
+from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
+
+
+@dataclass(frozen=True, eq=False)
+class JointErrors:
+    """The joint covariance (K, K) of the constants, and the field whose parameters they are.
+
+    `field` has the right-hand sides with factors of one as constants; `columns` (K,) say which of its P parameters the
+    constants are.
+    """
+
+    field: VectorField
+    columns: tuple[int, ...]
+    covariance: FloatArray
+
+    @classmethod
+    def of(cls, result: Result, field: VectorField) -> "JointErrors | None":
+        """Return the errors of a result's model, `field` being its right-hand sides; None where they are not known.
+
+        Constants of a diffusion are left out.
+        """
+        known = result.covariance
+        if known is None or any(None in row for row in known.matrix):
+            return None
+        rows = [row for row, place in enumerate(known.constants) if place.variable in result.symbols]
+        variables = [known.constants[row].variable for row in rows]
+        programs = list(field.programs)
+        sides: dict[str, int] = {}
+        for variable in dict.fromkeys(variables):
+            program = _explicit(result, variable, known)
+            if program is None:
+                return None
+            sides[variable] = _place(field, result.symbols[variable])
+            programs[sides[variable]] = _over(program, [_names(field).index(name) for name in result.names])
+        explicit = replace(field, programs=tuple(programs))
+        matrix = np.array(known.matrix, dtype=np.float64).reshape(len(known.constants), -1)
+        columns = _columns(explicit, [sides[variable] for variable in variables])
+        return cls(explicit, columns, matrix[np.ix_(rows, rows)])
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The variable of the equation of each constant (K,)."""
+        return tuple(self.field.parameters[column].variable for column in self.columns)
+
+    def rates(self, x: FloatArray, u: FloatArray | None) -> FloatArray:
+        """Return the derivatives (D, K) of the rates by the constants at a point."""
+        return self.field.parameter_derivatives(x, u)[:, list(self.columns)]
+
+
+def _names(field: VectorField) -> tuple[str, ...]:
+    return (*field.states, *field.inputs)
+
+
+def _explicit(result: Result, variable: str, known: Covariance) -> Program | None:
+    """Return the right-hand side of a variable with the constants of the covariance, in its order; None without."""
+    equation = next(equation for equation in result.equations if equation.variable == variable)
+    if equation.program is None:
+        return None
+    origins = [place.constant for place in known.constants if place.variable == variable]
+    explicit = _opened(program_of(equation, result.names), origins)
+    return None if explicit is None else explicit.program
+
+
+def _opened(program: Program, origins: Sequence[int | None]) -> ExplicitCoefficients | None:
+    """Return the program whose constants, in node order, are these of the covariance; None where there is none."""
+    explicit = (make_coefficients_explicit(program), as_written(program))
+    return next((one for one in explicit if [*one.origins] == [*origins]), None)
+
+
+def _over(program: Program, places: Sequence[int]) -> Program:
+    """Return a program over other variables, those at these places; its constants stay in their order."""
+    left = [places[index] if code == VARIABLE else index for code, index, _, _ in program.nodes()]
+    return replace(program, left=np.array(left, dtype=np.int16))
+
+
+def _columns(field: VectorField, sides: Sequence[int]) -> tuple[int, ...]:
+    """Return which parameters the constants are that stand, one after the other, in these right-hand sides."""
+    counts = field.constant_counts
+    begins = np.concatenate([[0], np.cumsum(counts)]).tolist()
+    taken = [0] * len(counts)
+    columns = []
+    for side in sides:
+        columns.append(begins[side] + taken[side])
+        taken[side] += 1
+    return tuple(columns)
+
+
+def _place(field: VectorField, symbol: str) -> int:
+    """Return which right-hand side is the equation of a state: for order 2, behind those of the positions."""
+    position = field.states.index(symbol)
+    if field.expressions[position] in field.states:  # the rate of a position is its velocity
+        return field.states.index(field.expressions[position])
+    return position

@@ -1,0 +1,64 @@
+"""How well a model describes data that it may not have seen: R2."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from atoll.model.rows import column, has, has_columns, rows_of, stacked
+from atoll.model.simulation import EarlyEndWarning, Simulation
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+from atoll_core.quoting import shown
+
+if TYPE_CHECKING:
+    from atoll.model.model import Model
+
+
+def score(model: "Model", data: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> float:
+    """Return R2 on data; see `atoll.Model.score`."""
+    parts: list[Any] = [*data] if isinstance(data, (list, tuple)) else [data]
+    if not parts or not all(map(has_columns, parts)):
+        raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")
+    return _of_regression(model, parts) if model.is_regression else _of_dynamics(model, parts)
+
+
+def _of_regression(model: "Model", parts: Sequence[Any]) -> float:
+    target = model.result.equations[0].variable
+    both = [stacked([column(part, target), model.predict(part)]) for part in parts]
+    return _r2(*np.concatenate(both, axis=1))
+
+
+def _of_dynamics(model: "Model", parts: Sequence[Any]) -> float:
+    columns = model.result.columns_by_symbol
+    states = [name for name in model.states if all(has(part, columns[name]) for part in parts)]
+    if not states:
+        names = ", ".join(columns[name] for name in model.states)
+        raise UsageError(f"the data have none of the columns {names} in every part; give a measured state")
+    simulated, measured = [], []
+    for part in parts:
+        simulation = _simulated(model, part)
+        if simulation.status != "finished":
+            return -np.inf
+        simulated.append(stacked([simulation[name] for name in states]))
+        measured.append(stacked([column(part, columns[name]) for name in states]))
+    pairs = zip(np.concatenate(measured, axis=1), np.concatenate(simulated, axis=1), strict=True)
+    return float(np.mean([_r2(rows, values) for rows, values in pairs]))
+
+
+def _simulated(model: "Model", part: Mapping[str, Any]) -> Simulation:
+    """Return the simulation of measured rows from the first of them."""
+    columns = model.result.columns_by_symbol
+    times, _, start = rows_of(model, part)
+    inputs = {name: column(part, columns[name]) for name in model.inputs}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", EarlyEndWarning)
+        return model.simulate(start, times, inputs or None, has_bands=False)
+
+
+def _r2(measured: FloatArray, values: FloatArray) -> float:
+    known = np.isfinite(measured)
+    left = float(((measured - values)[known] ** 2).sum())
+    spread = float(((measured[known] - measured[known].mean()) ** 2).sum())
+    return 1.0 - left / spread if spread > 0.0 else (1.0 if left == 0.0 else -np.inf)

@@ -1,0 +1,259 @@
+"""What other rooms do with a model, as methods of it: each imports the room when it is called, and nothing more."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from atoll.model.files import write_text
+from atoll.model.parameters import LEVEL
+
+if TYPE_CHECKING:
+    import sympy
+
+    from atoll.analysis.analysis import Analysis
+    from atoll.experiments.determination import Identifiability, ProfiledConstant
+    from atoll.experiments.suggestion import Cost, Suggestions
+    from atoll.model.model import Model
+
+
+class Shortcuts:
+    """Methods of a model that analyse, plan, show and export it.
+
+    Exports take `x0`, `t` and `u`, the initial state, the times and the inputs that a file holds, as `Model.simulate`
+    does, with the inputs that were recorded where `x0` is None; inputs of which nothing is known are held at 0, and
+    functions of time are refused. Each raises UsageError where the format cannot hold the model, or where nothing tells
+    the initial state or the times. docs/export.md says who opens what.
+    """
+
+    @property
+    def itself(self) -> "Model":
+        """The model whose methods these are."""
+        return cast("Model", self)
+
+    # ------------------------------------------------------------------------------------------- what follows from it
+
+    def analyse(
+        self,
+        box: Mapping[str, tuple[float, float]] | None = None,
+        *,
+        inputs: Mapping[str, float] | None = None,
+        vary: tuple[str, tuple[float, float]] | None = None,
+    ) -> "Analysis":
+        """Return fixed points, limit cycles, basins and the rest of the dynamics, beside those of the data.
+
+        Args:
+            box: bounds of states, by name; None: about the measured range.
+            inputs: values at which inputs are held, by name; zeros unless given.
+            vary: what to vary, and the range over which fixed points and limit cycles are followed: a constant (c1),
+                several in their ratio (c1,c2), the coefficient of a term (y:x*y, of x*y in dy/dt), or an input.
+
+        Raises:
+            UsageError: a name is unknown, a range is none, or a state has neither bounds nor measurements.
+        """
+        from atoll.analysis.model import analyse_model
+
+        return analyse_model(self.itself, box, inputs=inputs, vary=vary)
+
+    def profile(self, level: float = LEVEL, data: Any = None) -> "dict[str, ProfiledConstant]":
+        """Return the profile likelihood of each constant, by name; see `identifiability`."""
+        return {constant.name: constant for constant in self.identifiability(level, data).constants}
+
+    def identifiability(self, level: float = LEVEL, data: Any = None) -> "Identifiability":
+        """Return what the data determine of each constant, and which of them only together.
+
+        Args:
+            level: of the intervals.
+            data: as of `atoll.discover`, in the place of the measurements that the result has.
+
+        Raises:
+            UsageError: states were not measured in time, or the result does not have the measurements.
+            DataError: the data cannot be used as they are.
+        """
+        from atoll.api.experiments import identifiability
+
+        return identifiability(self.itself, data, level)
+
+    def suggest(  # noqa: PLR0913, the keywords are the options of the command
+        self,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        *,
+        duration: float | None = None,
+        samples: int | None = None,
+        cost: "Cost" = "trajectory",
+        count: int = 3,
+        rivals: Mapping[str, str] | Sequence[Mapping[str, str]] = (),
+        seed: int = 0,
+        data: Any = None,
+    ) -> "Suggestions":
+        """Return the experiments to make next: those that tell most about which candidate is right, for their cost.
+
+        Where candidates do not differ, or there is only one, those that determine its constants best.
+
+        Args:
+            bounds: of initial states and constant inputs, by name; None: the range of the data.
+            duration: of an experiment; None: that of the median trajectory that was measured.
+            samples: measurements of each state; None: those of the median trajectory.
+            cost: ``"trajectory"`` (each the same), ``"duration"`` or ``"samples"``; then shorter ones are tried, too.
+            count: how many are suggested.
+            rivals: another system to tell apart, or several, as right-hand sides by state; its constants are fitted.
+            seed: of the experiments that are tried.
+            data: as of `identifiability`.
+
+        Raises:
+            UsageError: a name or number does not fit, or the result does not have the measurements.
+            DataError: the data cannot be used as they are.
+        """
+        from atoll.api.experiments import suggestions
+
+        return suggestions(
+            self.itself,
+            data,
+            bounds=bounds or {},
+            duration=duration,
+            samples=samples,
+            cost=cost,
+            count=count,
+            seed=seed,
+            rivals=[rivals] if isinstance(rivals, Mapping) else [*rivals],
+        )
+
+    # ------------------------------------------------------------------------------------------- what it looks like
+
+    def summary(self) -> str:
+        """Return equations, verdicts, constants and provenance as text."""
+        from atoll.display.notation import summary
+
+        return summary(self.itself)
+
+    def to_sympy(self) -> "dict[str, sympy.Expr]":
+        """Return the right-hand sides as sympy expressions, by left-hand side; constants keep every bit.
+
+        Constants that differ between `groups` are means over them; see `of_group`.
+        """
+        from atoll.display.notation import sympy_expressions
+
+        return sympy_expressions(self.itself)
+
+    def latex(self) -> str:
+        """Return the equations as lines of LaTeX's ``aligned`` environment.
+
+        Constants that differ between `groups` are means over them; see `of_group`.
+        """
+        from atoll.display.notation import latex
+
+        return latex(self.itself)
+
+    def mathml(self) -> str:
+        """Return the equations as MathML (presentation), one line of a table for each."""
+        from atoll.display.notation import mathml
+
+        return mathml(self.itself)
+
+    def report(self, path: str | Path | None = None) -> str:
+        """Return the result as one HTML page that needs neither network nor script, and write it to `path` if given.
+
+        The model is analysed for it, which takes a second or two for two states.
+
+        Raises:
+            UsageError: the file cannot be written.
+        """
+        from atoll.report.page import as_html
+
+        text = as_html(self.itself.result)
+        if path is not None:
+            write_text(path, text)
+        return text
+
+    def _repr_latex_(self) -> str:
+        return f"$\\displaystyle {self.latex()}$"
+
+    def _repr_html_(self) -> str:
+        from atoll.display.notation import html
+
+        return html(self.itself)
+
+    def plot_fit(self, axes: Any = None) -> Any:
+        """Plot measurements and simulations with bands over time; see `atoll.display.plots.plot_fit`."""
+        from atoll.display.plots import plot_fit
+
+        return plot_fit(self.itself, axes)
+
+    def plot_residuals(self, axes: Any = None) -> Any:
+        """Plot what simulations leave of the measurements; see `atoll.display.plots.plot_residuals`."""
+        from atoll.display.plots import plot_residuals
+
+        return plot_residuals(self.itself, axes)
+
+    def plot_phase(self, axes: Any = None) -> Any:
+        """Plot the phase plane of two states; see `atoll.display.plots.plot_phase`."""
+        from atoll.display.plots import plot_phase
+
+        return plot_phase(self.itself, axes)
+
+    def plot_front(self, axes: Any = None) -> Any:
+        """Plot error over complexity; see `atoll.display.plots.plot_front`."""
+        from atoll.display.plots import plot_front
+
+        return plot_front(self.itself, axes)
+
+    # ------------------------------------------------------------------------------------------- other programs
+
+    def export(self, format: str, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+        """Return the model in a format of one file, by its name."""
+        from atoll.export.formats import written
+
+        return written(self.itself, format, x0, t, u)
+
+    def to_python(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+        """Return a Python module that needs numpy alone and integrates by itself."""
+        return self.export("python", x0, t, u)
+
+    def to_c(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+        """Return a C99 program that integrates by itself and prints CSV."""
+        return self.export("c", x0, t, u)
+
+    def to_julia(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+        """Return a Julia script with a system of ModelingToolkit."""
+        return self.export("julia", x0, t, u)
+
+    def to_matlab(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+        """Return a MATLAB function that calls ode45."""
+        return self.export("matlab", x0, t, u)
+
+    def to_modelica(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+        """Return a Modelica model."""
+        return self.export("modelica", x0, t, u)
+
+    def to_xppaut(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+        """Return an .ode file of XPPAUT."""
+        return self.export("xppaut", x0, t, u)
+
+    def to_sbml(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+        """Return SBML L3V2, checked by libsbml where it is installed (``pip install 'atoll[sbml]'``)."""
+        return self.export("sbml", x0, t, u)
+
+    def to_latex(self) -> str:
+        """Return the equations as LaTeX, aligned."""
+        return self.export("latex")
+
+    def to_csv(self) -> str:
+        """Return the fronts as CSV: for each equation the one that is shown, then its front."""
+        return self.export("csv")
+
+    def to_json(self) -> str:
+        """Return the content of result.json."""
+        return self.export("json")
+
+    def to_petab(self, folder: str | Path, data: Sequence[Mapping[str, Any]] | None = None) -> None:
+        """Write a PEtab problem: SBML, measurements, noise and bounds.
+
+        Args:
+            folder: where; it is made.
+            data: measured columns by name (or a frame) for each trajectory; None: what the result holds.
+
+        Raises:
+            UsageError: the model has no time, is a process or has no measurements; the folder cannot be written.
+        """
+        from atoll.export.petab import export_petab
+
+        export_petab(self.itself, folder, data)
