@@ -48,7 +48,7 @@ def as_sympy(result: Result) -> str:
     names = result.names
     remark = remark_on_groups(result)
     lines = [f"# {remark}"] if remark else []
-    lines += ["import sympy", "", f"names = {names!r}", "symbols = {name: sympy.Symbol(name) for name in names}"]
+    lines += ["import sympy", "", f"names = {[*names]!r}", "symbols = {name: sympy.Symbol(name) for name in names}"]
     lines += ["equations = {"]
     for equation in result.equations:
         if equation.expression is not None:

@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from atoll.model.programs import program_of
-from atoll.model.vector_field import VectorField
+from atoll.model.vector_field import VectorField, is_acceleration
+from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.findings import Covariance
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
@@ -45,10 +46,11 @@ class JointErrors:
         programs = list(field.programs)
         sides: dict[str, int] = {}
         for variable in dict.fromkeys(variables):
-            program = _explicit(result, variable, known)
+            equation = next(equation for equation in result.equations if equation.variable == variable)
+            program = _explicit(result, equation, known)
             if program is None:
                 return None
-            sides[variable] = _place(field, result.symbols[variable])
+            sides[variable] = _place(field, equation, result.symbols[variable])
             programs[sides[variable]] = _over(program, [_names(field).index(name) for name in result.names])
         explicit = replace(field, programs=tuple(programs))
         matrix = np.array(known.matrix, dtype=np.float64).reshape(len(known.constants), -1)
@@ -69,12 +71,11 @@ def _names(field: VectorField) -> tuple[str, ...]:
     return (*field.states, *field.inputs)
 
 
-def _explicit(result: Result, variable: str, known: Covariance) -> Program | None:
-    """Return the right-hand side of a variable with the constants of the covariance, in its order; None without."""
-    equation = next(equation for equation in result.equations if equation.variable == variable)
+def _explicit(result: Result, equation: Equation, known: Covariance) -> Program | None:
+    """Return a right-hand side with the constants of the covariance, in its order; None without."""
     if equation.program is None:
         return None
-    origins = [place.constant for place in known.constants if place.variable == variable]
+    origins = [place.constant for place in known.constants if place.variable == equation.variable]
     explicit = _opened(program_of(equation, result.names), origins)
     return None if explicit is None else explicit.program
 
@@ -103,9 +104,7 @@ def _columns(field: VectorField, sides: Sequence[int]) -> tuple[int, ...]:
     return tuple(columns)
 
 
-def _place(field: VectorField, symbol: str) -> int:
+def _place(field: VectorField, equation: Equation, symbol: str) -> int:
     """Return which right-hand side is the equation of a state: for order 2, behind those of the positions."""
     position = field.states.index(symbol)
-    if field.expressions[position] in field.states:  # the rate of a position is its velocity
-        return field.states.index(field.expressions[position])
-    return position
+    return position + len(field.states) // 2 if is_acceleration(equation) else position

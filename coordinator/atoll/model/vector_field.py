@@ -184,10 +184,11 @@ def _order(equations: Sequence[Equation]) -> int:
         side = equation.lhs
         if side == equation.variable or "/" not in side:
             raise UsageError(f"the equation of {side} is not differential; a model of dynamics needs d{side}/dt")
-    return 2 if equations and all(map(_is_acceleration, equations)) else 1
+    return 2 if equations and all(map(is_acceleration, equations)) else 1
 
 
-def _is_acceleration(equation: Equation) -> bool:
+def is_acceleration(equation: Equation) -> bool:
+    """Tell whether an equation is of second order: d2x/dt2 = …"""
     time = equation.lhs.rpartition("/")[2]
     return equation.lhs == f"d2{equation.variable}/{time}" and time.endswith("2")
 

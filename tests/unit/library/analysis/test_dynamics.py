@@ -33,6 +33,7 @@ def test_velocities_are_differences_and_begin_as_fitted() -> None:
         "start": {"a": 1.0, "a_dot": 7.0},
     }
     found = {
+        "schema": 1,
         "symbols": {"a": "a", "a_dot": "a_dot"},
         "equations": [{"variable": "a", "lhs": "d2a/dt2", "expression": "-a"}],
         "simulation": {"trajectories": [angle]},

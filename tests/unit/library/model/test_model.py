@@ -360,3 +360,13 @@ def test_a_simulation_that_ends_early_is_warned_of_and_a_score_of_it_is_none() -
 def test_a_score_says_what_it_lacks(data: Any) -> None:
     with pytest.raises(UsageError, match=r"give|is expected"):
         Model(result({"x": "-x"})).score(data)
+
+
+def test_errors_are_those_of_an_equation_that_names_another_state() -> None:
+    """With dx/dt = c v and dv/dt = 0, x = c v t has the error v t of that of c."""
+    found = result({"x": "v", "v": "v - v"})
+    places = [{"variable": "x", "constant": None}]
+    model = Model(found | {"covariance": {"constants": places, "matrix": [[0.01]], "freedom": None}})
+    simulation = model.simulate({"x": 0.0, "v": 2.0}, [0.0, 3.0])
+    assert simulation.stderr is not None
+    assert simulation.stderr[-1].tolist() == pytest.approx([0.1 * 2.0 * 3.0, 0.0])
