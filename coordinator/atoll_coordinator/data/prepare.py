@@ -35,8 +35,8 @@ def prepare(table: Table, config: JobConfig) -> Preparation:
 
 def _source(table: Table, roles: Roles, options: DataConfig) -> Source:
     units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if unit} | options.units
-    its = (roles.time, roles.states, roles.velocities, roles.inputs, roles.target, roles.order)
-    return Source(table.digest, table.files, table.rows, units, *its, table.read_as)
+    role_values = (roles.time, roles.states, roles.velocities, roles.inputs, roles.target, roles.order)
+    return Source(table.digest, table.files, table.rows, units, *role_values, table.read_as)
 
 
 def _prepare(table: Table, config: JobConfig, roles: Roles, options: DataConfig) -> Preparation:

@@ -105,7 +105,7 @@ def assemble_differentiated(
 
 
 def _take_rows(dataset: Dataset, rows: list[int]) -> Dataset:
-    targets = [replace(each, values=np.ascontiguousarray(each.values[rows])) for each in dataset.targets]
+    targets = [replace(target, values=np.ascontiguousarray(target.values[rows])) for target in dataset.targets]
     groups = None if dataset.groups is None else np.ascontiguousarray(dataset.groups[rows])
     inputs = np.ascontiguousarray(dataset.inputs[:, rows])
     return replace(dataset, inputs=inputs, targets=tuple(targets), groups=groups)

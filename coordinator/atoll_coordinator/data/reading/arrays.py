@@ -44,11 +44,11 @@ def rows_of_arrays(
     Raises:
         DataError: the arrays do not fit together.
     """
-    vectors = {name: its for name, array in arrays.items() if (its := np.squeeze(np.asarray(array))).ndim}
+    vectors = {name: squeezed for name, array in arrays.items() if (squeezed := np.squeeze(np.asarray(array))).ndim}
     count = _length(file, vectors, config)
     headers: list[str] = []
     columns: list[list[str]] = []
-    its_units: list[str] = []
+    column_units: list[str] = []
     left_out = [name for name in arrays if name not in vectors]
     for name, array in vectors.items():
         parts = _columns(array, count)
@@ -59,9 +59,9 @@ def rows_of_arrays(
             cells, unit = _cells(file, name, part)
             headers.append(name if len(parts) == 1 else f"{name}{number + first}")
             columns.append(cells)
-            its_units.append((units or {}).get(name, unit))
+            column_units.append((units or {}).get(name, unit))
     others = (f"left out: {', '.join(left_out)}",) if left_out else ()
-    return with_breaks(headers, columns, (*remarks, *others), its_units)
+    return with_breaks(headers, columns, (*remarks, *others), column_units)
 
 
 def _length(file: str, vectors: Mapping[str, Any], config: DataConfig) -> int:

@@ -57,20 +57,24 @@ def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
     names = [*cells]
     config = strip_units(config, names)
     needed, trajectory = named_columns(config), find_trajectory_column(names, config)
-    texts = {name: its for name, its in cells.items() if is_text(its)}
+    texts = {name: column for name, column in cells.items() if is_text(column)}
     labels = {name: _labels(texts[name]) for name in [config.group] if name in texts}
     runs = {name: _numbered(texts.pop(name)) for name in {trajectory, *labels} if name in texts}
-    texts |= compact_dates({name: its for name, its in cells.items() if name not in (trajectory, *labels)}, config)
+    texts |= compact_dates(
+        {name: column for name, column in cells.items() if name not in (trajectory, *labels)}, config
+    )
     times = read_times(file, texts, names, rows.starts, config, lambda row: place(rows.lines, row))
     plain = {
-        name: its
-        for name, its in cells.items()
+        name: column
+        for name, column in cells.items()
         if name not in runs and name not in times.values and (name not in texts or name in needed)
     }
     old, new = times.renamed or ("", "")
     usable = {new if name == old else name: None for name in names if name in {**runs, **times.values, **plain}}
     if texts and not assigned([*usable], config, trajectory).equations:
-        raise _nothing_left(file, {name: its for name, its in texts.items() if name not in times.values}, rows.lines)
+        raise _nothing_left(
+            file, {name: column for name, column in texts.items() if name not in times.values}, rows.lines
+        )
     numbers, remarks = read_numbers(file, plain, rows.lines, rows.separator)
     read = cast(dict[str, FloatArray | Instants], {**runs, **times.values, **numbers})
     skipped = (*_unnamed(rows), *(name for name in texts if name not in read and name != times.absorbed))
@@ -89,14 +93,14 @@ def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
 
 def _nothing_left(file: str, texts: Mapping[str, Sequence[str]], lines: Sequence[int]) -> DataError:
     """Name columns of text, and a cell of each."""
-    found = []
+    examples = []
     for name, cells in [*texts.items()][:MANY]:
         row = next(row for row, cell in enumerate(cells) if not is_missing(cell))
         cell = textwrap.shorten(on_one_line(cells[row]), 40, placeholder="…")
-        found.append(f"'{name}' holds '{cell}' in {place(lines, row)}")
+        examples.append(f"'{name}' holds '{cell}' in {place(lines, row)}")
     more = ", …" if len(texts) > MANY else ""
     advice = "write numbers alone into cells, and their unit into the header, as x [%]"
-    return DataError(f"no column of numbers is left in {file}: {', '.join(found)}{more}; {advice}")
+    return DataError(f"no column of numbers is left in {file}: {', '.join(examples)}{more}; {advice}")
 
 
 def _with_index(rows: Rows) -> Rows:
@@ -121,7 +125,7 @@ def _headed(file: str, rows: Rows) -> tuple[dict[str, str], dict[str, list[str]]
             raise DataError(f"{file} has {names.count(name)} columns named '{name}'; give each column its own name")
     if not rows.lines:
         raise DataError(f"{file} has a header but no rows; rows of numbers are expected below it")
-    return {name: its or unit for name, its, unit, _ in named}, {name: cells for name, _, _, cells in named}
+    return {name: own_unit or unit for name, own_unit, unit, _ in named}, {name: cells for name, _, _, cells in named}
 
 
 def _unnamed(rows: Rows) -> list[str]:

@@ -118,15 +118,15 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
 def _with_common_labels(files: Sequence[Columns]) -> tuple[Sequence[Columns], dict[str, tuple[str, ...]]]:
     """Return files in which the numbers of a column of groups stand for the same texts, and these texts."""
     named = {name for file in files for name in file.labels}
-    found: dict[str, tuple[str, ...]] = {}
+    labels: dict[str, tuple[str, ...]] = {}
     for name in sorted(named):
         missing = next((file.file for file in files if name not in file.labels), None)
         if missing is not None:
             raise DataError(f"column '{name}' holds numbers in {missing} and text in another file; write both alike")
         texts = tuple(dict.fromkeys(label for file in files for label in file.labels[name]))
-        found[name] = texts
+        labels[name] = texts
         files = [replace(file, values={**file.values, name: _renumbered(file, name, texts)}) for file in files]
-    return files, found
+    return files, labels
 
 
 def _renumbered(file: Columns, name: str, texts: Sequence[str]) -> FloatArray:

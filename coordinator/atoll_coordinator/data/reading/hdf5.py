@@ -51,7 +51,7 @@ def read_arrays(path: Path, is_matlab: bool = False) -> _Arrays:
 
 
 def _collected(name: str, file: Any, h5py: Any, is_matlab: bool) -> _Arrays:
-    found: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
     units: dict[str, str] = {}
 
     def take(path: str, item: Any) -> None:
@@ -62,12 +62,12 @@ def _collected(name: str, file: Any, h5py: Any, is_matlab: bool) -> _Arrays:
         values = _with_missing(item, item[()])
         parts = {field: values[field] for field in values.dtype.names} if values.dtype.names else {"": values}
         for field, part in parts.items():
-            called = _unused(path, field, found)
-            found[called] = part.T if is_matlab else part
+            called = _unused(path, field, arrays)
+            arrays[called] = part.T if is_matlab else part
             units[called] = _text(item.attrs.get("units", "")) if not field else ""
 
     file.visititems(take)
-    return found, {name: unit for name, unit in units.items() if unit}
+    return arrays, {name: unit for name, unit in units.items() if unit}
 
 
 def _is_hidden(path: str, item: Any, is_matlab: bool) -> bool:

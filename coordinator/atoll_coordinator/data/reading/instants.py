@@ -113,28 +113,28 @@ def read_instants(column: str, cells: Sequence[str], starts: Sequence[int], wher
     """
     texts = ["" if is_missing(cell) else on_one_line(cell) for cell in cells]
     first = next(text for text in texts if text)
-    found = ("clock time", _CLOCK_FORM) if is_clock(first) else _form(first)
-    assert found is not None
-    form, pattern = found
+    first_form = ("clock time", _CLOCK_FORM) if is_clock(first) else _form(first)
+    assert first_form is not None
+    form, pattern = first_form
     matches = [pattern.fullmatch(text) if text else None for text in texts]
     for row, (text, match) in enumerate(zip(texts, matches, strict=True)):
         if text and match is None:
             raise DataError(f"{column} holds '{text}' in {where(row)}, which is not written as '{first}' is")
     if pattern is _CLOCK_FORM:
         _check_hours(column, matches)
-        clocks = _each(matches, _clock, column, where)
+        clocks = _read_matches(matches, _clock, column, where)
         return Instants(_past_midnight(clocks, starts), "clock times", has_date=False)
     zones = {match["zone"] is not None for match in matches if match is not None}
     if len(zones) > 1:
         raise DataError(f"{column} gives a time zone in some rows only; give it in all or in none")
     if not form:
         form = _order(column, matches, starts)
-    values = _each(matches, lambda match: _date(match, form), column, where)
+    values = _read_matches(matches, lambda match: _date(match, form), column, where)
     has_clock = any(match is not None and match["hour"] is not None for match in matches)
     return Instants(tuple(values), f"dates {form}", has_date=True, has_clock=has_clock, is_utc=zones == {True})
 
 
-def _each(
+def _read_matches(
     matches: Sequence[_Match | None], read: Callable[[_Match], int], column: str, where: Callable[[int], str]
 ) -> list[int | None]:
     values: list[int | None] = []
@@ -269,11 +269,11 @@ def of_array(values: npt.NDArray[np.datetime64]) -> Instants:
     rest = (values - days).astype("m8[ns]").astype(np.int64).tolist()
     whole = days.astype(np.int64).tolist()
     missing = np.isnat(values).tolist()
-    found = [
+    nanoseconds = [
         None if is_missing else date * NANOSECONDS["d"] + part
         for date, part, is_missing in zip(whole, rest, missing, strict=True)
     ]
-    return Instants(tuple(found), "dates", has_date=True, has_clock=any(rest))
+    return Instants(tuple(nanoseconds), "dates", has_date=True, has_clock=any(rest))
 
 
 def times_of(columns: Sequence[Instants], starts: Iterable[int], unit: str | None) -> tuple[FloatArray, str, str]:
@@ -290,22 +290,22 @@ def times_of(columns: Sequence[Instants], starts: Iterable[int], unit: str | Non
     """
     if unit is not None and unit not in _CALLED:
         raise DataError(f"dates are counted in {', '.join(NANOSECONDS)}, but '{unit}' is wanted; choose one of these")
-    values = [value for each in columns for value in each.nanoseconds]
+    values = [value for column in columns for value in column.nanoseconds]
     present = [value for value in values if value is not None]
     if not present:
         raise DataError("a column of dates holds none; correct it")
     first = columns[0]
     origin = present[0] if first.has_date else 0
-    chosen = _unit(values, set(starts)) if unit is None else unit
-    length = NANOSECONDS[_CALLED[chosen]]
+    time_unit = _unit(values, set(starts)) if unit is None else unit
+    length = NANOSECONDS[_CALLED[time_unit]]
     times = [float("nan") if value is None else (value - origin) / length for value in values]
-    remark = f"{first.form}, in {chosen} since {origin_of(columns, chosen).since}"
-    return np.array(times, dtype=np.float64), chosen, remark
+    remark = f"{first.form}, in {time_unit} since {origin_of(columns, time_unit).since}"
+    return np.array(times, dtype=np.float64), time_unit, remark
 
 
 def origin_of(columns: Sequence[Instants], unit: str) -> Origin:
     """Return the origin of what `times_of` returns in `unit`."""
-    first = next(value for each in columns for value in each.nanoseconds if value is not None)
+    first = next(value for column in columns for value in column.nanoseconds if value is not None)
     since = _written(first, columns[0]) if columns[0].has_date else MIDNIGHT
     return Origin(since, NANOSECONDS[_CALLED[unit]] / NANOSECONDS["s"])
 
@@ -313,17 +313,19 @@ def origin_of(columns: Sequence[Instants], unit: str) -> Origin:
 def _unit(values: Sequence[int | None], starts: set[int]) -> str:
     runs = accumulate(row in starts for row in range(len(values)))
     present = [(run, value) for run, value in zip(runs, values, strict=True) if value is not None]
-    steps = sorted(abs(other - one) for (run, one), (its, other) in pairwise(present) if run == its and one != other)
+    steps = sorted(
+        abs(other - one) for (run, one), (next_run, other) in pairwise(present) if run == next_run and one != other
+    )
     usual = steps[len(steps) // 2] if steps else 0
     return next((unit for unit, length in NANOSECONDS.items() if length <= usual), "s")
 
 
-def _written(origin: int, its: Instants) -> str:
+def _written(origin: int, column: Instants) -> str:
     days, rest = divmod(origin, NANOSECONDS["d"])
     date = datetime.date.fromordinal(days + _EPOCH).isoformat()
-    if not its.has_clock:
+    if not column.has_clock:
         return date
     seconds, part = divmod(rest, NANOSECONDS["s"])
     clock = f"{seconds // 3600:02}:{seconds // 60 % 60:02}:{seconds % 60:02}"
     fraction = f".{part:09}".rstrip("0") if part else ""
-    return f"{date} {clock}{fraction}{' UTC' if its.is_utc else ''}"
+    return f"{date} {clock}{fraction}{' UTC' if column.is_utc else ''}"

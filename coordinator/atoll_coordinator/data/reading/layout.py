@@ -95,11 +95,11 @@ def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[st
     assert beginning.first is not None
     number, line = beginning.first
     where: tuple[str, ...] = ()
-    body = ((place, each) for place, each in _lines(text) if place >= number)
+    body = ((place, line) for place, line in _lines(text) if place >= number)
     skipped = _Counted(body, is_comment)
-    found = _header_of_comments(line, beginning)
-    if found is not None:
-        separator, headers, units = found
+    comment_header = _header_of_comments(line, beginning)
+    if comment_header is not None:
+        separator, headers, units = comment_header
         rows = rows_of_records(name, headers, _records(name, skipped, separator), ())
         rows, where = replace(rows, units=units or rows.units), ("header in a comment",)
     else:
@@ -110,7 +110,7 @@ def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[st
         _check_header(name, headers)
         is_named_as_by_r = below.lstrip().startswith('"')
         rows = rows_of_records(name, headers, records, (), has_row_names=is_named_as_by_r)
-    used = 0 if found is None else 1 + bool(found[2])
+    used = 0 if comment_header is None else 1 + bool(comment_header[2])
     comments = skipped.count + len(beginning.comments) - used
     left_out = (f"{comments} comment {'line' if comments == 1 else 'lines'} left out",) if comments else ()
     how = f"text with {_NAMES.get(separator, repr(separator))}"
@@ -216,8 +216,8 @@ def _is_datum(cell: str) -> bool:
 def _names(comment: str, separator: str, count: int) -> list[str] | None:
     """Return the cells of a comment if there are as many as `count`, however it separates them."""
     text = comment.strip().lstrip(_MARKS)
-    for each in (separator, ",", ";", "\t", SPACES):
-        cells = [on_one_line(cell) for cell in cells_of(text, each)]
+    for candidate in (separator, ",", ";", "\t", SPACES):
+        cells = [on_one_line(cell) for cell in cells_of(text, candidate)]
         if len(cells) == count and not any(cell.endswith((",", ";")) or is_numeral(cell) for cell in cells):
             return cells
     cells = re.split(r"\s{2,}", text)

@@ -65,8 +65,8 @@ def rows_of_records(
         headers, kept = _one_cell_more(headers, kept, has_row_names)
     for line, record in zip(lines, kept, strict=True):
         if len(record) != len(headers):
-            found = f"{len(record)} {'cell' if len(record) == 1 else 'cells'}"
-            raise DataError(f"line {line} of {file} has {found} where the header has {len(headers)}; correct it")
+            count = f"{len(record)} {'cell' if len(record) == 1 else 'cells'}"
+            raise DataError(f"line {line} of {file} has {count} where the header has {len(headers)}; correct it")
     columns = [list(column) for column in zip(*kept, strict=True)] or [[] for _ in headers]
     starts = sorted({start for start in starts if start < max(len(lines), 1)})
     return take_units(Rows(tuple(headers), columns, lines, starts, remarks))

@@ -58,30 +58,33 @@ def read_times(
     kinds = {name: kind for name, cells in texts.items() if (kind := _kind(cells)) is not None}
     needed = named_columns(config)
     free = [name for name in kinds if name not in needed]
-    found = config.time if config.time in kinds else _candidate(kinds, free, names, texts, config)
-    wanted = [name for name in kinds if name in needed or name == found]
-    other = None if found is None else _other_half(found, kinds, [name for name in free if name != found])
+    time_column = config.time if config.time in kinds else _candidate(kinds, free, names, texts, config)
+    wanted = [name for name in kinds if name in needed or name == time_column]
+    other = (
+        None if time_column is None else _other_half(time_column, kinds, [name for name in free if name != time_column])
+    )
     values = {
         name: read_instants(f"column '{name}' of {file}", texts[name], starts, where)
         for name in (*wanted, *([] if other is None else [other]))
     }
-    if found is not None and other is not None:
-        halves = values.pop(other), values[found]
-        values[found] = with_clock(*(halves if kinds[other] == "date" else halves[::-1]))
+    if time_column is not None and other is not None:
+        halves = values.pop(other), values[time_column]
+        values[time_column] = with_clock(*(halves if kinds[other] == "date" else halves[::-1]))
     new = next((name for name in _NEW_NAMES if name not in names), None)
-    is_new = found is not None and found not in (config.time, *TIME_NAMES) and new is not None
-    return Times(values, (found, new) if is_new and found and new else None, other)
+    is_new = time_column is not None and time_column not in (config.time, *TIME_NAMES) and new is not None
+    return Times(values, (time_column, new) if is_new and time_column and new else None, other)
 
 
 def compact_dates(columns: Mapping[str, Sequence[str]], config: DataConfig) -> dict[str, list[str]]:
     """Return dates without marks, as ``20210331``, as year-month-day: of columns called so, or that are the time."""
     called = {
-        name: its for name, its in columns.items() if name in (config.time, *TIME_NAMES) or name.lower() == "date"
+        name: cells for name, cells in columns.items() if name in (config.time, *TIME_NAMES) or name.lower() == "date"
     }
     return {
-        name: [_COMPACT.sub(r"\1-\2-\3", cell.strip()) for cell in its]
-        for name, its in called.items()
-        if not all(map(is_missing, its)) and all(is_missing(cell) or _COMPACT.fullmatch(cell.strip()) for cell in its)
+        name: [_COMPACT.sub(r"\1-\2-\3", cell.strip()) for cell in cells]
+        for name, cells in called.items()
+        if not all(map(is_missing, cells))
+        and all(is_missing(cell) or _COMPACT.fullmatch(cell.strip()) for cell in cells)
     }
 
 
@@ -114,8 +117,8 @@ def _candidate(
     return clocks[0] if is_pair else None
 
 
-def _other_half(found: str, kinds: Mapping[str, _Kind], others: Sequence[str]) -> str | None:
+def _other_half(time_column: str, kinds: Mapping[str, _Kind], others: Sequence[str]) -> str | None:
     """Return the only column of dates that goes with clock times, or the reverse."""
-    lacking = {"clock": "date", "date": "clock", "both": None}[kinds[found]]
+    lacking = {"clock": "date", "date": "clock", "both": None}[kinds[time_column]]
     fitting = [name for name in others if kinds[name] == lacking]
     return fitting[0] if len(fitting) == 1 else None

@@ -163,8 +163,8 @@ def _check_time(roles: Roles, table: Table) -> None:
     """Raise DataError when there is a time, but as text."""
     name = next((name for name in TIME_NAMES if name in table.skipped), None)
     if name is not None and roles.time is None and roles.target is None and not roles.derivatives:
-        found = f"column '{name}' of {table.files[0]} holds text that is neither a number nor a date"
-        raise DataError(f"{found}; write numbers, or dates as year-month-day")
+        reason = f"column '{name}' of {table.files[0]} holds text that is neither a number nor a date"
+        raise DataError(f"{reason}; write numbers, or dates as year-month-day")
 
 
 def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
@@ -172,8 +172,8 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         raise DataError("no column is left to be a state; name the states with --states")
     clash = next((name for name in roles.states if roles.order == 2 and f"{name}_dot" in roles.states), None)
     if clash is not None:
-        found = f"'{clash}_dot' is a state and with --order 2 also the name of the velocity of '{clash}'"
-        raise DataError(f"{found}; name the states without it, as --states {clash}, or leave --order 2 out")
+        reason = f"'{clash}_dot' is a state and with --order 2 also the name of the velocity of '{clash}'"
+        raise DataError(f"{reason}; name the states without it, as --states {clash}, or leave --order 2 out")
     if roles.target is not None and not roles.inputs:
         raise DataError(f"there is no column besides '{roles.target}' from which it could be computed; add one")
     if roles.derivatives and len(roles.derivatives) != len(roles.states):
@@ -184,8 +184,8 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         looked = config.time or " or ".join(TIME_NAMES[:2])
         ascending = next((name for name in roles.states if _ascends(table, name)), None)
         perhaps = "" if ascending is None else f" (perhaps {ascending})"
-        found = f"no time column was found (looked for {looked})"
-        raise DataError(f"{found}; name it with --time{perhaps}, or use --target COLUMN")
+        reason = f"no time column was found (looked for {looked})"
+        raise DataError(f"{reason}; name it with --time{perhaps}, or use --target COLUMN")
     for name in config.only or ():
         if name not in roles.equations:
             sought = f"equations are sought for {', '.join(roles.equations)}{did_you_mean(name, roles.equations)}"

@@ -69,9 +69,9 @@ def test_the_other_dates_tell_day_from_month(cells, form):
 
 
 def test_day_and_month_do_not_matter_where_all_are_of_one_day():
-    found = instants("03/01/2021 06:00", "03/01/2021 06:30")
-    assert found.form == "dates day/month/year (or month/day/year: all are of one day)"
-    assert times_of([found], (0,), None)[0].tolist() == [0.0, 30.0]
+    dates = instants("03/01/2021 06:00", "03/01/2021 06:30")
+    assert dates.form == "dates day/month/year (or month/day/year: all are of one day)"
+    assert times_of([dates], (0,), None)[0].tolist() == [0.0, 30.0]
 
 
 def test_each_trajectory_ascends_by_itself():
@@ -79,8 +79,8 @@ def test_each_trajectory_ascends_by_itself():
 
 
 def test_a_clock_goes_on_past_midnight_within_a_trajectory():
-    found = instants("23:00", "01:00", "23:00", "02:00", "04:00", starts=(0, 4))
-    assert found.nanoseconds == (23 * H, 25 * H, 47 * H, 50 * H, 4 * H)
+    dates = instants("23:00", "01:00", "23:00", "02:00", "04:00", starts=(0, 4))
+    assert dates.nanoseconds == (23 * H, 25 * H, 47 * H, 50 * H, 4 * H)
 
 
 def test_missing_instants_stay_missing():
@@ -100,8 +100,8 @@ def test_missing_instants_stay_missing():
     ],
 )
 def test_the_unit_is_the_longest_that_a_usual_step_has(cells, unit, step):
-    times, its, remark = times_of([instants(*cells)], (0,), None)
-    assert (its, times[1] - times[0], times[0]) == (unit, step, 0.0)
+    times, time_unit, remark = times_of([instants(*cells)], (0,), None)
+    assert (time_unit, times[1] - times[0], times[0]) == (unit, step, 0.0)
     assert remark.endswith(f"in {unit} since {'2020-01-01' if cells[0] == '2020-01-01' else '2020-01-01 00:00:00'}")
 
 
@@ -125,13 +125,13 @@ def test_a_unit_may_be_asked_for():
 
 
 def test_a_column_of_dates_and_one_of_clock_times_are_one():
-    found = with_clock(instants("2020-01-01", "2020-01-02"), instants("23:00", "01:00"))
-    assert [value - since_1970(2020, 1, 1) for value in found.nanoseconds] == [23 * H, 25 * H]
+    dates = with_clock(instants("2020-01-01", "2020-01-02"), instants("23:00", "01:00"))
+    assert [value - since_1970(2020, 1, 1) for value in dates.nanoseconds] == [23 * H, 25 * H]
 
 
 def test_arrays_of_dates_are_instants():
-    found = of_array(np.array(["1969-12-31T23:00", "NaT", "2020-02-29T07:05:06.5"], dtype="M8[ms]"))
-    assert found.nanoseconds == (-H, None, since_1970(2020, 2, 29, 7, 5, 6) + S // 2)
+    dates = of_array(np.array(["1969-12-31T23:00", "NaT", "2020-02-29T07:05:06.5"], dtype="M8[ms]"))
+    assert dates.nanoseconds == (-H, None, since_1970(2020, 2, 29, 7, 5, 6) + S // 2)
 
 
 def test_only_missing_dates_are_refused():
