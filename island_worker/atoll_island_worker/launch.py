@@ -27,7 +27,7 @@ def work_together(connect: "Destination", names: Sequence[str], options: argpars
     with ExitReasons() as exit_reasons:
         starts: dict[str, Start] = {}
         if not can_fork():
-            starts = {each: partial(_start, connect, each, options, exit_reasons, remaining) for each in names}
+            starts = {name: partial(_start, connect, name, options, exit_reasons, remaining) for name in names}
             return supervise(starts, exit_reasons, options.parent, options.grace)
         with exit_on_signals():
             if options.parent is not None:
@@ -35,9 +35,9 @@ def work_together(connect: "Destination", names: Sequence[str], options: argpars
             load_ahead()
             if options.parent not in (None, os.getppid()):
                 return 0
-        for each in names:
-            act = partial(_work_as_fork, connect, each, options, os.getpid(), remaining, exit_reasons)
-            starts[each] = partial(Forked, act)
+        for name in names:
+            act = partial(_work_as_fork, connect, name, options, os.getpid(), remaining, exit_reasons)
+            starts[name] = partial(Forked, act)
         return supervise(starts, exit_reasons, options.parent, options.grace)
 
 

@@ -74,7 +74,8 @@ class IslandSetup:
         self.sample = sample if self.coevolving.enabled else rows
         self.fit = Fit(
             evolution.constant_fit_steps, evolution.linear_terms, LEAST_INNER, int(evolution.loss != "mae"),
-            evolution.constant_fit_gate, sum(1 << each for each in self.restrictions.required if each < MOST_REQUIRED),
+            evolution.constant_fit_gate,
+            sum(1 << variable for variable in self.restrictions.required if variable < MOST_REQUIRED),
         )  # fmt: skip
         self.runners_up = island_share(evolution.runners_up or 0, evolution.islands)
         variables = problem.inputs.shape[0]

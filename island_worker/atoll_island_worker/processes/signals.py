@@ -52,8 +52,8 @@ def exit_on_signals() -> Iterator[None]:
     """Raise SystemExit(0) for SIGTERM and hang-up, once, and KeyboardInterrupt for Ctrl-C, so that all is closed."""
 
     def end(number: int, frame: FrameType | None) -> None:
-        for each in ending_signals():
-            signal.signal(each, signal.SIG_IGN)
+        for ending_signal in ending_signals():
+            signal.signal(ending_signal, signal.SIG_IGN)
         raise SystemExit(0)
 
     with handlers({**dict.fromkeys(ending_signals(), end), signal.SIGINT: signal.default_int_handler}):
@@ -71,8 +71,8 @@ def drain_on_signals(parent: int | None, leave: Callable[[], None]) -> Iterator[
     def on_signal(number: int, frame: FrameType | None) -> None:
         signals.append(number)
         if len(signals) > 1 or parent not in (None, os.getppid()):
-            for each in ending_signals():
-                signal.signal(each, signal.SIG_IGN)
+            for ending_signal in ending_signals():
+                signal.signal(ending_signal, signal.SIG_IGN)
             raise SystemExit(0)
         leave()
 

@@ -211,7 +211,7 @@ class Session:
 
     @_on.register
     def _reset(self, event: Reset) -> list[Action]:
-        void = [key for key, each in self._shares.items() if each.placement.incarnation != event.incarnation]
+        void = [key for key, shard in self._shares.items() if shard.placement.incarnation != event.incarnation]
         actions: list[Action] = [action for key in void for action in self._drop(key)]
         actions += [DiscardJob(job) for job in self.jobs() if not self.wants(job)]
         self._jobs = {job: state for job, state in self._jobs.items() if self.wants(job)}
@@ -257,8 +257,8 @@ class Session:
         actions: list[Action] = []
         if isinstance(body, Sent):
             mail: list[Migrants | Finished] = [*([body.migrants] if body.migrants else []), *body.finished]
-            for each in mail:
-                actions += self._mailed(Mailed(event.peer, each))
+            for message in mail:
+                actions += self._mailed(Mailed(event.peer, message))
         return actions
 
     @_on.register
@@ -366,7 +366,7 @@ class Session:
         if share is not None:
             self._waited_before_s += share.waited_s
             self._duplicates_before += share.duplicates
-        self._failures = [each for each in self._failures if (each.job, each.variable) != key]
+        self._failures = [failure for failure in self._failures if (failure.job, failure.variable) != key]
         return [Discard(share.key)] if share is not None else []
 
     def _record_term(self, key: ArchipelagoKey, term: int) -> None:
@@ -376,9 +376,11 @@ class Session:
         """
         self._terms.pop(key, None)
         self._terms[key] = term
-        elsewhere = [each for each in self._terms if each not in self._shares and each != key]
-        for each in elsewhere[:-MAX_TERMS]:
-            del self._terms[each]
+        elsewhere = [
+            archipelago for archipelago in self._terms if archipelago not in self._shares and archipelago != key
+        ]
+        for archipelago in elsewhere[:-MAX_TERMS]:
+            del self._terms[archipelago]
 
     def _step_job(self, job: str, step: JobStep) -> None:
         self._jobs[job] = JOB_TRANSITIONS[self._jobs.get(job, "unknown")][step]
@@ -386,9 +388,9 @@ class Session:
     def _deliver_pending(self, key: ArchipelagoKey) -> None:
         """File the mail that came before its placement; what does not fit is dropped, it can be pulled."""
         share = self._shares[key]
-        for each in self._pending.take(*key):
-            if each.body.term == share.placement.term:
+        for message in self._pending.take(*key):
+            if message.body.term == share.placement.term:
                 try:
-                    share.deliver(each.sender, each.body)
+                    share.deliver(message.sender, message.body)
                 except RemoteProtocolError:
                     continue

@@ -91,7 +91,9 @@ class Share:
 
     def runnable(self) -> Iterator[LocalIsland]:
         """Yield the islands that may begin an epoch now, or take a snapshot: ready, and within the schedule."""
-        return (each for each in self.islands.values() if each.state == "ready" and each.epoch <= self.schedule.last)
+        return (
+            local for local in self.islands.values() if local.state == "ready" and local.epoch <= self.schedule.last
+        )
 
     def begin(self, island: int) -> Task:
         """Return the task of an island that is ready."""
@@ -332,7 +334,7 @@ class Share:
 
     def _is_settled(self, epoch: int) -> bool:
         there = self._buffer.reporters(epoch)
-        return all(each.index in there or each.state == "stopped" for each in self.islands.values())
+        return all(local.index in there or local.state == "stopped" for local in self.islands.values())
 
     def _check_owner(self, sender: str, island: int) -> None:
         workers = self.placement.workers

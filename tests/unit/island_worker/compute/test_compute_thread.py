@@ -83,14 +83,14 @@ def results(monkeypatch: pytest.MonkeyPatch) -> "queue.Queue[object]":
 
 @pytest.fixture
 def compute(results: "queue.Queue[object]") -> Iterator[ComputeThread]:
-    made = ComputeThread()
-    made.attach(results.put)
+    thread = ComputeThread()
+    thread.attach(results.put)
     values = np.linspace(0.0, 1.0, 5)
     dataset = Dataset(("x",), values[None, :].copy(), (Target("x", "dx/dt", values, 0.0, 1.0),), {"x": "x"})
-    made.load("job", JobConfig(), dataset_to_bytes(dataset))
+    thread.load("job", JobConfig(), dataset_to_bytes(dataset))
     assert results.get(timeout=LIMIT_S) == JobReady("job")
-    yield made
-    made.close()
+    yield thread
+    thread.close()
 
 
 def key(island: int, epoch: int = 0, term: int = 1) -> TaskKey:

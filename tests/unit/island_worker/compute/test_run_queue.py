@@ -72,8 +72,8 @@ class Fake:
 
 def queue_of(bench: Bench, *keys: TaskKey) -> RunQueue:
     queue = RunQueue(bench.begin, lambda: bench.now)
-    for each in keys:
-        assert queue.add(Task(each, None, is_last=False, commit_order=COMMIT_ORDER)) == []
+    for task_key in keys:
+        assert queue.add(Task(task_key, None, is_last=False, commit_order=COMMIT_ORDER)) == []
     return queue
 
 
@@ -86,11 +86,13 @@ def emptied(queue: RunQueue) -> list[Snapshot | Outcome]:
 
 def reached(outcomes: list[Outcome]) -> dict[tuple[int, int], int | None]:
     """Return by (epoch, island) the generation reported; None where the task was given up."""
-    found: dict[tuple[int, int], int | None] = {}
-    for each in outcomes:
-        assert isinstance(each, Computed | Abandoned)
-        found[each.key.epoch, each.key.island] = each.report.generations if isinstance(each, Computed) else None
-    return found
+    generations: dict[tuple[int, int], int | None] = {}
+    for outcome in outcomes:
+        assert isinstance(outcome, Computed | Abandoned)
+        generations[outcome.key.epoch, outcome.key.island] = (
+            outcome.report.generations if isinstance(outcome, Computed) else None
+        )
+    return generations
 
 
 def test_islands_take_turns_slice_by_slice() -> None:
@@ -218,7 +220,7 @@ def test_what_is_discarded_is_forgotten_with_its_hits() -> None:
 @pytest.mark.parametrize(("island", "kind"), [(6, Broken), (7, Rejected)])
 def test_what_goes_wrong_ends_its_task_alone(island: int, kind: type) -> None:
     outcomes = emptied(queue_of(Bench(), key(island), key(0)))
-    assert [type(each) for each in outcomes] == [kind, Computed]
+    assert [type(outcome) for outcome in outcomes] == [kind, Computed]
 
 
 def test_a_slice_may_take_several_turns() -> None:
@@ -260,4 +262,4 @@ def test_the_tasks_of_a_discarded_job_are_discarded_with_it() -> None:
     queue = queue_of(Bench(), key(0, job="a"), key(1, job="a"), key(0, job="b"))
     queue.turn()
     queue.discard_job("a")
-    assert [each.key.job for each in emptied(queue) if not isinstance(each, Snapshot)] == ["b"]
+    assert [outcome.key.job for outcome in emptied(queue) if not isinstance(outcome, Snapshot)] == ["b"]
