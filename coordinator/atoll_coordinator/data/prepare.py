@@ -13,7 +13,7 @@ from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
-from atoll_coordinator.data.row_selection.rows import select_rows
+from atoll_coordinator.data.row_selection.selected_rows import select_rows
 from atoll_coordinator.data.row_selection.thinning import thin_searched_rows
 from atoll_coordinator.data.row_selection.weights import normalize_weights, select_weighty_rows
 from atoll_coordinator.data.trajectories.gaps import split_at_gaps

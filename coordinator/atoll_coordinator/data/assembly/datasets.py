@@ -15,7 +15,7 @@ from atoll_coordinator.data.differentiation.standard_deviation import (
     representable_standard_deviation,
 )
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.data.row_selection.rows import SelectedRows
+from atoll_coordinator.data.row_selection.selected_rows import SelectedRows
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, Target

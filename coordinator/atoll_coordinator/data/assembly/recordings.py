@@ -7,7 +7,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.inputs import estimate_input_slopes
 from atoll_coordinator.data.recording import ExcludedRow, Method, Recording, Smoothing, Trajectory
-from atoll_coordinator.data.row_selection.rows import SelectedRows
+from atoll_coordinator.data.row_selection.selected_rows import SelectedRows
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.data.trajectories.trajectories import Range
 from atoll_core.data.dataset import FloatArray

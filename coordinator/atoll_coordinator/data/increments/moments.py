@@ -13,8 +13,8 @@ import numpy as np
 
 from atoll_coordinator.data.increments.bins import Rows, split_into_bins
 from atoll_coordinator.data.increments.correlations import Pair, correlated_pairs
+from atoll_coordinator.data.increments.exact_sums import total
 from atoll_coordinator.data.increments.steps import Steps
-from atoll_coordinator.data.increments.sums import total
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 

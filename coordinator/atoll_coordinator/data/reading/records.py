@@ -1,4 +1,4 @@
-"""JSON files -> `Rows`: a list of records, one record a line, or columns by name, as pandas and polars write them."""
+"""JSON files -> `RawTable`: a list of records, a record a line, or columns by name, as pandas and polars write them."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from atoll_coordinator.data.reading.encodings import decode
-from atoll_coordinator.data.reading.rows import Rows, with_breaks
+from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
 from atoll_core.errors import DataError
 
 _EXPECTED = 'a list of records such as [{"t": 0, "x": 1}] is expected'
 
 
-def read_records(path: Path) -> Rows:
+def read_records(path: Path) -> RawTable:
     """Read a JSON file; raises DataError."""
     text, _ = decode(path.name, path.read_bytes())
     if not text.strip():

@@ -1,4 +1,4 @@
-"""Dates and clock times -> instants, in whole nanoseconds; instants -> times in one unit. Pure.
+"""Dates and clock times -> whole nanoseconds; these -> times in one unit. Pure.
 
 A date is counted from 1970-01-01, a clock time from midnight, both without leap seconds. ISO dates, dates with names of
 months, and local ones are read; whether ``03/04/2020`` begins with the day is told by the other dates of the column.
@@ -59,8 +59,8 @@ _Match = re.Match[str]
 
 
 @dataclass(frozen=True)
-class Instants:
-    """Instants of the rows of a column, in nanoseconds, None where missing.
+class Dates:
+    """Dates or clock times of the rows of a column, in nanoseconds, None where missing.
 
     `form` is how they are written; `has_date` says whether they are counted from 1970-01-01, else from midnight;
     `has_clock` whether any of them has a clock time; `is_utc` whether zones were given, and taken off.
@@ -80,7 +80,7 @@ def split_origin(unit: str) -> tuple[str, str]:
     return (unit, "") if match is None or known is None else (known, match["origin"].strip())
 
 
-def is_instant(cell: str) -> bool:
+def is_date(cell: str) -> bool:
     """Tell whether `cell` has the form of a date or a clock time."""
     text = on_one_line(cell)
     return is_clock(text) or _form(text) is not None
@@ -99,8 +99,8 @@ def _form(text: str) -> tuple[str, re.Pattern[str]] | None:
     return None
 
 
-def read_instants(column: str, cells: Sequence[str], starts: Sequence[int], where: Callable[[int], str]) -> Instants:
-    """Return the instants in the cells of a column, of which the first one that is there has the form of an instant.
+def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], where: Callable[[int], str]) -> Dates:
+    """Return the dates in the cells of a column, whose first cell that is there has the form of a date or clock time.
 
     Args:
         column: what messages call it, such as ``column 't' of a.csv``.
@@ -123,7 +123,7 @@ def read_instants(column: str, cells: Sequence[str], starts: Sequence[int], wher
     if pattern is _CLOCK_FORM:
         _check_hours(column, matches)
         clocks = _read_matches(matches, _clock, column, where)
-        return Instants(_past_midnight(clocks, starts), "clock times", has_date=False)
+        return Dates(_past_midnight(clocks, starts), "clock times", has_date=False)
     zones = {match["zone"] is not None for match in matches if match is not None}
     if len(zones) > 1:
         raise DataError(f"{column} gives a time zone in some rows only; give it in all or in none")
@@ -131,7 +131,7 @@ def read_instants(column: str, cells: Sequence[str], starts: Sequence[int], wher
         form = _order(column, matches, starts)
     values = _read_matches(matches, lambda match: _date(match, form), column, where)
     has_clock = any(match is not None and match["hour"] is not None for match in matches)
-    return Instants(tuple(values), f"dates {form}", has_date=True, has_clock=has_clock, is_utc=zones == {True})
+    return Dates(tuple(values), f"dates {form}", has_date=True, has_clock=has_clock, is_utc=zones == {True})
 
 
 def _read_matches(
@@ -253,8 +253,8 @@ def _past_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple
     return tuple(counted)
 
 
-def with_clock(dates: Instants, clocks: Instants) -> Instants:
-    """Return the instants of a column of dates and one of clock times."""
+def with_clock(dates: Dates, clocks: Dates) -> Dates:
+    """Return a column of dates and one of clock times as one."""
     day = NANOSECONDS["d"]
     values = tuple(
         None if date is None or clock is None else date + clock % day
@@ -263,8 +263,8 @@ def with_clock(dates: Instants, clocks: Instants) -> Instants:
     return replace(dates, nanoseconds=values, has_clock=True, form=f"{dates.form} and clock times")
 
 
-def of_array(values: npt.NDArray[np.datetime64]) -> Instants:
-    """Return the instants of an array of dates (N,)."""
+def dates_of_array(values: npt.NDArray[np.datetime64]) -> Dates:
+    """Return the dates of an array (N,)."""
     days = values.astype("M8[D]")
     rest = (values - days).astype("m8[ns]").astype(np.int64).tolist()
     whole = days.astype(np.int64).tolist()
@@ -273,20 +273,20 @@ def of_array(values: npt.NDArray[np.datetime64]) -> Instants:
         None if is_missing else date * NANOSECONDS["d"] + part
         for date, part, is_missing in zip(whole, rest, missing, strict=True)
     ]
-    return Instants(tuple(nanoseconds), "dates", has_date=True, has_clock=any(rest))
+    return Dates(tuple(nanoseconds), "dates", has_date=True, has_clock=any(rest))
 
 
-def times_of(columns: Sequence[Instants], starts: Iterable[int], unit: str | None) -> tuple[FloatArray, str, str]:
+def times_of(columns: Sequence[Dates], starts: Iterable[int], unit: str | None) -> tuple[FloatArray, str, str]:
     """Return the times (N,) of one column in the files that are read together, their unit, and a remark.
 
     Args:
-        columns: its instants in each file, of one kind.
+        columns: the dates in each file, of one kind.
         starts: rows at which trajectories begin, counted over all files.
         unit: in which times are wanted; None: the longest of days, hours, minutes and seconds of which a usual step
             between rows has at least one.
 
     Raises:
-        DataError: there is not one instant, or `unit` is none in which instants are counted.
+        DataError: there is not one date, or `unit` is none in which dates are counted.
     """
     if unit is not None and unit not in _CALLED:
         raise DataError(f"dates are counted in {', '.join(NANOSECONDS)}, but '{unit}' is wanted; choose one of these")
@@ -303,7 +303,7 @@ def times_of(columns: Sequence[Instants], starts: Iterable[int], unit: str | Non
     return np.array(times, dtype=np.float64), time_unit, remark
 
 
-def origin_of(columns: Sequence[Instants], unit: str) -> Origin:
+def origin_of(columns: Sequence[Dates], unit: str) -> Origin:
     """Return the origin of what `times_of` returns in `unit`."""
     first = next(value for column in columns for value in column.nanoseconds if value is not None)
     since = _written(first, columns[0]) if columns[0].has_date else MIDNIGHT
@@ -320,7 +320,7 @@ def _unit(values: Sequence[int | None], starts: set[int]) -> str:
     return next((unit for unit, length in NANOSECONDS.items() if length <= usual), "s")
 
 
-def _written(origin: int, column: Instants) -> str:
+def _written(origin: int, column: Dates) -> str:
     days, rest = divmod(origin, NANOSECONDS["d"])
     date = datetime.date.fromordinal(days + _EPOCH).isoformat()
     if not column.has_clock:

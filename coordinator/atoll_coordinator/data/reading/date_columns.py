@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from atoll_coordinator.data.reading.cells import is_missing
-from atoll_coordinator.data.reading.instants import Instants, is_clock, is_instant, read_instants, with_clock
+from atoll_coordinator.data.reading.dates import Dates, is_clock, is_date, read_dates, with_clock
 from atoll_coordinator.data.roles.options import named_columns
-from atoll_coordinator.data.roles.roles import TIME_NAMES
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 
 _NEW_NAMES: Final = ("time", "t")
@@ -17,14 +17,14 @@ _Kind = Literal["clock", "date", "both"]
 
 
 @dataclass(frozen=True)
-class Times:
-    """Columns of instants by their name in the file.
+class DateColumns:
+    """Columns of dates and clock times by their name in the file.
 
     `renamed` is the one that nobody has named, and what it is called so that it is found to be the time; `absorbed` is
     a column of dates, or of clock times, that has become part of another one.
     """
 
-    values: Mapping[str, Instants]
+    values: Mapping[str, Dates]
     renamed: tuple[str, str] | None = None
     absorbed: str | None = None
 
@@ -34,15 +34,15 @@ class Times:
         return () if self.renamed is None else (f"column '{self.renamed[0]}' is the {self.renamed[1]}",)
 
 
-def read_times(
+def read_date_columns(
     file: str,
     texts: Mapping[str, Sequence[str]],
     names: Sequence[str],
     starts: Sequence[int],
     config: DataConfig,
     where: Callable[[int], str],
-) -> Times:
-    """Return the columns of instants among the columns of text of one file.
+) -> DateColumns:
+    """Return the columns of dates and clock times among the columns of text of one file.
 
     Args:
         file: its name, for messages.
@@ -64,7 +64,7 @@ def read_times(
         None if time_column is None else _other_half(time_column, kinds, [name for name in free if name != time_column])
     )
     values = {
-        name: read_instants(f"column '{name}' of {file}", texts[name], starts, where)
+        name: read_dates(f"column '{name}' of {file}", texts[name], starts, where)
         for name in (*wanted, *([] if other is None else [other]))
     }
     if time_column is not None and other is not None:
@@ -72,7 +72,7 @@ def read_times(
         values[time_column] = with_clock(*(halves if kinds[other] == "date" else halves[::-1]))
     new = next((name for name in _NEW_NAMES if name not in names), None)
     is_new = time_column is not None and time_column not in (config.time, *TIME_NAMES) and new is not None
-    return Times(values, (time_column, new) if is_new and time_column and new else None, other)
+    return DateColumns(values, (time_column, new) if is_new and time_column and new else None, other)
 
 
 def compact_dates(columns: Mapping[str, Sequence[str]], config: DataConfig) -> dict[str, list[str]]:
@@ -91,7 +91,7 @@ def compact_dates(columns: Mapping[str, Sequence[str]], config: DataConfig) -> d
 def _kind(cells: Sequence[str]) -> _Kind | None:
     """Return what the first cell that is there has the form of."""
     first = next((cell for cell in cells if not is_missing(cell)), "")
-    if not is_instant(first):
+    if not is_date(first):
         return None
     if is_clock(first):
         return "clock"
