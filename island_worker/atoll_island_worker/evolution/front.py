@@ -23,6 +23,7 @@ from atoll_island_worker.evolution.formula import (
     reductions,
     to_program,
 )
+from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.kernels.offers import (
     SIMPLE,
     choose_near,
@@ -31,7 +32,6 @@ from atoll_island_worker.evolution.kernels.offers import (
     refit_offers,
     structure_hash,
 )
-from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.kernels.tape import canonical_tape
 from atoll_island_worker.evolution.restricted import restrained
 from atoll_island_worker.evolution.runners_up import RunnersUp

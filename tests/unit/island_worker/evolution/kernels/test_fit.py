@@ -30,7 +30,7 @@ from atoll_island_worker.evolution.kernels.fit import (
     measure_tape,
     residual_of,
 )
-from atoll_island_worker.evolution.kernels.rows import product
+from atoll_island_worker.evolution.kernels.measured_rows import product
 from atoll_island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, empty_work
 from tests.oracles import fitting as oracle
 from tests.oracles.programs import program_of

@@ -9,6 +9,7 @@ from atoll_core.expression.operators import MULTIPLY, VARIABLE
 from atoll_core.expression.simplification import complexity
 from atoll_island_worker.evolution.formula import from_book, from_tape, to_program
 from atoll_island_worker.evolution.kernels.generation import PARTS, REFITTING
+from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.kernels.offers import (
     SIMPLE,
     canonical,
@@ -18,7 +19,6 @@ from atoll_island_worker.evolution.kernels.offers import (
     refit_offers,
     structure_hash,
 )
-from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.kernels.tape import compile_tape
 from atoll_island_worker.evolution.structures import MOST_TERMS, Fit, empty_scratch, empty_tape
 from tests.oracles import fitting
