@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.cli.terminal.output import note, say, table
+from atoll.terminal.output import note, say, table
 from atoll_core import ENGINE_REVISION
 from atoll_core.errors import DataError
 from benchmarks.corpus.cases import LEAST_T

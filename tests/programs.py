@@ -13,7 +13,8 @@ LIMIT_S = 200.0
 
 
 def command(program: str, *arguments: str) -> list[str]:
-    return [sys.executable, "-m", f"atoll_{program}", *arguments]
+    module = "atoll" if program == "coordinator" else f"atoll_{program}"
+    return [sys.executable, "-m", module, *arguments]
 
 
 def environment() -> dict[str, str]:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from atoll.cli.terminal.output import say
+from atoll.terminal.output import say
 from benchmarks.analysis import branches, dynamics, programs
 from benchmarks.analysis.check import Check
 from benchmarks.harness.command_line import option, program, whole

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.cli.terminal.output import say
+from atoll.terminal.output import say
 from atoll_core.errors import UsageError
 from benchmarks.corpus.campaign import judge_again, run_jobs
 from benchmarks.corpus.cases import OURS, SAMPLINGS, Key, make_case

@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import note, say, table
+from atoll.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Pools

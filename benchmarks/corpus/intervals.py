@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import say
+from atoll.terminal.output import say
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.refinement import Refinement

@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 
-from atoll.cli.terminal.output import say
+from atoll.terminal.output import say
 from benchmarks.dysts.flows import NEVER_POLYNOMIAL, available, load
 from benchmarks.dysts.judging import Outcome, outcome
 from benchmarks.dysts.making import POLYNOMIAL

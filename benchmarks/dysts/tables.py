@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from atoll.cli.terminal.output import table
+from atoll.terminal.output import table
 from benchmarks.dysts.judging import EXACT_ERROR, SMALL_ERROR, Outcome
 from benchmarks.dysts.making import POLYNOMIAL
 from benchmarks.harness.tables import Columns

@@ -10,7 +10,7 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-from atoll.cli.terminal.output import say
+from atoll.terminal.output import say
 from benchmarks.first_hour.campaign import figures, is_as_it_should_be, judge_again, line, run
 from benchmarks.first_hour.cases import CASES, GROUPS
 from benchmarks.first_hour.outcomes import Outcome

@@ -11,7 +11,7 @@ import numpy as np
 
 from atoll.cli.options.parser import parse
 from atoll.cli.request import Request, request_of
-from atoll.cli.terminal.output import table
+from atoll.terminal.output import table
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.errors import AtollError, DataError, UsageError
 from benchmarks.first_hour.cases import CASES, GROUPS, Case

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeVar
 
-from atoll.cli.terminal.output import note
+from atoll.terminal.output import note
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.cli.terminal.output import note
+from atoll.terminal.output import note
 from atoll_core.errors import AtollError
 from atoll_core.machine.cores import usable_cores
 

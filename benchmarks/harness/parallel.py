@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from atoll_core.compilation.progress import WarmUpDisplay
 from atoll_core.errors import AtollError, UsageError
 from atoll_island_worker.compute.warmup import warm_up
-from atoll_island_worker.processes.signals import end_with_parent
+from atoll_island_worker.processes.parent import end_with_parent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from atoll.cli.terminal.output import note, say
+from atoll.terminal.output import note, say
 from benchmarks.harness.record import Record, load
 from benchmarks.judging.verdict import COLUMNS, Verdict, miss
 

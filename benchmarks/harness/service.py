@@ -21,13 +21,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from atoll.cli.local.workers import worker_command
-from atoll.cli.signals import raising_interrupts
-from atoll.cli.terminal.output import count, duration, note
-from atoll.client import Client, connected
+from atoll.client.client import Client, connected
+from atoll.client.local_workers import worker_command
+from atoll.terminal.output import count, duration, note
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UnreachableError, UsageError
+from atoll_core.signals import raising_interrupts
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
 from benchmarks.harness.systems import table_of, trajectories
 from benchmarks.harness.tables import Columns
@@ -45,7 +45,7 @@ _LOOK_S: Final = 0.1
 TIED_COORDINATOR: Final = """
 import sys
 from atoll.cli.main import main
-from atoll_island_worker.processes.signals import end_with_parent
+from atoll_island_worker.processes.parent import end_with_parent
 end_with_parent(int(sys.argv[1]))
 sys.exit(main(sys.argv[2:]))
 """

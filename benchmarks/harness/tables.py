@@ -5,7 +5,7 @@ import string
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
-from atoll.cli.terminal.output import count, error_text, table
+from atoll.terminal.output import count, error_text, table
 
 
 def percent(share: float | None) -> str:

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import say
+from atoll.terminal.output import say
 from atoll_coordinator.model.inference.attractor import along, look_for_chaos
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting

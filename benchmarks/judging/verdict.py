@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from atoll.cli.terminal.output import error_text
+from atoll.terminal.output import error_text
 from atoll_core.data.dataset import Dataset, FloatArray
 from benchmarks.harness.tables import Columns
 from benchmarks.judging.forms import FormVerdict, compare

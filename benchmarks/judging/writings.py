@@ -24,7 +24,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import clipped, note, say, table
+from atoll.terminal.output import clipped, note, say, table
 from atoll_core.config import PRESETS
 from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.operators import (

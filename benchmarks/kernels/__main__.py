@@ -21,7 +21,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-from atoll.cli.terminal.output import note, say, table
+from atoll.terminal.output import note, say, table
 from atoll_core.errors import UsageError
 from atoll_core.expression.kernels.tape import LANES
 from atoll_core.expression.operators import BY_NAME

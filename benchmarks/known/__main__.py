@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll.cli.terminal.output import note
+from atoll.terminal.output import note
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-from atoll.cli.terminal.output import say, table
+from atoll.terminal.output import say, table
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table

@@ -7,7 +7,7 @@ after its first epoch, with one and with three workers; and, as it was before, w
 from argparse import Namespace
 from unittest.mock import patch
 
-from atoll.cli.terminal.output import say, table
+from atoll.terminal.output import say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.sparse import laws

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll.cli.terminal.output import note, say, table
+from atoll.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool

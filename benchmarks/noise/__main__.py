@@ -19,7 +19,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-from atoll.cli.terminal.output import say
+from atoll.terminal.output import say
 from atoll_core.errors import UsageError
 from benchmarks.harness.campaign import Answer, Service, journal_of, judge_again, work_off
 from benchmarks.harness.command_line import one_of, option, positive, program, seeds_of, workers

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from atoll.cli.terminal.output import clipped, note, say, shortened, table
+from atoll.terminal.output import clipped, note, say, shortened, table
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import DataConfig
 from atoll_core.data.table import Table

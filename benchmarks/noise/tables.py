@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import clipped, error_text, shortened, table
+from atoll.terminal.output import clipped, error_text, shortened, table
 from benchmarks.harness.tables import Columns, median, percent
 from benchmarks.noise.judging import BY_FUNCTION, EquationOutcome, Outcome
 

@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 import polars
 
-from atoll.cli.terminal.output import say, table
-from atoll.client import Client
+from atoll.client.client import Client
+from atoll.terminal.output import say, table
 from atoll_core.errors import AtollError, UnreachableError
 from benchmarks.harness.command_line import OUT, option, program, whole, workers
 from benchmarks.harness.record import Record, load

@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.cli.terminal.output import note, say
+from atoll.terminal.output import note, say
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.wire.messages.views import JobView
 from benchmarks.harness.command_line import OUT, option, program, seeds, whole

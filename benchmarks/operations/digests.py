@@ -20,9 +20,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from atoll.cli.signals import raising_interrupts
-from atoll.cli.terminal.output import note, say
+from atoll.terminal.output import note, say
 from atoll_core.errors import AtollError
+from atoll_core.signals import raising_interrupts
 from benchmarks.harness.command_line import OUT, option, program
 from benchmarks.harness.record import load, machine
 from benchmarks.harness.service import searching

@@ -22,8 +22,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final, TypeVar
 
-from atoll.cli.terminal.output import note, say, table
-from atoll.client import Client
+from atoll.client.client import Client
+from atoll.terminal.output import note, say, table
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView

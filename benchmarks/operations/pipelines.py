@@ -25,7 +25,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from atoll.cli.terminal.output import note, say
+from atoll.terminal.output import note, say
 from atoll.text.render import render_text
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline

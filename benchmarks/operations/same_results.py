@@ -22,9 +22,9 @@ from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from atoll.cli.signals import raising_interrupts
-from atoll.cli.terminal.output import note, say
+from atoll.terminal.output import note, say
 from atoll_core.errors import AtollError, UnreachableError, UsageError
+from atoll_core.signals import raising_interrupts
 from benchmarks.harness.command_line import plain_errors, whole
 from benchmarks.harness.journal import Journal, read
 from benchmarks.harness.service import COORDINATOR, Machines

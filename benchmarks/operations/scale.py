@@ -21,8 +21,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import note, say
-from atoll.client import Client
+from atoll.client.client import Client
+from atoll.terminal.output import note, say
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UnreachableError

@@ -26,8 +26,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.cli.terminal.output import note, say, table
-from atoll.client import connected
+from atoll.client.client import connected
+from atoll.terminal.output import note, say, table
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError

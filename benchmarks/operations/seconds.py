@@ -22,7 +22,7 @@ import numpy as np
 import polars
 from scipy.integrate import solve_ivp
 
-from atoll.cli.terminal.output import say, table
+from atoll.terminal.output import say, table
 from atoll_core.errors import AtollError
 from benchmarks.harness.command_line import OUT, option, program
 from benchmarks.harness.record import Record, load

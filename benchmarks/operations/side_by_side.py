@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import note, say, table
+from atoll.terminal.output import note, say, table
 from atoll_core.errors import AtollError, UsageError
 from benchmarks.harness.command_line import plain_errors, positive, whole
 from benchmarks.harness.record import Record, load

@@ -17,8 +17,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final
 
-from atoll.cli.terminal.output import note, say, table
-from atoll.client import Client, connected
+from atoll.client.client import Client, connected
+from atoll.terminal.output import note, say, table
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.errors import AtollError
 from atoll_core.search.seeding import Stream, stream_key

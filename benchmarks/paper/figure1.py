@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from atoll.cli.terminal.output import note, say, table
+from atoll.terminal.output import note, say, table
 from benchmarks.harness.command_line import option, program, run_options, whole
 from benchmarks.harness.parallel import canvas, in_parallel, save
 from benchmarks.harness.record import Record

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from statistics import geometric_mean, median
 from typing import Final
 
-from atoll.cli.terminal.output import count, note, say, table
+from atoll.terminal.output import count, note, say, table
 from atoll_coordinator.service.jobs.defaults import resolve
 from atoll_core.config import PRESETS, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset, Problem

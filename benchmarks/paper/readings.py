@@ -23,7 +23,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import clipped, count, note, say, table
+from atoll.terminal.output import clipped, count, note, say, table
 from benchmarks.harness.command_line import option, positive, program, run_options, seeds
 from benchmarks.harness.journal import Journal
 from benchmarks.harness.parallel import in_parallel

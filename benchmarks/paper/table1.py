@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import count, note, say, table
+from atoll.terminal.output import count, note, say, table
 from atoll_core.config import PRESETS, Preset
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import node_values, values_of

@@ -22,7 +22,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from atoll.cli.terminal.output import clipped, note, say, shortened
+from atoll.terminal.output import clipped, note, say, shortened
 from atoll_coordinator.data.prepare import prepare
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.table import Table

@@ -24,7 +24,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import note, say, table
+from atoll.terminal.output import note, say, table
 from benchmarks.harness.command_line import option, program
 from benchmarks.judging.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UNCREDITED, rows_of
 from benchmarks.judging.errors import values_on

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from atoll.cli.terminal.output import error_text, say, table
+from atoll.terminal.output import error_text, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.wire.messages.views import JobView

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import count, note, say, table
+from atoll.terminal.output import count, note, say, table
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError
 from benchmarks.harness.record import Record

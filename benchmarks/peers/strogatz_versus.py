@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from atoll.cli.terminal.output import error_text, note, say, table
+from atoll.terminal.output import error_text, note, say, table
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 from benchmarks.harness.record import Record, load

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.cli.terminal.output import say
+from atoll.terminal.output import say
 from atoll_core.errors import AtollError
 from benchmarks.harness.campaign import attempt
 from benchmarks.harness.command_line import option, positive, program, workers

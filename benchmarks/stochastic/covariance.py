@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import say, table
+from atoll.terminal.output import say, table
 from atoll_coordinator.data.increments.bins import split_into_bins
 from atoll_coordinator.data.increments.correlations import correlated_pairs
 from atoll_coordinator.data.increments.moments import bin_count

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import say, table
+from atoll.terminal.output import say, table
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.stochastic.conclusion import joint_objections
 from atoll_coordinator.model.stochastic.likelihood import ProcessLikelihood, ProcessModel

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.cli.terminal.output import note, say, table
+from atoll.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.refinement import Simulated, Simulation

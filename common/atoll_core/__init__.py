@@ -8,13 +8,11 @@ what both command lines share.
 It imports no other package of Atoll.
 """
 
-from typing import Final
-
-VERSION: Final = "0.1.0"
+VERSION = "0.1.0"
 """Version of the distribution; kept equal to pyproject.toml by a test."""
 
-PROTOCOL_VERSION: Final = 7
+PROTOCOL_VERSION = 7
 """Raised whenever a message on the wire changes its shape or meaning."""
 
-ENGINE_REVISION: Final = 7
+ENGINE_REVISION = 7
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""

@@ -31,14 +31,14 @@ class Parser(argparse.ArgumentParser):
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> argparse.Namespace:  # type: ignore[override]
         """Parse the words; raises UsageError, and for an unknown option says which one may have been meant."""
-        found: argparse.Namespace
-        found, left = self.parse_known_args(args, namespace)
+        options: argparse.Namespace
+        options, left = self.parse_known_args(args, namespace)
         if left:
-            used = self._used(found)
+            used = self._used(options)
             hint = did_you_mean(left[0].partition("=")[0], used._option_string_actions) if left[0][:1] == "-" else ""
             kind = "unknown option" if left[0][:1] == "-" else "one word too many:"
             raise UsageError(f"{kind} {' '.join(left)}; see {used.prog} --help{hint}")
-        return found
+        return options
 
     def _print_message(self, message: str, file: Any = None) -> None:
         """Print help; raises AtollError where it cannot be written, unless its reader has gone."""
@@ -51,11 +51,11 @@ class Parser(argparse.ArgumentParser):
         except OSError as error:
             raise unwritable(error) from error
 
-    def _used(self, found: argparse.Namespace) -> argparse.ArgumentParser:
+    def _used(self, options: argparse.Namespace) -> argparse.ArgumentParser:
         """Return the parser of the verb that was given, or this one."""
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):
-                verb: argparse.ArgumentParser | None = action.choices.get(getattr(found, action.dest))
+                verb: argparse.ArgumentParser | None = action.choices.get(getattr(options, action.dest))
                 return verb or self
         return self
 

@@ -1,19 +1,49 @@
 """The one tree of errors. Every message is one sentence: what was found, what was expected, what to do."""
 
+from typing import NamedTuple
+
+
+class Field(NamedTuple):
+    """What a person sets, perhaps to a value: `order=2` in Python is ``--order 2`` on the command line."""
+
+    name: str
+    value: object = None
+
+    @property
+    def in_python(self) -> str:
+        """The keyword."""
+        return self.name if self.value is None else f"{self.name}={self.value!r}"
+
+    @property
+    def on_command_line(self) -> str:
+        """The option."""
+        option = f"--{self.name.replace('_', '-')}"
+        return option if self.value is None else f"{option} {self.value}"
+
 
 class AtollError(Exception):
     """Root of all errors that are meant for a person; `exit_code` is what a program ends with.
 
-    What to do may have another name in Python than on the command line: the text of the error is for Python,
-    `on_command_line` for programs.
+    What to set and what to do have other names in Python than on the command line: the text of the error is for
+    Python, `on_command_line` for programs, and `fields` are the names of what the sentence says is to be set.
     """
 
     exit_code = 1
 
-    def __init__(self, sentence: str = "", *, python: str = "", command: str = "") -> None:
-        """Take the sentence, or its beginning and how it goes on in Python and on the command line."""
-        super().__init__(f"{sentence}; {python}" if python else sentence)
-        self.on_command_line = f"{sentence}; {command}" if command else sentence
+    def __init__(self, sentence: str = "", *parts: object, python: str = "", command: str = "") -> None:
+        """Take the sentence, or its beginning and how it goes on in Python and on the command line.
+
+        `parts` take the places of ``%s`` in it, each `Field` among them in the words of either side.
+        """
+        self.fields = tuple(part.name for part in parts if isinstance(part, Field))
+        said = _filled(sentence, [part.in_python if isinstance(part, Field) else part for part in parts])
+        typed = _filled(sentence, [part.on_command_line if isinstance(part, Field) else part for part in parts])
+        super().__init__(f"{said}; {python}" if python else said)
+        self.on_command_line = f"{typed}; {command}" if command else typed
+
+
+def _filled(sentence: str, parts: list[object]) -> str:
+    return sentence % tuple(parts) if parts else sentence
 
 
 class UsageError(AtollError):

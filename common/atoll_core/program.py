@@ -1,28 +1,24 @@
-"""How both programs begin and end: standard streams, Ctrl-C at any moment, errors as sentences. Light to import."""
+"""How both programs begin and end: standard streams, errors as sentences. Light to import."""
 
 import contextlib
 import importlib
 import os
-import signal
 import sys
 from collections.abc import Callable
-from types import FrameType
-from typing import Final, NoReturn
+from typing import NoReturn
 
-INTERRUPTED: Final = 130
-"""Exit code after Ctrl-C."""
+from atoll_core.signals import INTERRUPTED, end_at_interrupts, reap_children
 
 
 def run_program(module: str) -> NoReturn:
     """Import a module, call its `main` with the words of the command line and end the process with its exit code.
 
-    Until the module calls `raise_interrupts`, Ctrl-C ends the process at once: a KeyboardInterrupt in the middle of an
-    import may be lost or be printed as a traceback. At the end nothing is left to be closed, so the process does not
-    wait for the interpreter to take itself apart, which takes long once the libraries for numbers are loaded, nor for a
-    thread in the middle of compiling.
+    Until the module calls `signals.raise_interrupts`, Ctrl-C ends the process at once: a KeyboardInterrupt in the
+    middle of an import may be lost or be printed as a traceback. At the end nothing is left to be closed, so the
+    process does not wait for the interpreter to take itself apart, which takes long once the libraries for numbers are
+    loaded, nor for a thread in the middle of compiling.
     """
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else a parent has it ignored
-        signal.signal(signal.SIGINT, _end_at_once)
+    end_at_interrupts()
     reap_children()
     open_closed_streams()
     from atoll_core.machine.garbage import collect_rarely
@@ -31,22 +27,6 @@ def run_program(module: str) -> NoReturn:
     code: int = importlib.import_module(module).main(sys.argv[1:])
     flush_streams()
     os._exit(code)
-
-
-def reap_children() -> None:
-    """Learn how child processes end, also where a parent has that ignored: the system would not tell how they did."""
-    if hasattr(signal, "SIGCHLD"):
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-
-
-def raise_interrupts() -> None:
-    """Have Ctrl-C raise KeyboardInterrupt from now on, if it has ended the process until now."""
-    if signal.getsignal(signal.SIGINT) is _end_at_once:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _end_at_once(number: int, frame: FrameType | None) -> NoReturn:
-    os._exit(INTERRUPTED)
 
 
 def exit_code_of(work: Callable[[], int], complain: Callable[[str], object]) -> int:

@@ -7,28 +7,34 @@ page that shows it, ``text`` what terminals show; ``cli`` is the command line.
 It stands above `atoll_coordinator`, which stands above `atoll_core`. Nothing is loaded before it is first used.
 """
 
-from typing import Any, Final
-
-from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+TYPE_CHECKING = False
+if TYPE_CHECKING:  # named so, because `typing` takes its time: the command line has to meet Ctrl-C as soon as it can
+    from atoll.api.discover import discover, submit
+    from atoll.api.discoverer import Discoverer
+    from atoll.api.regressor import Regressor
+    from atoll.model.model import Model
+    from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 
 __all__ = ["ENGINE_REVISION", "PROTOCOL_VERSION", "VERSION", "Discoverer", "Model", "Regressor", "discover", "submit"]
 
-_PUBLIC: Final = {
+_PUBLIC = {
+    **dict.fromkeys(("ENGINE_REVISION", "PROTOCOL_VERSION", "VERSION"), "atoll_core"),
     "Model": "atoll.model.model",
     "discover": "atoll.api.discover",
     "submit": "atoll.api.discover",
     "Discoverer": "atoll.api.discoverer",
     "Regressor": "atoll.api.regressor",
 }
-"""The classes and functions for users, by the module that is imported when one is first asked for."""
+"""What users import, by the module that has it, which is imported when it is first asked for."""
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'atoll' has no attribute {name!r}")
     import importlib
 
-    value = globals()[name] = getattr(importlib.import_module(_PUBLIC[name]), name)
+    value: object = getattr(importlib.import_module(_PUBLIC[name]), name)
+    globals()[name] = value
     return value
 
 

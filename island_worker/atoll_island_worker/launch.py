@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from atoll_core.program import exit_code_of
+from atoll_core.signals import draining, exiting
 from atoll_island_worker.processes.exit_reasons import ExitReasons
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 def work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
     """Have one process for each name work, as often as it dies; forked, where that can be, after all is loaded once."""
     from atoll_island_worker.processes.fork_server import Forked, can_fork, load_ahead
-    from atoll_island_worker.processes.signals import exit_on_signals, request_parent_death_signal
+    from atoll_island_worker.processes.parent import request_parent_death_signal
     from atoll_island_worker.processes.supervisor import Start, supervise
 
     remaining = _remaining(options.lifetime)
@@ -29,7 +30,7 @@ def work_together(connect: "Destination", names: Sequence[str], options: argpars
         if not can_fork():
             starts = {name: partial(_start, connect, name, options, exit_reasons, remaining) for name in names}
             return supervise(starts, exit_reasons, options.parent, options.grace)
-        with exit_on_signals():
+        with exiting():
             if options.parent is not None:
                 request_parent_death_signal()
             load_ahead()
@@ -52,7 +53,7 @@ def _start(
     remaining: Callable[[], float | None],
 ) -> "Child":  # fmt: skip
     """Start a process that works, for what is left of its lifetime."""
-    from atoll_island_worker.processes.signals import worker_command
+    from atoll_island_worker.processes.command import worker_command
     from atoll_island_worker.processes.supervisor import start_process
 
     further = [*_log_options(options), "--exit-reasons", str(exit_reasons.writing_end)]
@@ -75,15 +76,15 @@ def _work_as_fork(
 def work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:
     """Be one worker until there is nothing more to do; `parent`: the process with which this one ends."""
     from atoll_core.logs import configure
-    from atoll_island_worker.processes.signals import drain_on_signals, end_with_parent, exit_on_signals
+    from atoll_island_worker.processes.parent import end_with_parent
 
-    with exit_on_signals():
+    with exiting():
         if parent is not None:
             end_with_parent(parent)
         configure(options.log_format, options.log_level, worker=name)
         from atoll_core.compilation.progress import WarmUpDisplay
         from atoll_island_worker.worker import run_worker
 
-        on_signal = partial(drain_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()
+        on_signal = partial(draining, parent) if options.grace > 0.0 else lambda leave: nullcontext()
         show = WarmUpDisplay() if sys.stderr.isatty() and options.parent is None else None  # else it is in the log
         return run_worker(connect, name, options.wait, options.lifetime, options.grace, on_signal, show)

@@ -26,9 +26,10 @@ import pytest
 
 from atoll.api import session
 from atoll.cli.main import main
-from atoll.cli.options.job_config import job_config
 from atoll.cli.options.parser import parse
-from atoll.cli.terminal.output import REPORT, say, write_report, write_result
+from atoll.cli.request import config_of
+from atoll.cli.result_files import REPORT, write_report, write_result
+from atoll.terminal.output import say
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import DataConfig
 from tests.integration.test_processes import started
@@ -261,7 +262,7 @@ class Reader:
 
     def _toml(self, block: Block) -> None:
         Path("job.toml").write_text(block.text, "utf-8")
-        config = job_config(parse(["run", "x.csv", "--config", "job.toml"]))
+        config = config_of(parse(["run", "x.csv", "--config", "job.toml"]))
         assert config.model_dump(mode="json", exclude_defaults=True) == tomllib.loads(block.text)
 
     def _mermaid(self, block: Block) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.client import connected
+from atoll.client.client import connected
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.errors import RefusedError

@@ -11,7 +11,7 @@ import pytest
 
 from atoll.cli.main import main
 from atoll.cli.verbs.router import upstream_settings
-from atoll.client import Client, connected
+from atoll.client.client import Client, connected
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store

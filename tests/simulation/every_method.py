@@ -16,7 +16,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 import atoll_coordinator.service
-from atoll.cli.terminal.output import say
+from atoll.terminal.output import say
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.requests.router import RequestRouter

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.cli.terminal.output import note, say
+from atoll.terminal.output import note, say
 from tests.simulation.harness.participants import STUBS, Cast
 from tests.simulation.harness.schedule import Schedule, schedule_of
 from tests.simulation.harness.schedule_run import Outcome, ScheduleRun

@@ -5,5 +5,5 @@ scikit-learn's rules; ``tables`` makes tables of arrays and frames; ``wording`` 
 ``notebook`` shows progress there; ``session`` is the service that this interpreter has started, by the command in
 ``host``, and keeps.
 
-`discover.discover` -> `session.local_address` -> (process) `host.main` -> `cli.local`; then `client.Client`.
+`discover.discover` -> `session.local_address` -> (process) `host.main` -> `atoll.client`; then `client.Client`.
 """

@@ -11,24 +11,22 @@ from atoll.api.notebook import NotebookDisplay, is_notebook
 from atoll.api.session import check_service, local_address
 from atoll.api.tables import NAME, table_of
 from atoll.api.wording import in_python, python_words
-from atoll.cli.options.job_config import job_config
-from atoll.cli.options.parser import parse
-from atoll.cli.terminal.follow import Follower, ending
-from atoll.cli.terminal.progress import Display, is_screen, open_display
-from atoll.client import Client, connected
+from atoll.client.client import connected
+from atoll.client.follower import Display, Follower
+from atoll.client.job_config import job_config
+from atoll.client.options import OPTIONS
 from atoll.model.arguments import shown
 from atoll.model.model import Model
+from atoll.terminal.progress import is_screen, open_display
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError, RefusedError, UsageError
+from atoll_core.hints import did_you_mean
 from atoll_core.wire.addresses import Destination, destination
-from atoll_core.wire.messages.views import FINAL_STATES, JobView
+from atoll_core.wire.messages.views import JobView
 from atoll_core.wire.security.credentials import credentials_of
 
 CONNECT_LIMIT_S: Final = 20.0
-CANCEL_LIMIT_S: Final = 10.0
-_REPEATABLE: Final = ("angle", "operators", "allow", "guess", "known", "require", "bound", "unit")
 _TLS: Final = ("ca", "cert", "key")
-_NOT_OURS: Final = ("json", "out", "workers", "help", "id", "name", "dry_run", "report")
 _INSTEAD: Final = {"report": "write the page of the model that comes back with model.report(path)"}
 _PRIORITIES: Final = range(-10, 11)
 
@@ -70,13 +68,13 @@ class Job:
             except KeyboardInterrupt:
                 display.print_note("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
                 self.is_interrupted = True
-                _cancel(client, self.id)
+                client.cancel_and_wait(self.id)
         return self
 
     def cancel(self) -> None:
         """End it and keep its best equations."""
         with connected(self._address, CONNECT_LIMIT_S) as client:
-            _cancel(client, self.id)
+            client.cancel_and_wait(self.id)
 
     def result(self) -> Model:
         """Return its model, of a job that still runs the best so far.
@@ -164,39 +162,13 @@ def submit(
 
 def config_of(options: Mapping[str, Any]) -> JobConfig:
     """Return the configuration that keyword arguments describe, as the options of ``run`` do; raises UsageError."""
-    unknown = next((name for name in options if name in _NOT_OURS), None)
+    values = dict(options)
+    job_file = values.pop("config", None)
+    unknown = next((name for name in values if name not in OPTIONS), None)
     if unknown is not None:
-        raise UsageError(f"{unknown} is no option here; {_INSTEAD.get(unknown, 'see help(atoll.discover)')}")
-    words = ["run", NAME]
-    for name, value in options.items():
-        words += _words(f"--{name.replace('_', '-')}", value, is_repeatable=name in _REPEATABLE)
-    with python_words():
-        return job_config(parse(words))
-
-
-def _words(flag: str, value: Any, *, is_repeatable: bool) -> list[str]:
-    if value is None or value is False:
-        return []
-    if value is True:
-        return [flag]
-    if isinstance(value, Mapping) and flag == "--bound":
-        value = [f"{key}: {each}" for key, those in value.items() for each in _several(those)]
-    elif isinstance(value, Mapping):
-        value = [f"{key}={_text(each)}" for key, each in value.items()]
-    elif isinstance(value, (list, tuple)) and flag != "--operators":
-        value = [_text(each) for each in value]
-    else:
-        value = [_text(value)]
-    values = value if is_repeatable else [",".join(value)]
-    return [f"{flag}={each}" for each in values]
-
-
-def _several(value: Any) -> list[Any]:
-    return [*value] if isinstance(value, (list, tuple)) else [value]
-
-
-def _text(value: Any) -> str:
-    return ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+        advice = _INSTEAD.get(unknown, f"see help(atoll.discover){did_you_mean(unknown, OPTIONS)}")
+        raise UsageError(f"{unknown} is no option here; {advice}")
+    return job_config(values, job_file)
 
 
 def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers: int | None) -> str | Destination:
@@ -210,17 +182,9 @@ def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers:
     return destination(connect, credentials_of(files, os.environ, "connect"))
 
 
-def _cancel(client: Client, job: str) -> None:
-    """Cancel a job and wait, within limits, until it has ended."""
-    view, end = client.cancel(job), client.now() + CANCEL_LIMIT_S
-    while view.state not in FINAL_STATES and client.now() < end:
-        client.pause(0.1)
-        view = client.status(job)
-
-
 def _failure(view: JobView) -> AtollError:
     kind = DataError if view.fault == "data" else AtollError
-    return kind(in_python(ending(view, None) or f"job {view.job} failed"))
+    return kind(in_python(f"job {view.job} failed: {view.reason}"))
 
 
 @contextlib.contextmanager

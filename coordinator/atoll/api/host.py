@@ -14,12 +14,12 @@ import threading
 from pathlib import Path
 from typing import Final
 
-from atoll.cli.local.workers import LocalWorkers
+from atoll.client.local_workers import LocalWorkers
 from atoll_coordinator.service.background.child_main import load_preparation, load_refinement
 from atoll_coordinator.service.background.process_pool import ProcessPool
 from atoll_core.errors import AtollError
 from atoll_core.logs import configure
-from atoll_core.program import INTERRUPTED, reap_children
+from atoll_core.signals import INTERRUPTED, reap_children
 from atoll_core.wire.addresses import own_address
 
 CHECK_S: Final = 0.3
@@ -51,7 +51,7 @@ def _serve(number: int, parent: int, log: Path, stop: threading.Event) -> None:
     ):
         pool.preload(load_preparation)
         pool.preload(load_refinement)
-        from atoll.cli.local.coordinator import LocalCoordinator
+        from atoll.client.local_coordinator import LocalCoordinator
 
         with LocalCoordinator(str(address), number, pool) as coordinator:
             coordinator.wait()

@@ -5,8 +5,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from atoll.cli.terminal.output import note
-from atoll.cli.terminal.progress import plain_lines
+from atoll.terminal.output import note
+from atoll.terminal.progress import plain_lines
 from atoll_core.wire.messages.views import JobView, WorkerView
 
 

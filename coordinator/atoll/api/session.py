@@ -14,8 +14,8 @@ import threading
 from numbers import Integral
 from typing import Final
 
-from atoll.cli.local.workers import plain_environment
-from atoll.cli.options.parser import MOST_WORKERS
+from atoll.client.local_workers import plain_environment
+from atoll.client.options import MOST_WORKERS
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.machine.cores import usable_cores
 
@@ -106,10 +106,10 @@ def local_address(workers: int | None = None) -> str:
     if workers is not None and not (isinstance(workers, Integral) and 1 <= workers <= MOST_WORKERS):
         raise UsageError(f"workers must be a whole number from 1 to {MOST_WORKERS}, but {workers!r} was given")
     with _LOCK:
-        for number, its in [*_services.items()]:
-            if not its.is_alive:
+        for number, service in [*_services.items()]:
+            if not service.is_alive:
                 del _services[number]
-                its.close()
+                service.close()
         number = workers or next(iter(_services), None) or usable_cores(os.environ)[0]
         if number not in _services:
             _services[number] = LocalService(number)
@@ -118,7 +118,7 @@ def local_address(workers: int | None = None) -> str:
 
 def check_service(address: str) -> None:
     """Raise AtollError when `address` is that of a local service that has ended."""
-    ended = [its for its in [*_services.values()] if its.endpoint == address and not its.is_alive]
+    ended = [service for service in [*_services.values()] if service.endpoint == address and not service.is_alive]
     if ended:
         why = ended[0].reason or "it was killed"
         raise AtollError(f"the local service has ended: {why}; the next call starts another")

@@ -1,14 +1,15 @@
-"""Errors in the words of Python: options of the command line are keyword arguments here."""
+"""What the service and the readers of data say of options of the command line, in the words of Python.
+
+Errors of the options themselves name fields, see `atoll_core.errors`.
+"""
 
 import contextlib
 import re
 from collections.abc import Iterator
 from typing import Final
 
-from atoll_core.errors import AtollError
+from atoll_core.errors import AtollError, Field
 
-_HELP: Final = re.compile(r"coordinator(?: run)? --help")
-_UNKNOWN: Final = re.compile(r"option --([a-z-]+)\S*;")
 _TLS: Final = re.compile(r"--tls-(ca|cert|key)(?: \(ATOLL_TLS_\w+\))?")
 _WITH_NUMBER: Final = re.compile(r"--([a-z][a-z-]*)[ =](\d+)\b")
 _WITH_COLUMN: Final = re.compile(r"--(inputs|missing|target|time) (\w+)(?=[;,.)]|$)")
@@ -17,13 +18,11 @@ _OPTION: Final = re.compile(r"--([a-z][a-z-]*)")
 
 def in_python(sentence: str) -> str:
     """Return a sentence with keyword arguments in the place of options: ``--max-size`` is max_size."""
-    sentence = _HELP.sub("help(atoll.discover)", sentence)
-    sentence = _UNKNOWN.sub(lambda its: f"option {_name(its[1])};", sentence)
     sentence = sentence.replace("--tls-...", "tls").replace("--missing drop", "missing='drop'")
     sentence = _TLS.sub(r"tls['\1']", sentence)
-    sentence = _WITH_NUMBER.sub(lambda its: f"{_name(its[1])}={its[2]}", sentence)
-    sentence = _WITH_COLUMN.sub(lambda its: f"{its[1]}={its[2]!r}", sentence)
-    return _OPTION.sub(lambda its: _name(its[1]), sentence)
+    sentence = _WITH_NUMBER.sub(lambda match: Field(_name(match[1]), int(match[2])).in_python, sentence)
+    sentence = _WITH_COLUMN.sub(lambda match: Field(match[1], match[2]).in_python, sentence)
+    return _OPTION.sub(lambda match: _name(match[1]), sentence)
 
 
 @contextlib.contextmanager

@@ -1,11 +1,13 @@
 """The command line ``coordinator``.
 
-``main`` parses, calls a verb and turns errors into exit codes; ``options`` holds the parser and makes a job's
-configuration; ``verbs`` has a function for each command, ``doctor`` those that examine a machine; ``local`` is what
-``run`` starts here; ``request`` is a job as the user asked for it; ``terminal`` follows jobs and prints; ``signals``
-handles Ctrl-C and SIGTERM, ``exit_codes`` names what a shell sees.
+``main`` parses, calls a verb and turns errors into exit codes; ``options`` holds the parser; ``verbs`` has a function
+for each command, ``doctor`` those that examine a machine. ``request`` is a job as the user asked for it,
+``local_run`` one on this machine, ``ending`` what its end means, ``result_files`` what is written of it,
+``next_step`` what is proposed then, ``worker_table`` a list of workers, ``listener`` where others connect to,
+``saved_model`` what verbs on a result share, ``exit_codes`` what a shell sees.
 
-`main.main` -> `options.parser.parse` -> `verbs.submit.submit` -> `request.Request` -> `atoll.client.Client`
--> (bus) -> `atoll_coordinator.service.requests`. Each verb's module is imported when it is called, since ``--help``
-must be instant.
+`main.main` -> `options.parser.parse` -> `verbs.submit.submit` -> `request.Request` -> `atoll.client.client.Client`
+-> (bus) -> `atoll_coordinator.service.requests`. Of a run on this machine: `verbs.run` -> `LocalWorkers` (started
+first) -> `LocalRun` -> `LocalCoordinator`, then `Request.submit` and `Follower`. Each verb's module is imported when it
+is called, since ``--help`` must be instant.
 """

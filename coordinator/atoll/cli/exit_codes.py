@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from atoll_core.program import INTERRUPTED as INTERRUPTED
+from atoll_core.signals import INTERRUPTED as INTERRUPTED
 
 DONE: Final = 0
 FAILED: Final = 1

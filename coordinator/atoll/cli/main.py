@@ -10,7 +10,8 @@ import sys
 from collections.abc import Sequence
 from typing import Final
 
-from atoll_core.program import exit_code_of, flush_streams, raise_interrupts
+from atoll_core.program import exit_code_of, flush_streams
+from atoll_core.signals import raise_interrupts
 
 _READERS: Final = frozenset({"result", "simulate", "analyse", "report", "suggest", "export"})
 _MAY_BE_EDITED: Final = "; if the result was edited, give it as it was written"

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from atoll.cli.ending import ending, exit_code
 from atoll.cli.exit_codes import DONE
-from atoll.cli.options.job_config import job_config
-from atoll.cli.options.names import job_id
-from atoll.cli.terminal.follow import ending, exit_code
-from atoll.cli.terminal.output import as_json, note, say
-from atoll.client import Client
+from atoll.cli.options.job_id import job_id
+from atoll.client.client import Client
+from atoll.client.job_config import job_config
+from atoll.client.options import OPTIONS, Repeated
+from atoll.terminal.output import as_json, note, say
 from atoll_core.config import JobConfig
 from atoll_core.errors import DataError, RefusedError, UsageError
 from atoll_core.hints import similar_file
@@ -60,8 +61,8 @@ class Request:
         """Say how the data are read and what would be searched, and start nothing; return the exit code."""
         from atoll_coordinator.data.outline import outline
 
-        its = outline(self.read(), self.config)
-        say(as_json(its.as_dict()) if self.json else its.as_text())
+        plan = outline(self.read(), self.config)
+        say(as_json(plan.as_dict()) if self.json else plan.as_text())
         return DONE
 
     def submit(self, client: Client, table: "Table") -> JobView:
@@ -110,15 +111,21 @@ def request_of(options: argparse.Namespace) -> Request:
     """
     files = tuple(Path(name) for name in options.data)
     name = options.name if options.name is not None else files[0].name
-    request = Request(
-        job_id(options.id), name, job_config(options), files, options.json, getattr(options, "priority", 0)
-    )
+    config = config_of(options)
+    request = Request(job_id(options.id), name, config, files, options.json, getattr(options, "priority", 0))
     for file in files:
         if not file.is_file():
-            found = _what_is_there(file)
+            what = _what_is_there(file)
             hint = similar_file(file) or "; check the name"
-            raise DataError(f"{file} {found}, but a data file was expected, such as CSV{hint}")
+            raise DataError(f"{file} {what}, but a data file was expected, such as CSV{hint}")
     return request
+
+
+def config_of(options: argparse.Namespace) -> JobConfig:
+    """Return the configuration that the options of ``run`` or ``submit`` describe; raises UsageError."""
+    given = {name: getattr(options, name) for name in OPTIONS}
+    values = {name: Repeated(value) if isinstance(value, list) else value for name, value in given.items()}
+    return job_config(values, options.config)
 
 
 def _what_is_there(path: Path) -> str:

@@ -15,12 +15,12 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 from atoll_core.errors import AtollError
+from atoll_core.signals import ENDING, forget_handlers
 
 Work = Callable[[], int]
 """What a forked worker does; returns its exit code."""
 
 _STDIN: Final = 0
-_ASKING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 def can_fork() -> bool:
@@ -83,7 +83,7 @@ def _fork(work: Work) -> int:
         except OSError as error:
             raise AtollError(f"the system starts no more processes ({error.strerror}); ask for fewer") from error
         if pid == 0:
-            _forget_handlers()
+            forget_handlers()
     if pid == 0:
         _live(work)
     return pid
@@ -108,15 +108,8 @@ def _live(work: Work) -> None:
 @contextlib.contextmanager
 def _signals_held_back() -> Iterator[None]:
     """Have no signal arrive inside, so that a child never takes one for its parent."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ASKING)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _forget_handlers() -> None:
-    """Meet signals as a fresh process does; one that is ignored (``nohup``) stays ignored."""
-    for number in _ASKING:
-        if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)

@@ -4,18 +4,17 @@ One thread does all of it, since a child may be a fork of this process at any ti
 waited for: children are few, and a look is short.
 """
 
-import contextlib
 import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import FrameType
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 from atoll_core.errors import AtollError
-from atoll_core.program import INTERRUPTED
+from atoll_core.signals import INTERRUPTED, handling, termination_signals
 from atoll_island_worker.processes.exit_reasons import ExitReasons, complain
 from atoll_island_worker.processes.restart_policy import RestartPolicy
 
@@ -98,8 +97,7 @@ class Supervisor:
         SIGTERM and Ctrl-C are passed on as SIGTERM; who has not ended `_STOP_LIMIT_S` later (after a SIGTERM `grace_s`
         more), or at a second signal, is killed. The death of the process `parent` counts as such a signal.
         """
-        asked = dict.fromkeys((signal.SIGINT, *ending_signals()), self._on_signal)
-        with handlers(asked):
+        with handling(dict.fromkeys((signal.SIGINT, *termination_signals()), self._on_signal)):
             try:
                 while not all(process.policy.state == "ended" for process in self._processes):
                     self._poll(parent)
@@ -182,21 +180,3 @@ def supervise(
 
 def _ended(process: _Process) -> int | None:
     return process.child.poll() if process.child is not None and process.policy.state == "running" else None
-
-
-def ending_signals() -> list[signal.Signals]:
-    """Return the signals that end us; one that is ignored (``nohup``) stays ignored."""
-    names = ("SIGTERM", "SIGHUP")
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    return [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
-
-
-@contextlib.contextmanager
-def handlers(handlers: Mapping[signal.Signals, Any]) -> Iterator[None]:
-    """Handle signals so inside."""
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)

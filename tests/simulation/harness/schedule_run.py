@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, Final
 
-from atoll.client import Client
+from atoll.client.client import Client
 from atoll_coordinator.service.requests import deletion
 from atoll_coordinator.service.search import archipelago, checkpoint_schedule
 from atoll_core.config import JobConfig

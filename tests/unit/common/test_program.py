@@ -45,7 +45,7 @@ def test_how_children_end_is_known_although_a_parent_ignores_it() -> None:
     program = (
         "import signal, subprocess, sys\n"
         "signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n"
-        "code = 'import subprocess, sys; from atoll_core.program import reap_children; reap_children(); '\n"
+        "code = 'import subprocess, sys; from atoll_core.signals import reap_children; reap_children(); '\n"
         'code += \'print(subprocess.run([sys.executable, "-c", "raise SystemExit(7)"]).returncode)\'\n'
         "sys.stdout.write(subprocess.run([sys.executable, '-c', code], stdout=subprocess.PIPE, text=True).stdout)\n"
     )

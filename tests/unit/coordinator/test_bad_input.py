@@ -32,7 +32,7 @@ def refusal(text: str | None, *options: str) -> str:
         request = request_of(parse(["run", "data.csv", *options]))
         table = request.read()
     except (DataError, UsageError) as error:
-        return str(error)
+        return error.on_command_line
     outcome = prepare_job(prepare_table, "j", table.to_bytes(), request.config)
     assert isinstance(outcome, PreparationFailed)
     assert outcome.fault == "data"

@@ -15,8 +15,9 @@ from atoll_core.wire.security.credentials import load
 from atoll_island_worker import cli
 from atoll_island_worker import worker as worker_module
 from atoll_island_worker.processes import fork_server as forking
-from atoll_island_worker.processes import signals as processes
+from atoll_island_worker.processes import parent as parent_watch
 from atoll_island_worker.processes import supervisor as supervision
+from atoll_island_worker.processes.command import tls_options
 from tests.certificates import Lab
 
 
@@ -103,7 +104,7 @@ def test_several_processes_are_forked_when_all_is_loaded_and_have_numbered_names
     monkeypatch: pytest.MonkeyPatch, loads: list[str], worked: list[tuple[str, str, float]]
 ) -> None:
     monkeypatch.setattr(forking, "can_fork", lambda: True)
-    monkeypatch.setattr(processes, "end_with_parent", lambda parent: None)
+    monkeypatch.setattr(parent_watch, "end_with_parent", lambda parent: None)
 
     def supervise(starts: Mapping[str, Callable[[], int]], said: object, parent: int | None, grace_s: float) -> int:
         assert (loads, parent, grace_s) == (["all"], None, 30.0)
@@ -143,7 +144,7 @@ def test_no_worker_is_forked_for_a_parent_that_died_while_loading(
     monkeypatch: pytest.MonkeyPatch, loads: list[str]
 ) -> None:
     monkeypatch.setattr(forking, "can_fork", lambda: True)
-    monkeypatch.setattr(processes, "request_parent_death_signal", lambda: None)
+    monkeypatch.setattr(parent_watch, "request_parent_death_signal", lambda: None)
     monkeypatch.setattr(forking, "Forked", lambda work: pytest.fail("a worker was forked"))
     assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--parent", str(1 << 30)]) == 0
     assert loads == ["all"]
@@ -229,7 +230,7 @@ def test_a_name_that_is_not_the_certificates_is_refused(
 
 def test_a_child_gets_the_same_certificates(lab: Lab) -> None:
     to = destination("tls/a:1", load(*lab.files("lab1"), use="connect"))
-    assert processes.tls_options(to) == lab.options("lab1")
+    assert tls_options(to) == lab.options("lab1")
 
 
 def test_a_file_that_never_comes_ends_with_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

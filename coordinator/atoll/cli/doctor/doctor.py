@@ -11,7 +11,7 @@ from typing import Final
 from atoll.cli.doctor.address import check_address
 from atoll.cli.doctor.finding import Finding, as_text, as_tree
 from atoll.cli.exit_codes import DONE, FAILED
-from atoll.cli.terminal.output import as_json, say
+from atoll.terminal.output import as_json, say
 
 Check = Callable[[argparse.Namespace], Iterable[Finding]]
 

@@ -28,7 +28,7 @@ def fine(subject: str, found: str) -> Finding:
 
 def problem(subject: str, error: AtollError) -> Finding:
     """Return a finding in the words of an error: what was found, and after a semicolon what to do."""
-    found, _, advice = str(error).partition("; ")
+    found, _, advice = error.on_command_line.partition("; ")
     return Finding(subject, "problem", found, advice)
 
 

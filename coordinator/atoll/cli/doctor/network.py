@@ -84,7 +84,7 @@ def check_coordinator(options: argparse.Namespace) -> Iterator[Finding]:
 
 
 def _greeted(address: Destination) -> Iterator[Finding]:
-    from atoll.client import connected
+    from atoll.client.client import connected
 
     with connected(address, LIMIT_S) as client:
         welcome, workers = client.welcome, client.workers()

@@ -1,7 +1,7 @@
 """The command line itself: verbs, options, help. Standard library only, because ``--help`` must be instant.
 
-What the options mean for a job is decided in `atoll.cli.options.job_config`; what a verb does, in the
-module that `HANDLERS` names.
+The options of a job are generated from their table, `atoll.client.options`; what a verb does is in the module that
+`HANDLERS` names.
 """
 
 import argparse
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
 from atoll.cli.options.service import add_doctor, add_router, add_serve
+from atoll.client.options import GROUPS, MOST_WORKERS
 from atoll_core.command_line import Parser, add_tls_options, seconds, whole_number
 from atoll_core.completion import SHELLS, complete
 from atoll_core.errors import UsageError
@@ -45,7 +46,6 @@ RESULT_FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 EXPORT_FORMATS: Final = (
     "python", "c", "julia", "matlab", "modelica", "xppaut", "sbml", "latex", "sympy", "csv", "json", "petab"
 )  # fmt: skip
-MOST_WORKERS: Final = 1024
 MOST_LINES: Final = 1000
 
 
@@ -97,7 +97,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_report(verbs)
     _add_suggest(verbs)
     _add_export(verbs)
-    _add_data(add_doctor(_verb, verbs).add_argument_group("data"))
+    _add_options(add_doctor(_verb, verbs), "data")
     _verb(verbs, "schema", "print what a --config file may hold, as JSON schema")
     completion = _verb(verbs, "completion", "print what makes a shell complete commands and options")
     completion.add_argument("shell", choices=SHELLS, help="where the printed lines are to be read")
@@ -360,96 +360,18 @@ def _add_job(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dry-run", action="store_true", help="say how the data are read and what would be searched; start nothing"
     )
-    _add_data(parser.add_argument_group("data"))
-    _add_search(parser.add_argument_group("search"))
-    _add_budget(parser.add_argument_group("budget"))
+    for group in GROUPS:
+        _add_options(parser, group)
 
 
-def _add_data(group: Any) -> None:
-    group.add_argument("--time", metavar="t", help="time column (default: t or time)")
-    group.add_argument("--states", metavar="x,y", help="state columns (default: all other numeric columns)")
-    group.add_argument("--inputs", metavar="u", help="columns that are variables without an equation; may name time")
-    group.add_argument("--trajectory", metavar="run", help="column whose value changes where a trajectory begins")
-    group.add_argument(
-        "--group",
-        metavar="strain",
-        help="column: one structure is sought, whose constants may differ between its values",
-    )
-    group.add_argument(
-        "--per-trajectory", action="store_true", help="one structure is sought, whose constants each trajectory may own"
-    )
-    group.add_argument("--target", metavar="y", help="explicit regression of y on the other columns")
-    group.add_argument("--derivatives", metavar="dx,dy", help="measured derivatives, one column per state")
-    group.add_argument("--order", metavar="1|2", help="2: seek d2x/dt2 from positions (default: 1)")
-    group.add_argument(
-        "--angle", action="append", metavar="theta[:deg]", help="a state that is an angle, to be unwrapped; repeatable"
-    )
-    group.add_argument("--only", metavar="x", help="search these equations only; the other states stay usable")
-    group.add_argument("--offsets", metavar="x", help="states measured up to an offset, fitted for each trajectory")
-    group.add_argument("--missing", metavar="refuse|drop", help="what to do with NaN and infinity (default: refuse)")
-    group.add_argument("--robust", action="store_true", help="smooth so that outliers lose their weight")
-    group.add_argument(
-        "--stochastic",
-        action="store_true",
-        help="noise is part of the law: seek drift and diffusion of dx = f dt + g dW",
-    )
-    group.add_argument(
-        "--holdout", metavar="K|run=4", help="keep K last trajectories, or that one, from the search, to judge by them"
-    )
-    group.add_argument(
-        "--weights", metavar="w", help="column of row weights, such as 1/variance; rows of weight 0 are left out"
-    )
-    group.add_argument(
-        "--unit", action="append", metavar="x=m/s", help="the unit of a column, or of the time; repeatable"
-    )
-
-
-def _add_search(group: Any) -> None:
-    group.add_argument("--seed", metavar="S", help="same seed, same answer (default: 0)")
-    group.add_argument(
-        "--preset", metavar="default|paper", help="paper: Table II of Schmidt & Lipson 2008, nothing added"
-    )
-    group.add_argument(
-        "--operators",
-        action="append",
-        metavar="LIST",
-        help="what expressions are made of (default: +,-,*,/,sin,cos); x=LIST for one equation; repeatable",
-    )
-    group.add_argument(
-        "--allow", action="append", metavar="x=x,y", help="the variables that one equation may use; repeatable"
-    )
-    group.add_argument(
-        "--require", action="append", metavar="x=y", help="the variables that one equation must have; repeatable"
-    )
-    group.add_argument(
-        "--bound",
-        action="append",
-        metavar='"[x:] c > 0"',
-        help="bounds on constants: c every one, |c| every size, inner those inside terms, x*y the coefficient of that "
-        "term, as in 'x: -2 < x*y < 0'; repeatable",
-    )
-    group.add_argument(
-        "--guess",
-        action="append",
-        metavar="dx=EXPR",
-        help="an equation to begin from, its constants fitted; repeatable",
-    )
-    group.add_argument(
-        "--known", action="append", metavar="dy=EXPR", help="an equation that is given, not searched; repeatable"
-    )
-    group.add_argument("--islands", metavar="K", help="islands per state variable (default: 8)")
-    group.add_argument("--max-size", metavar="N", help="largest complexity of an equation (default: no limit)")
-
-
-def _add_budget(group: Any) -> None:
-    group.add_argument(
-        "--max-time", metavar="60s", help="end the whole job after 90, 60s, 10m, 1h (default: never by the clock)"
-    )
-    group.add_argument(
-        "--max-epochs", metavar="N", help="end after N epochs, or x=20,y=12 by state variable (default: 1000)"
-    )
-    group.add_argument(
-        "--target-error",
-        metavar="E",
-        help="normalized error at which an equation counts as found (default: from the data)",
-    )
+def _add_options(parser: argparse.ArgumentParser, group: str) -> None:
+    """Add the options of a job that are in this group of their table."""
+    arguments = parser.add_argument_group(group)
+    for option in GROUPS[group]:
+        if option.metavar is None:
+            arguments.add_argument(option.flag, action="store_true", help=option.help)
+        elif option.is_repeatable:
+            text = f"{option.help}; repeatable"
+            arguments.add_argument(option.flag, action="append", metavar=option.metavar, help=text)
+        else:
+            arguments.add_argument(option.flag, metavar=option.metavar, help=option.help)

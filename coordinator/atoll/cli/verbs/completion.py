@@ -5,7 +5,7 @@ import argparse
 from argcomplete.shell_integration import shellcode
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.terminal.output import say
+from atoll.terminal.output import say
 
 _PROGRAMS = ("coordinator", "island-worker")
 

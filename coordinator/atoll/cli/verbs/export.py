@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.terminal.output import note, say
-from atoll.cli.verbs.simulate import Given, held_inputs, load, times_of, write
+from atoll.cli.saved_model import chosen_times, deliver, held_inputs, load, start_of
 from atoll.model.model import Model
 from atoll.model.saved import read_result
+from atoll.terminal.output import note
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
@@ -20,34 +20,27 @@ def export(options: argparse.Namespace) -> int:
     from atoll.model.export.formats import PETAB, format_of
 
     if options.format == PETAB:
-        _write_petab(_chosen(load(options.result, options.group), options), options)
+        _write_petab(_chosen(load(options), options), options)
         return DONE
     if options.data is not None:
         raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
-    its = format_of(options.format)
-    if its.of_result is not None:
-        _write(its.of_result(_result(options)), options)
+    form = format_of(options.format)
+    if form.of_result is not None:
+        deliver(form.of_result(_result(options)), options.output)
         return DONE
-    model = _chosen(load(options.result, options.group), options)
+    model = _chosen(load(options), options)
     beginning = _beginning(model, options)
-    _write(model.export(options.format, **beginning), options)
-    for each in held_at_zero(model, beginning.get("x0"), beginning.get("u"), its.without_tables):
-        note(f"coordinator: {each}; give --hold{'' if its.without_tables else ' or --initial FILE'}")
+    deliver(model.export(options.format, **beginning), options.output)
+    for sentence in held_at_zero(model, beginning.get("x0"), beginning.get("u"), form.without_tables):
+        note(f"coordinator: {sentence}; give --hold{'' if form.without_tables else ' or --initial FILE'}")
     return DONE
-
-
-def _write(text: str, options: argparse.Namespace) -> None:
-    if options.output is None:
-        say(text.removesuffix("\n"))
-    else:
-        write(Path(options.output), text)
 
 
 def _result(options: argparse.Namespace) -> Mapping[str, Any]:
     """Return the content of the result, which need not be a model unless a group or other equations are chosen."""
     if options.group is None and options.candidate is None and not options.pick:
         return read_result(options.result)
-    return _chosen(load(options.result, options.group), options).result
+    return _chosen(load(options), options).result
 
 
 def _chosen(model: Model, options: argparse.Namespace) -> Model:
@@ -55,11 +48,13 @@ def _chosen(model: Model, options: argparse.Namespace) -> Model:
     if options.pick and options.candidate is not None:
         raise UsageError("--pick and --candidate both choose equations; give one of them")
     if options.candidate is not None:
-        its = model.candidates
-        if options.candidate > len(its):
-            raise UsageError(f"--candidate {options.candidate} is not there: the result has {len(its)} candidates")
+        candidates = model.candidates
+        if options.candidate > len(candidates):
+            raise UsageError(
+                f"--candidate {options.candidate} is not there: the result has {len(candidates)} candidates"
+            )
         number: int = options.candidate
-        return its[number - 1]
+        return candidates[number - 1]
     if options.pick:
         from atoll.text.render import parse_picks, pick
 
@@ -72,11 +67,11 @@ def _beginning(model: Model, options: argparse.Namespace) -> dict[str, Any]:
     """Return initial state, times and inputs, as far as options tell them."""
     if model.is_regression:
         return {}
-    given = Given(model, options.initial)
-    is_told = options.until is not None or options.step is not None or given.times is not None
-    times = times_of(model, given, options) if is_told else None
-    inputs: dict[str, Any] = {} if times is None else dict(given.inputs(times) or {})
-    return {"x0": given.state, "t": times, "u": inputs | held_inputs(model, options.hold)}
+    start = start_of(model, options.initial)
+    is_told = options.until is not None or options.step is not None or start.times is not None
+    times = chosen_times(model, start, options) if is_told else None
+    inputs: dict[str, Any] = {} if times is None else dict(start.inputs(times))
+    return {"x0": start.state, "t": times, "u": inputs | held_inputs(model, options)}
 
 
 def _write_petab(model: Model, options: argparse.Namespace) -> None:
@@ -93,7 +88,7 @@ def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArra
     from atoll_core.config import DataConfig
 
     config = DataConfig.model_validate((model.provenance["config"] or {}).get("data") or {})
-    table = read_table([Path(each) for each in files], config)
+    table = read_table([Path(file) for file in files], config)
     roles, config = assign_roles(table, config)
-    its = take_measurements(table, roles, config)
-    return [{name: column[first:last] for name, column in its.columns.items()} for first, last in its.ranges]
+    measured = take_measurements(table, roles, config)
+    return [{name: column[first:last] for name, column in measured.columns.items()} for first, last in measured.ranges]

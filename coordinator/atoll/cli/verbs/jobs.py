@@ -4,23 +4,23 @@ import argparse
 from collections.abc import Sequence
 from typing import Final
 
+from atoll.cli.ending import NOTHING_FOUND, ending, exit_code, has_found
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
-from atoll.cli.signals import raising_interrupts
-from atoll.cli.terminal.follow import NOTHING_FOUND, Follower, ending, exit_code, has_found
-from atoll.cli.terminal.output import as_json, clipped, count, duration, note, say, table
-from atoll.cli.terminal.progress import (
-    Display,
+from atoll.cli.worker_table import coordinator_lines, worker_table
+from atoll.client.client import Client, connected
+from atoll.client.follower import Display, Follower
+from atoll.terminal.output import as_json, clipped, count, duration, note, say, table
+from atoll.terminal.progress import (
     JsonDisplay,
     LiveDisplay,
     PlainDisplay,
     is_screen,
     plain_lines,
 )
-from atoll.cli.terminal.workers import coordinator_lines, worker_table
-from atoll.client import Client, connected
 from atoll_core.config import Model
 from atoll_core.errors import UsageError
+from atoll_core.signals import raising_interrupts
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, WorkerView
 

@@ -7,9 +7,9 @@ from typing import Final
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
-from atoll.cli.signals import raising_interrupts
-from atoll.cli.terminal.output import as_json, say
-from atoll.client import Client, connected
+from atoll.client.client import Client, connected
+from atoll.terminal.output import as_json, say
+from atoll_core.signals import raising_interrupts
 from atoll_core.wire.messages.views import FINAL_STATES, EventView
 
 _INTERVAL_S: Final = 0.5

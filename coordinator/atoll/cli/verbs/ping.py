@@ -5,8 +5,8 @@ import time
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import address_of
-from atoll.cli.terminal.output import as_json, say
-from atoll.client import connected
+from atoll.client.client import connected
+from atoll.terminal.output import as_json, say
 
 
 def ping(options: argparse.Namespace) -> int:

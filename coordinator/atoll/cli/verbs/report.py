@@ -5,10 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.terminal.output import REPORT, note
+from atoll.cli.result_files import REPORT
 from atoll.model.model import Model
 from atoll.model.saved import read_result, write_text
 from atoll.report.page import as_text, build_page, pictures
+from atoll.terminal.output import note
 from atoll_core.errors import AtollError, UsageError
 
 

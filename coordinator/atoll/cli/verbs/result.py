@@ -11,9 +11,9 @@ from typing import Any
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
-from atoll.cli.terminal.output import as_json, say
-from atoll.client import connected
+from atoll.client.client import connected
 from atoll.model.saved import RESULT, read_result
+from atoll.terminal.output import as_json, say
 from atoll_core.errors import UsageError
 
 

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.signals import stopping
-from atoll.cli.terminal.output import note, say
-from atoll.cli.verbs.serve import addresses_of, roster_of, warnings_of
+from atoll.cli.listener import addresses_of, roster_of, warnings_of
+from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, UnreachableError
 from atoll_core.logs import configure, fields
+from atoll_core.signals import stopping
 from atoll_core.wire.addresses import Destination, destination, parse_address
 from atoll_core.wire.connect_file import announced
 from atoll_core.wire.security.access_control import Roster
@@ -40,7 +40,7 @@ def router(options: argparse.Namespace) -> int:
     """Pass messages on until SIGTERM or Ctrl-C; return 0."""
     credentials = credentials_of(vars(options), os.environ, "serve")
     wanted = destination(options.listen, credentials)
-    upstream = [str(destination(each, credentials)) for each in options.connect]
+    upstream = [str(destination(address, credentials)) for address in options.connect]
     roster = roster_of(options.roster, wanted)
     configure(options.log_format, options.log_level)
     from atoll_core.wire.bus.zenoh_bus import open_router
@@ -99,7 +99,7 @@ class _CoordinatorCheck:
 
 def coordinator_behind(bus: Any, bearer: str = "client") -> str | None:
     """Return the realm of the coordinator that answers on `bus`; None when there is none, or none that we know."""
-    from atoll.client import Client
+    from atoll.client.client import Client
 
     try:
         return Client(bus, "this router", bearer).greet(CHECK_LIMIT_S)

@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Final
 
 from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
-from atoll.cli.local.workers import LocalWorkers
-from atoll.cli.options.names import job_id
-from atoll.cli.signals import raising_interrupts
-from atoll.cli.terminal.output import refuse_existing_result
+from atoll.cli.options.job_id import job_id
+from atoll.cli.result_files import refuse_existing_result
+from atoll.client.local_workers import LocalWorkers
 from atoll_coordinator.service.background.child_main import load_preparation
 from atoll_coordinator.service.background.process_pool import ProcessPool
 from atoll_core.errors import DataError, UsageError
 from atoll_core.logs import configure
 from atoll_core.machine.cores import usable_cores
+from atoll_core.signals import raising_interrupts
 from atoll_core.wire.addresses import own_address
 
 _WORKER_LOG: Final = "workers.log"
@@ -59,7 +59,7 @@ def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
         contextlib.closing(ProcessPool()) as pool,
     ):
         pool.preload(load_preparation)
-        from atoll.cli.local.local_run import LocalRun
+        from atoll.cli.local_run import LocalRun
 
         return LocalRun(options, folder, str(address), workers, pool, started).run()
 

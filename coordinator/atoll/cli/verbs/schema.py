@@ -4,7 +4,7 @@ import argparse
 from typing import Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.terminal.output import as_json, say
+from atoll.terminal.output import as_json, say
 from atoll_core.config import JobConfig
 
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"

@@ -2,24 +2,21 @@
 
 import argparse
 import contextlib
-import ipaddress
 import os
-import socket
-import struct
-import sys
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.signals import stopping
-from atoll.cli.terminal.output import note, say
+from atoll.cli.listener import addresses_of, roster_of, warnings_of
+from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, StoreError, UnreachableError, UsageError
 from atoll_core.logs import configure
-from atoll_core.wire.addresses import Address, Destination, destination, parse_address
+from atoll_core.signals import stopping
+from atoll_core.wire.addresses import Destination, destination, parse_address
 from atoll_core.wire.connect_file import announced
-from atoll_core.wire.security.access_control import Roster, read_roster
+from atoll_core.wire.security.access_control import Roster
 from atoll_core.wire.security.credentials import credentials_of
 
 if TYPE_CHECKING:
@@ -30,9 +27,6 @@ if TYPE_CHECKING:
 
 ANOTHER_LIMIT_S: Final = 0.5
 """How long another coordinator behind the same router is listened for."""
-
-_EVERYWHERE: Final = ("0.0.0.0", "::")
-_SIOCGIFADDR: Final = 0x8915
 
 
 def serve(options: argparse.Namespace) -> int:
@@ -71,17 +65,6 @@ def _serve(
             service.work(stop)
 
 
-def roster_of(file: str | None, at: Destination) -> Roster | None:
-    """Return who may do what; None without a file. Raises UsageError."""
-    if file is None:
-        return None
-    if at.credentials is None:
-        raise UsageError(
-            "--roster gives roles to the names in certificates, so it needs --tls-ca, --tls-cert and --tls-key"
-        )
-    return read_roster(Path(file))
-
-
 def _joined(options: argparse.Namespace, wanted: Destination, roster: Roster | None) -> "ZenohBus":
     """Return a bus with a router of our own in it, or one that joined the router at ``options.router``.
 
@@ -105,7 +88,7 @@ def _joined(options: argparse.Namespace, wanted: Destination, roster: Roster | N
 
 def refuse_another(bus: "Bus", router: str) -> None:
     """Raise UsageError when a coordinator answers already behind `router`: workers could not tell the two apart."""
-    from atoll.client import Client
+    from atoll.client.client import Client
 
     try:
         Client(bus, router).greet(ANOTHER_LIMIT_S)
@@ -131,64 +114,6 @@ def greeting(at: Destination, state: str, roster: Roster | None = None, is_behin
     addresses = addresses_of(at, is_behind_router)
     manner = "is behind the router" if is_behind_router else "listens on"
     lines = [f"coordinator {VERSION} {manner} {at}, state in {state}", "start a worker with:"]
-    lines += [f"  island-worker --connect {each}" for each in addresses]
+    lines += [f"  island-worker --connect {address}" for address in addresses]
     lines += ["submit a job with:", f"  coordinator submit DATA --connect {addresses[0]}"]
     return "\n".join([*lines, *warnings_of(at, roster)])
-
-
-def warnings_of(at: Destination, roster: Roster | None) -> list[str]:
-    """Return in plain words who can do what, where that is more than this machine's own programs."""
-    if at.address.is_socket:
-        return ["whoever may use that socket may submit, read and cancel jobs, and join as a worker"]
-    if at.credentials is None and not is_loopback(at.address.host):
-        return [
-            f"NOT ENCRYPTED: whoever reaches port {at.address.port} may submit, read and cancel jobs, join as a",
-            "worker or feed migrants in another's name; listen on a trusted network only, or on",
-            "tls/HOST:PORT with --tls-ca, --tls-cert, --tls-key and --roster (deploy/tls/make-authority makes them)",
-        ]
-    if at.credentials is None:
-        return []
-    lines = [f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {at.credentials.authority}"]
-    if roster is None:
-        lines.append(
-            "no roster: whoever has a certificate of that authority may compute, submit and cancel (see --roster)"
-        )
-    return lines
-
-
-def is_loopback(host: str) -> bool:
-    """Tell whether only this machine can reach a listener on `host`."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
-    """Return the addresses to connect to, those for other machines first; with a certificate those that it names."""
-    address, files = at.address, at.credentials
-    if is_behind_router or address.is_socket:
-        return [str(address)]
-    hosts = (files.hosts if files is not None else ()) or heard_on(address.host)
-    return [str(Address(address.protocol, host, address.port)) for host in hosts]
-
-
-def heard_on(host: str) -> list[str]:
-    """Return the addresses by which others reach a listener on `host`: all of this machine's for ``0.0.0.0``."""
-    if host not in _EVERYWHERE:
-        return [host]
-    found = [address for _, name in socket.if_nameindex() if (address := _interface_address(name))]
-    others = [address for address in found if not address.startswith("127.")]
-    return [*others, "127.0.0.1"]
-
-
-def _interface_address(name: str) -> str | None:
-    """Return the IPv4 address of a network interface (Linux; elsewhere that of the host's name)."""
-    with contextlib.suppress(OSError, ImportError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        if sys.platform == "linux":
-            import fcntl
-
-            answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, struct.pack("256s", name.encode()[:15]))
-            return socket.inet_ntoa(answer[20:24])
-        return socket.gethostbyname(socket.gethostname())
-    return None

@@ -5,12 +5,13 @@ from pathlib import Path
 
 from atoll.cli.exit_codes import DONE, INTERRUPTED
 from atoll.cli.request import CONNECT_LIMIT_S, Request, address_of, request_of
-from atoll.cli.signals import raising_interrupts
-from atoll.cli.terminal.follow import Follower
-from atoll.cli.terminal.output import REPORT, note, refuse_existing_result, say, write_report, write_result
-from atoll.cli.terminal.progress import open_display, waiting
-from atoll.client import Client, connected
+from atoll.cli.result_files import REPORT, refuse_existing_result, write_report, write_result
+from atoll.client.client import Client, connected
+from atoll.client.follower import Follower
+from atoll.terminal.output import note, say
+from atoll.terminal.progress import open_display, waiting
 from atoll_core.errors import UsageError
+from atoll_core.signals import raising_interrupts
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
 

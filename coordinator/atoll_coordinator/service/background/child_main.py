@@ -9,7 +9,6 @@ import logging
 import os
 import pickle
 import queue
-import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -19,11 +18,11 @@ from typing import Any, BinaryIO, Final
 from atoll_coordinator.service.background.child_process import OTHER_VERSION, version
 from atoll_core.machine.garbage import collect_rarely
 from atoll_core.machine.usage import memory_bytes
+from atoll_core.signals import ENDING, ignore
 
 Task = tuple[bool, Callable[[], Any]]
 """Whether an answer is awaited, and what is to be called."""
 
-_ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 _STDIN: Final = 0
 _STDOUT: Final = 1
 _STDERR: Final = 2
@@ -68,8 +67,7 @@ def main(level: int, of: str) -> None:
     """Run tasks until the coordinator, whose version is `of`, is gone. `level` is the least that is logged."""
     if of != version():
         sys.exit(OTHER_VERSION)
-    for number in _ENDING:  # the coordinator's to handle, also where a whole group of processes is told to end
-        signal.signal(number, signal.SIG_IGN)
+    ignore(ENDING)  # the coordinator's to handle, also where a whole group of processes is told to end
     if sys.platform == "linux":
         with contextlib.suppress(OSError):  # where memory runs out, this is to go before the coordinator
             Path("/proc/self/oom_score_adj").write_text(_MORE_LIKELY, "ascii")

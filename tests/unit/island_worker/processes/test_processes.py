@@ -45,8 +45,9 @@ with ExitReasons() as exit_reasons:
 """
 OBEDIENT = r"""
 import os, signal
-from atoll_island_worker.processes.signals import end_with_parent, exit_on_signals
-with exit_on_signals():
+from atoll_core.signals import exiting
+from atoll_island_worker.processes.parent import end_with_parent
+with exiting():
     end_with_parent(os.getppid())
     os.write(1, b"%d\n" % os.getpid())
     while True:
@@ -54,9 +55,9 @@ with exit_on_signals():
 """
 LEAVING = r"""
 import os, signal, sys, time
-from atoll_island_worker.processes.signals import exit_on_signals, drain_on_signals
+from atoll_core.signals import draining, exiting
 drained = []
-with exit_on_signals(), drain_on_signals(None, lambda: drained.append(1)):
+with exiting(), draining(None, lambda: drained.append(1)):
     os.kill(os.getpid(), signal.SIGTERM)
     print("drained", len(drained), flush=True)
     os.kill(os.getpid(), signal.SIGTERM)
@@ -120,7 +121,7 @@ def test_the_first_signal_asks_to_be_let_go_and_the_second_ends_at_once() -> Non
 
 
 def test_a_signal_of_a_parent_that_has_died_ends_at_once() -> None:
-    script = LEAVING.replace("drain_on_signals(None", "drain_on_signals(1 << 30")
+    script = LEAVING.replace("draining(None", "draining(1 << 30")
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=LIMIT_S, check=False)
     assert (done.stdout, done.returncode) == ("", 0)
 

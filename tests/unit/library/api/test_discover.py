@@ -5,12 +5,13 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from atoll.api import discover
 from atoll.api.discover import config_of
-from atoll.cli.options.job_config import job_config
 from atoll.cli.options.parser import build_parser, parse
+from atoll.cli.request import config_of as job_config
 from atoll_core.errors import RefusedError, UsageError
 from atoll_core.wire.messages.views import JobView
 from tests.unit.library.model.results import result
@@ -34,16 +35,34 @@ from tests.unit.library.model.results import result
         ({"group": "strain"}, ["--group", "strain"]),
         ({"per_trajectory": True}, ["--per-trajectory"]),
         ({"max_epochs": {"x": 20, "y": 12}, "angle": "a:deg"}, ["--max-epochs", "x=20,y=12", "--angle=a:deg"]),
+        ({"max_epochs": np.int64(7), "target_error": np.float64(0.5)}, ["--max-epochs", "7", "--target-error", "0.5"]),
+        ({"guess": {"dx": ["x", "2*x"], "dy": 0}}, ["--guess=dx=x", "--guess=dx=2*x", "--guess=dy=0"]),
+        ({"states": ["a,b", "c"]}, ["--states", '"a,b",c']),
     ],
 )
 def test_keywords_are_the_options_of_run(options: dict, words: list[str]) -> None:
     assert config_of(options) == job_config(parse(["run", "data", *words]))
 
 
-@pytest.mark.parametrize("options", [{"sead": 3}, {"seed": "x"}, {"out": "folder"}, {"json": True}, {"report": True}])
-def test_what_is_no_option_is_refused(options: dict) -> None:
-    with pytest.raises(UsageError):
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"sead": 3}, "sead is no option here; see help(atoll.discover); did you mean 'seed'?"),
+        ({"out": "folder"}, "out is no option here"),
+        ({"seed": "x"}, "seed must be a whole number, but 'x' was given"),
+        ({"seed": True}, "seed must be a whole number, but True was given"),
+        ({"robust": "yes"}, "robust must be True or False, but 'yes' was given"),
+        ({"time": ["t", "u"]}, "time must be text, but ['t', 'u'] was given"),
+        ({"known": {"dx": ""}}, "known must be of the form dy=-x/10, but {'dx': ''} was given"),
+        ({"max_size": 500}, "max_size must be less than or equal to 120, but 500 was given"),
+        ({"order": 2, "target": "y"}, "order=2 and target contradict each other"),
+        ({"config": 3}, "config must be the path of a job file, but 3 was given"),
+    ],
+)
+def test_what_is_no_option_or_no_value_of_one_is_refused_in_the_words_of_python(options: dict, sentence: str) -> None:
+    with pytest.raises(UsageError) as caught:
         config_of(options)
+    assert str(caught.value).startswith(sentence)
 
 
 def test_every_option_of_run_changes_the_job_or_is_refused() -> None:
@@ -84,7 +103,7 @@ class Client:
     def pause(self, _: float) -> None:
         pass
 
-    def cancel(self, _: str) -> JobView:
+    def cancel_and_wait(self, _: str) -> JobView:
         self.is_cancelled = True
         return VIEW
 

@@ -6,14 +6,13 @@ import pytest
 
 from atoll.api.discover import config_of, submit
 from atoll.api.wording import in_python, python_words
-from atoll_core.errors import DataError, UsageError
+from atoll_core.errors import DataError, Field, UsageError
 
 
 @pytest.mark.parametrize(
     ("sentence", "expected"),
     [
         ("--max-size must be above 0", "max_size must be above 0"),
-        ("unknown option --sead=3; see coordinator --help", "unknown option sead; see help(atoll.discover)"),
         ("leave --order 2 out", "leave order=2 out"),
         ("make it an input with --inputs u", "make it an input with inputs='u'"),
         ("name it with --time, or use --target COLUMN", "name it with time, or use target='COLUMN'"),
@@ -28,6 +27,12 @@ def test_options_become_arguments(sentence: str, expected: str) -> None:
 def test_an_error_has_words_for_python_and_for_the_command_line() -> None:
     error = pickle.loads(pickle.dumps(UsageError("there is no time", python="give t", command="give --until")))
     assert (str(error), error.on_command_line) == ("there is no time; give t", "there is no time; give --until")
+    error = pickle.loads(pickle.dumps(UsageError("%s must be 5 %% of %s", Field("max_time"), Field("order", 2))))
+    assert (str(error), error.on_command_line) == (
+        "max_time must be 5 % of order=2",
+        "--max-time must be 5 % of --order 2",
+    )
+    assert error.fields == ("max_time", "order")
     with pytest.raises(DataError, match=r"^name it with time$") as raised, python_words():
         raise DataError("name it with --time")
     assert raised.value.on_command_line == "name it with --time"

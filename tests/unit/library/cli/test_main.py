@@ -124,7 +124,7 @@ def test_closed_standard_streams_are_no_error() -> None:
 def test_output_that_cannot_be_written_is_said() -> None:
     code = (
         "from atoll_core.program import run_program\n"
-        "from atoll.cli.terminal import output\n"
+        "from atoll.terminal import output\n"
         "from atoll.cli.verbs import jobs\n"
         "jobs.jobs = lambda options: output.say('x'); run_program('atoll.cli.main')"
     )

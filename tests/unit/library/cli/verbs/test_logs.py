@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from atoll.cli.main import main
-from atoll.cli.terminal.workers import coordinator_lines, size, trouble, worker_table
 from atoll.cli.verbs import jobs as jobs_module
 from atoll.cli.verbs import logs as logs_module
 from atoll.cli.verbs.logs import line
+from atoll.cli.worker_table import coordinator_lines, size, trouble, worker_table
 from atoll_core.wire.messages.views import CoordinatorView, Counters, EventView, JobView, StoreView, Traffic, WorkerView
 
 PLACED = EventView(

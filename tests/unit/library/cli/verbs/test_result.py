@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from atoll.cli.main import main
-from atoll.cli.terminal.output import write_result
+from atoll.cli.result_files import write_result
 from tests.unit.coordinator.model.result.test_known import result
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from atoll.cli.verbs import router, serve
-from atoll.client import Client
+from atoll.client.client import Client
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import UnreachableError, UsageError

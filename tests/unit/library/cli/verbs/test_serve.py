@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from atoll.cli import listener
+from atoll.cli.listener import heard_on
 from atoll.cli.verbs import serve
-from atoll.cli.verbs.serve import greeting, heard_on
+from atoll.cli.verbs.serve import greeting
 from atoll_core.errors import UsageError
 from atoll_core.wire.addresses import destination
 
@@ -21,8 +23,8 @@ def test_one_address_gives_the_line_that_starts_a_worker() -> None:
 
 
 def test_every_address_heard_on_is_named_when_listening_everywhere(monkeypatch) -> None:
-    monkeypatch.setattr(serve, "_interface_address", {"lo": "127.0.0.1", "a": "10.0.0.5", "b": None}.get)
-    monkeypatch.setattr(serve.socket, "if_nameindex", lambda: [(1, "lo"), (2, "a"), (3, "b")])
+    monkeypatch.setattr(listener, "_interface_address", {"lo": "127.0.0.1", "a": "10.0.0.5", "b": None}.get)
+    monkeypatch.setattr(listener.socket, "if_nameindex", lambda: [(1, "lo"), (2, "a"), (3, "b")])
     lines = greeting(destination("tcp/0.0.0.0:7447"), "state").splitlines()
     assert [line.split()[-1] for line in lines if "island-worker" in line] == [
         "tcp/10.0.0.5:7447",

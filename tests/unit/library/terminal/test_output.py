@@ -1,22 +1,18 @@
-"""Numbers, tables and result files as people meet them."""
+"""Numbers and tables as people meet them."""
 
 import json
-from pathlib import Path
 
 import pytest
 
-from atoll.cli.terminal.output import (
+from atoll.terminal.output import (
     as_json,
     clipped,
     count,
     duration,
     note,
-    refuse_existing_result,
     shortened,
     table,
-    write_result,
 )
-from atoll_core.errors import UsageError
 from tests.unit.common.test_command_line import Full
 
 
@@ -59,24 +55,6 @@ def test_a_table_is_aligned_and_has_no_trailing_blanks() -> None:
 def test_json_has_no_nan() -> None:
     with pytest.raises(ValueError, match="not JSON compliant"):
         as_json({"error": float("nan")})
-
-
-def test_a_result_is_written_once_and_never_over_another(tmp_path: Path) -> None:
-    folder = tmp_path / "a" / "b"
-    path = write_result(folder, {"job": "one", "symbol": "θ"})
-    with pytest.raises(UsageError, match="exists already"):
-        write_result(folder, {"job": "two"})
-    assert json.loads(path.read_text("utf-8")) == {"job": "one", "symbol": "θ"}
-    with pytest.raises(UsageError, match="exists already"):
-        refuse_existing_result(folder)
-
-
-def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("")
-    with pytest.raises(UsageError, match="is a file"):
-        refuse_existing_result(tmp_path / "out")
-    with pytest.raises(UsageError, match="cannot be written"):
-        write_result(tmp_path / "out" / "deeper", {})
 
 
 def test_rows_of_numbers_stand_on_one_line_and_stay_the_same():

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from atoll.cli.terminal.output import duration, table
+from atoll.terminal.output import duration, table
 from atoll_core.wire.messages.views import CoordinatorView, Counters, WorkerView
 
 _HEADS = (

@@ -9,29 +9,16 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
-from atoll.cli.terminal.output import clipped, count, duration, error_text, note, shortened
+from atoll.client.follower import Display
+from atoll.terminal.output import clipped, count, duration, error_text, note, shortened
 from atoll_core.compilation.progress import count_of
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, VariableView, WorkerView
 
 PLAIN_INTERVAL_S: Final = 5.0
 _PASSING: Final = re.compile(r"\b[0-9]+ (s\b|of [0-9]+ compiled)")
 _HEADS: Final = ("equation", "epoch", "error", "size", "best so far", "")
-
-
-class Display(Protocol):
-    """Shows a job's progress; a context manager."""
-
-    def __enter__(self) -> "Display": ...
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
-        """Take notice of the latest state, seen at monotonic second `now`."""
-
-    def print_note(self, sentence: str) -> None:
-        """Show a sentence that stays."""
 
 
 def open_display(connect_hint: str) -> Display:

@@ -52,10 +52,13 @@ from atoll_core.wire.messages.clients import (
 )
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, CHUNK_SIZE, MAX_PAGE_JOBS, chunk_count
-from atoll_core.wire.messages.views import CoordinatorView, EventView, JobView, WorkerView
+from atoll_core.wire.messages.views import FINAL_STATES, CoordinatorView, EventView, JobView, WorkerView
 
 ANSWER_LIMIT_S: Final = 10.0
 """How long any other question may remain without an answer."""
+
+CANCEL_LIMIT_S: Final = 10.0
+"""How long a job that was cancelled is waited for."""
 
 _TRIES: Final = 3
 _PAUSE_S: Final = 0.1
@@ -210,6 +213,14 @@ class Client:
     def cancel(self, job: str) -> JobView:
         """End `job`, keeping its best equations."""
         return self._ask(Cancel(job=job), JobStatus, f"the end of job {job}").job
+
+    def cancel_and_wait(self, job: str) -> JobView:
+        """End `job` and wait, within `CANCEL_LIMIT_S`, until it has ended."""
+        view, end = self.cancel(job), self.now() + CANCEL_LIMIT_S
+        while view.state not in FINAL_STATES and self.now() < end:
+            self.pause(_PAUSE_S)
+            view = self.status(job)
+        return view
 
     def delete(self, job: str) -> None:
         """Delete `job`, which has ended, with its result and its data; without effect when there is none."""

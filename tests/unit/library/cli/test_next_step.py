@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from atoll.cli.next_step import next_step
 from atoll.cli.options.parser import parse
-from atoll.cli.terminal.next_step import next_step
 
 WORDS = ["run", "my data.csv", "--seed", "3", "--out", "here"]
 ENDED_BY_EPOCHS = {"why": "max-epochs", "config": {"budget": {"max_epochs": 20}}}

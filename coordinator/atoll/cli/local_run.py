@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import Any, Final
 
 from atoll.cli.exit_codes import FAILED, INTERRUPTED
-from atoll.cli.local.coordinator import LocalCoordinator
-from atoll.cli.local.workers import LocalWorkers, NoWorkerLeftError
+from atoll.cli.next_step import next_step
 from atoll.cli.request import request_of
-from atoll.cli.terminal.follow import Follower
-from atoll.cli.terminal.next_step import next_step
-from atoll.cli.terminal.output import REPORT, duration, note, write_report, write_result
-from atoll.cli.terminal.progress import Display, open_display
-from atoll.client import Client, connected
+from atoll.cli.result_files import REPORT, write_report, write_result
+from atoll.client.client import Client, connected
+from atoll.client.follower import Display, Follower
+from atoll.client.local_coordinator import LocalCoordinator
+from atoll.client.local_workers import LocalWorkers, NoWorkerLeftError
+from atoll.terminal.output import duration, note
+from atoll.terminal.progress import open_display
 from atoll_coordinator.service.background.process_pool import ProcessPool
-from atoll_core.wire.messages.views import FINAL_STATES, JobView
+from atoll_core.wire.messages.views import JobView
 
 _CONNECT_LIMIT_S: Final = 20.0
 _WORTH_SAYING_S: Final = 0.05
-_CANCEL_LIMIT_S: Final = 10.0
 
 
 class LocalRun:
@@ -76,7 +76,7 @@ class LocalRun:
         except NoWorkerLeftError as error:
             display.print_note(f"coordinator: {error}")
             self._forced = FAILED
-        return _cancelled(client, self._request.job)
+        return client.cancel_and_wait(self._request.job)
 
     def _check_processes(self) -> list[str]:
         self._coordinator.check()
@@ -92,13 +92,3 @@ class LocalRun:
         said = [f"{name} {duration(seconds)}" for name, seconds in parts.items() if seconds]
         note(", ".join([f"start-up {duration(rest)}", *said, f"total {duration(total)}"]))
         note(f"result in {path}")
-
-
-def _cancelled(client: Client, job: str) -> JobView:
-    """Cancel the job and wait, within limits, until it has ended."""
-    view = client.cancel(job)
-    end = client.now() + _CANCEL_LIMIT_S
-    while view.state not in FINAL_STATES and client.now() < end:
-        client.pause(0.1)
-        view = client.status(job)
-    return view

@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from atoll.cli.terminal.progress import LiveDisplay, PlainDisplay, headline, plain_lines, row, standing
+from atoll.terminal.progress import LiveDisplay, PlainDisplay, headline, plain_lines, row, standing
 from atoll_core.wire.messages.views import JobView, VariableView, WorkerView
 from tests.views import job_view
 

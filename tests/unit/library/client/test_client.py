@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from atoll.client import ANSWER_LIMIT_S, Client
+from atoll.client.client import ANSWER_LIMIT_S, Client
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError, RefusedError, UnreachableError
 from atoll_core.wire.bus.interface import Event, Message, Reply

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from atoll.cli.signals import raising_interrupts, stopping
+from atoll_core.signals import raising_interrupts, stopping
 
 
 @pytest.fixture

@@ -1,23 +1,32 @@
-"""Following a job to its end: ask, show, wait; and what the end means for the exit code."""
+"""Following a job to its end: ask, show, wait. What shows it is passed in."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Protocol
 
-from atoll.cli.exit_codes import BAD_INPUT, DONE, FAILED, INTERRUPTED, TARGET_MISSED
-from atoll.cli.terminal.progress import Display
-from atoll.client import Client
+from atoll.client.client import Client
 from atoll_core.errors import UnreachableError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, WorkerView
 
 PATIENCE_S: Final = 30.0
 """How long a coordinator that stopped answering is waited for."""
 
-NOTHING_FOUND: Final = ", before it found any equation"
-"""What a sentence on a cancelled job ends with that has no equations."""
-
 _FIRST_INTERVAL_S: Final = 0.05
 _LAST_INTERVAL_S: Final = 0.3
+
+
+class Display(Protocol):
+    """Shows a job's progress; a context manager."""
+
+    def __enter__(self) -> "Display": ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+        """Take notice of the latest state, seen at monotonic second `now`."""
+
+    def print_note(self, sentence: str) -> None:
+        """Show a sentence that stays."""
 
 
 @dataclass
@@ -103,34 +112,3 @@ def phase(view: JobView, workers: Sequence[WorkerView]) -> str:
     if view.state == "running":
         return "searching"
     return "preparing" if any(worker.state != "lost" for worker in workers) else "starting"
-
-
-def exit_code(view: JobView, target_error: float | None) -> int:
-    """Return the exit code of a job that has ended; `target_error` is the user's explicit one."""
-    if view.state == "failed":
-        return BAD_INPUT if view.fault == "data" else FAILED
-    if view.state == "cancelled":
-        return INTERRUPTED
-    return TARGET_MISSED if target_error is not None and _missed(view) else DONE
-
-
-def ending(view: JobView, target_error: float | None) -> str | None:
-    """Return the sentence that explains an exit code other than 0."""
-    if view.state == "failed":
-        return f"job {view.job} failed: {view.reason}"
-    if view.state == "cancelled":
-        found = "; what it had found is kept" if has_found(view) else NOTHING_FOUND
-        return f"job {view.job} was cancelled{found}"
-    if exit_code(view, target_error) == TARGET_MISSED:
-        return f"--target-error {target_error:g} was not met within the budget by {', '.join(_missed(view))}"
-    return None
-
-
-def has_found(view: JobView) -> bool:
-    """Tell whether a job has any equation that was searched for."""
-    return any(each.expression is not None and each.why != "known" for each in view.variables)
-
-
-def _missed(view: JobView) -> list[str]:
-    """Return the left-hand sides of the equations that were searched and have not converged."""
-    return [each.lhs for each in view.variables if not each.converged and each.why != "known"]

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from atoll.cli.options.job_config import epochs, job_config, names, seconds
-from atoll.cli.options.names import job_id
+from atoll.cli.options.job_id import job_id
 from atoll.cli.options.parser import parse
+from atoll.cli.request import config_of as job_config
+from atoll.client.options import epochs, names, seconds
 from atoll_core.config import PRESETS, JobConfig
-from atoll_core.errors import UsageError
+from atoll_core.errors import Field, UsageError
 
 
 def config_of(line: str) -> JobConfig:
@@ -162,7 +163,7 @@ def test_a_job_file_may_hold_what_is_known_beforehand(tmp_path: Path) -> None:
 def test_a_wrong_option_is_one_sentence_that_names_it(line: str, words: list[str]) -> None:
     with pytest.raises(UsageError) as caught:
         config_of(line)
-    sentence = str(caught.value)
+    sentence = caught.value.on_command_line
     assert "\n" not in sentence
     assert [word for word in words if word not in sentence] == []
 
@@ -196,15 +197,15 @@ def test_time_may_be_the_time_column_and_an_input_at_once() -> None:
 
 @pytest.mark.parametrize(("text", "value"), [("90", 90), ("60s", 60), ("10m", 600), ("1h", 3600), ("250ms", 0.25)])
 def test_times_are_read_with_their_units(text: str, value: float) -> None:
-    assert seconds(text) == value
+    assert seconds(text, Field("max_time")) == value
 
 
 def test_a_column_name_with_a_comma_is_quoted() -> None:
-    assert names('"a,b", c', "--states") == ("a,b", "c")
+    assert names('"a,b", c', Field("states")) == ("a,b", "c")
 
 
 def test_epochs_may_be_given_for_all_and_for_some() -> None:
-    assert epochs("50,x=20") == {"max_epochs": 50, "max_epochs_of": {"x": 20}}
+    assert epochs("50,x=20", Field("max_epochs")) == (50, {"x": 20})
 
 
 def test_a_job_id_is_checked_or_made() -> None:

@@ -1,0 +1,58 @@
+"""Values of options of verbs on saved results: numbers, intervals, and values by name. Raises UsageError."""
+
+import math
+from collections.abc import Sequence
+
+from atoll_core.errors import UsageError
+
+
+def finite_number(text: str, option: str) -> float:
+    """Return a number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f"{option} must be a finite number, but {text!r} was given")
+    return value
+
+
+def whole_number(text: str, option: str) -> int:
+    """Return a whole number, 0 or more."""
+    if not text.isdecimal():
+        raise UsageError(f"{option} must be a whole number, but {text!r} was given")
+    return int(text)
+
+
+def interval(text: str, option: str) -> tuple[float, float]:
+    """Return the bounds of ``0:3``."""
+    lower, separator, upper = text.partition(":")
+    if not separator:
+        raise UsageError(f"{option} wants LOWER:UPPER, but got {text!r}")
+    low, high = finite_number(lower, option), finite_number(upper, option)
+    if not low < high:
+        raise UsageError(f"{option} wants LOWER below UPPER, but got {text!r}")
+    return low, high
+
+
+def assignments(texts: Sequence[str], option: str, example: str) -> dict[str, str]:
+    """Return the values by name of ``x=0:3``; several may stand in one text, separated by commas."""
+    values: dict[str, str] = {}
+    for text in (part for line in texts for part in line.split(",")):
+        name, separator, value = (part.strip() for part in text.partition("="))
+        if not separator or not name or not value:
+            raise UsageError(f"{option} wants {example}, but got {text!r}")
+        if name in values:
+            raise UsageError(f"{option} names '{name}' twice; give one")
+        values[name] = value
+    return values
+
+
+def numbers(texts: Sequence[str], option: str, example: str) -> dict[str, float]:
+    """Return the numbers by name of ``u=1``."""
+    return {name: finite_number(text, f"{option} {name}") for name, text in assignments(texts, option, example).items()}
+
+
+def intervals(texts: Sequence[str], option: str) -> dict[str, tuple[float, float]]:
+    """Return the bounds by name of ``x=0:3``."""
+    return {name: interval(text, f"{option} {name}") for name, text in assignments(texts, option, "x=0:3").items()}

@@ -1,0 +1,177 @@
+"""From options and a job file to a `JobConfig`: preset, then the file, then the options, each overriding the former.
+
+Pure apart from reading the job file. Every refusal is one sentence that names the option or the key of the file.
+"""
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from atoll.client.options import OPTIONS
+from atoll_core.config import PRESETS, DataConfig, JobConfig
+from atoll_core.errors import Field, UsageError
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.hints import did_you_mean
+
+
+def job_config(values: Mapping[str, Any], job_file: str | PathLike[str] | None = None) -> JobConfig:
+    """Return the configuration that the values of options describe, by name; raises UsageError.
+
+    None and False say that an option is not given.
+    """
+    settings = _read_job_file(job_file)
+    given: dict[str, Any] = {}
+    for name, value in values.items():
+        if value is not None and value is not False:
+            given |= OPTIONS[name].decide(value)
+    preset = given.get("preset", settings.get("preset", "default"))
+    base = PRESETS[preset].model_dump() if preset in ("default", "paper") else {}
+    merged = _overlay(_overlay(base, settings), _nested(given))
+    merged["preset"] = preset
+    try:
+        config = JobConfig.model_validate(merged)
+    except ValidationError as error:
+        raise _refusal(error, given, job_file) from error
+    _check(config)
+    return config
+
+
+def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    nested: dict[str, Any] = {}
+    for dotted, value in values.items():
+        *groups, key = dotted.split(".")
+        place = nested
+        for group in groups:
+            place = place.setdefault(group, {})
+        place[key] = value
+    return nested
+
+
+def _overlay(base: Mapping[str, Any], top: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `base` with the groups of `top` laid over it: a key that `top` does not name keeps its value."""
+    merged = dict(base)
+    for key, value in top.items():
+        below = merged.get(key)
+        merged[key] = {**below, **value} if isinstance(below, dict) and isinstance(value, dict) else value
+    return merged
+
+
+def _read_job_file(file: str | PathLike[str] | None) -> dict[str, Any]:
+    if file is None:
+        return {}
+    if not isinstance(file, (str, PathLike)):
+        raise UsageError("%s must be the path of a job file, but %r was given", Field("config"), file)
+    try:
+        return tomllib.loads(Path(file).read_text("utf-8"))
+    except OSError as error:
+        raise UsageError(f"the job file {file} cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"the job file {file} is not valid TOML: {error}") from error
+
+
+def _refusal(error: ValidationError, given: Mapping[str, Any], file: str | PathLike[str] | None) -> UsageError:
+    """Put the first complaint of pydantic into our words: which option, what is allowed, what was found."""
+    complaint = error.errors()[0]
+    path = [str(part) for part in complaint["loc"] if isinstance(part, str) and part != "[key]"]
+    place = _place(path, given, file)
+    value = complaint.get("input")
+    if complaint["type"] == "extra_forbidden":
+        known = _settings(path[:-1])
+        hint = did_you_mean(path[-1], known)
+        return UsageError("%s is not a known setting; known here: %s%s", place, ", ".join(known), hint)
+    what = complaint["msg"].removeprefix("Input should be ").replace("a valid tuple", "a list")
+    hint = did_you_mean(str(value), re.findall("'([^']*)'", what)) if complaint["type"] == "literal_error" else ""
+    return UsageError("%s must be %s, but %r was given%s", place, what, value, hint)
+
+
+def _settings(group: Sequence[str]) -> tuple[str, ...]:
+    model: Any = JobConfig
+    for name in group:
+        model = model.model_fields[name].annotation
+    return tuple(model.model_fields) if hasattr(model, "model_fields") else ()
+
+
+def _place(path: Sequence[str], given: Mapping[str, Any], file: str | PathLike[str] | None) -> Field | str:
+    """Return the option that was given, or else the key of the job file."""
+    keys = {".".join(path[:2]), path[0]} & set(given)
+    option = next((option for option in OPTIONS.values() if keys & set(option.settings.split())), None)
+    return Field(option.name) if option is not None else f"{'.'.join(path)} in {file}"
+
+
+def _check(config: JobConfig) -> None:
+    for operators in (config.space.operators, *config.space.operators_of.values()):
+        _check_operators(operators)
+    _check_modes(config.data)
+    _check_columns(config.data)
+    _check_angles(config.data)
+
+
+def _check_operators(operators: Sequence[str]) -> None:
+    if not operators:
+        raise UsageError(f"the list of operators is empty; choose from {','.join(BY_NAME)}")
+    for name in operators:
+        if name not in BY_NAME:
+            known = f"choose from {','.join(BY_NAME)}{did_you_mean(name, BY_NAME)}"
+            raise UsageError(f"the operators name {name!r}, which is unknown; {known}")
+        if operators.count(name) > 1:
+            raise UsageError(f"the operators name {name!r} twice; name every operator once")
+
+
+def _check_modes(data: DataConfig) -> None:
+    derivatives, second_order, target = Field("derivatives"), Field("order", 2), Field("target")
+    if data.target is not None and data.derivatives is not None:
+        raise _contradiction(target, derivatives, "; give the one that the data hold")
+    if data.order == 2 and data.target is not None:
+        raise _contradiction(second_order, target, ": an explicit regression has no derivative")
+    if data.order == 2 and data.derivatives is not None:
+        raise UsageError(
+            f"{_CONTRADICT}; name the velocities as %s instead", second_order, derivatives, Field("states")
+        )
+    if data.derivatives is not None and data.states is not None and len(data.derivatives) != len(data.states):
+        counts = f"{len(data.derivatives)} columns for {len(data.states)} states"
+        raise UsageError("%s gives %s; give one for each state, in the same order", derivatives, counts)
+    if data.holdout is not None and data.target is not None:
+        raise _contradiction(Field("holdout"), target, ": an explicit regression has no trajectories")
+
+
+_CONTRADICT: Final = "%s and %s contradict each other"
+
+
+def _contradiction(one: Field, other: Field, reason: str) -> UsageError:
+    return UsageError(_CONTRADICT + reason, one, other)
+
+
+def _check_columns(data: DataConfig) -> None:
+    """Refuse a column in two roles."""
+    roles = {
+        "states": data.states or (),
+        "inputs": data.inputs,
+        "derivatives": data.derivatives or (),
+        "target": (data.target,),
+        "trajectory": (data.trajectory,),
+        "weights": (data.weights,),
+        "group": (data.group,) if data.group != data.trajectory else (),
+    }
+    first: dict[str, str] = {}
+    pairs = [(role, column) for role, columns in roles.items() for column in columns if column is not None]
+    if data.time is not None and data.time not in data.inputs:
+        pairs.append(("time", data.time))
+    for role, column in pairs:
+        if column in first:
+            raise UsageError(
+                "%r is named by both %s and %s; a column has one role", column, Field(first[column]), Field(role)
+            )
+        first[column] = role
+
+
+def _check_angles(data: DataConfig) -> None:
+    """Refuse an angle that is named twice, perhaps in two units."""
+    columns = [angle.column for angle in data.angles]
+    for column in columns:
+        if columns.count(column) > 1:
+            raise UsageError("%s names %r twice; name every angle once", Field("angle"), column)

@@ -1,0 +1,303 @@
+"""The options of a job, in one table: what each is called, which settings it decides, how its value is read, its help.
+
+Command line and Python give the same options: values are texts there and may be numbers, lists and mappings here.
+Standard library only, because ``--help`` must be instant.
+"""
+
+import argparse
+import contextlib
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+from atoll_core.command_line import duration
+from atoll_core.errors import Field, UsageError
+
+MOST_WORKERS: Final = 1024
+"""The most worker processes that are started on one machine."""
+
+_ALL: Final = "*"
+
+Read = Callable[[Any, Field], Any]
+"""Returns what a value says; raises UsageError, which names the field."""
+
+
+class Repeated(list[str]):
+    """The texts of an option that was given once or several times on a command line."""
+
+
+class Option(NamedTuple):
+    """One option: ``--max-time`` on the command line, `max_time` in Python."""
+
+    name: str
+    settings: str
+    """Dotted names in `JobConfig`, separated by spaces; `read` returns a value for each, None where it says nothing."""
+    read: Read
+    metavar: str | None
+    """None: a switch."""
+    help: str
+    is_repeatable: bool = False
+
+    @property
+    def flag(self) -> str:
+        """The option of the command line."""
+        return Field(self.name).on_command_line
+
+    def decide(self, value: Any) -> dict[str, Any]:
+        """Return the settings that `value` decides, by dotted name; raises UsageError."""
+        values = self.read(value, Field(self.name))
+        settings = self.settings.split()
+        parts = (values,) if len(settings) == 1 else values
+        return {name: part for name, part in zip(settings, parts, strict=True) if part is not None}
+
+
+def text(value: Any, field: Field) -> str:
+    """Return a text, of a number its digits."""
+    if isinstance(value, bool) or not (isinstance(value, str) or hasattr(value, "__index__")):
+        raise UsageError("%s must be text, but %r was given", field, value)
+    return str(value)
+
+
+def whole(value: Any, field: Field) -> int:
+    """Return a whole number."""
+    with contextlib.suppress(TypeError, ValueError):
+        if not isinstance(value, bool):
+            return int(value) if isinstance(value, str) else operator.index(value)
+    raise UsageError("%s must be a whole number, but %r was given", field, value)
+
+
+def number(value: Any, field: Field) -> float:
+    """Return a number."""
+    with contextlib.suppress(TypeError, ValueError):
+        if not isinstance(value, bool):
+            return float(value)
+    raise UsageError("%s must be a number such as 1e-4, but %r was given", field, value)
+
+
+def seconds(value: Any, field: Field) -> float:
+    """Return the seconds of ``90``, ``60s``, ``10m`` or ``1.5h``."""
+    with contextlib.suppress(argparse.ArgumentTypeError):
+        if (amount := duration(str(value))) > 0.0:
+            return amount
+    raise UsageError("%s must be a time above zero such as 90, 60s, 10m or 1h, but %r was given", field, value)
+
+
+def names(value: Any, field: Field, noun: str = "column") -> tuple[str, ...]:
+    """Return names, of columns or another `noun`, of a list or of ``x,y``, where one with a comma is in quotes."""
+    import csv
+
+    if isinstance(value, (list, tuple)):
+        parts = tuple(text(part, field).strip() for part in value)
+    else:
+        line = text(value, field)
+        parts = tuple(part.strip() for part in next(csv.reader([line], skipinitialspace=True), []))
+    if not parts or not all(parts):
+        raise UsageError("%s must be %s names separated by commas, but %r was given", field, noun, value)
+    twice = next((part for part in parts if parts.count(part) > 1), None)
+    if twice is not None:
+        raise UsageError("%s names %r twice; name every %s once", field, twice, noun)
+    return parts
+
+
+def epochs(value: Any, field: Field) -> tuple[int | None, dict[str, int] | None]:
+    """Return the epochs of all equations and of some: of ``50``, ``x=20,y=12``, both, or a mapping."""
+    if isinstance(value, Mapping):
+        pairs = [*value.items()]
+    else:
+        pairs = [(name, count) for name, _, count in (part.rpartition("=") for part in names(value, field))]
+    counts: dict[str, int] = {}
+    for name, count in pairs:
+        if name in counts:
+            raise UsageError("%s gives two numbers of epochs for %s; give one", field, name or "all equations")
+        counts[str(name)] = whole(count, field)
+    return counts.pop("", None), counts or None
+
+
+def holdout(value: Any, field: Field) -> int | str:
+    """Return a number of trajectories, or ``COLUMN=VALUE`` as it is."""
+    if isinstance(value, str) and "=" in value:
+        return value
+    with contextlib.suppress(UsageError):
+        return whole(value, field)
+    raise UsageError("%s must be a number of trajectories or COLUMN=VALUE, but %r was given", field, value)
+
+
+def switch(value: Any, field: Field) -> bool:
+    """Return that it is on: one that is off is not given."""
+    if value is not True:
+        raise UsageError("%s must be True or False, but %r was given", field, value)
+    return True
+
+
+def angles(value: Any, field: Field) -> list[dict[str, Any]]:
+    """Return the angles of ``theta`` and ``theta:deg``."""
+    return [_angle(text(part, field)) for part in _several(value)]
+
+
+def _angle(line: str) -> dict[str, Any]:
+    column, _, unit = line.rpartition(":")
+    return {"column": column, "degrees": unit == "deg"} if column and unit in ("deg", "rad") else {"column": line}
+
+
+def by_equation(value: Any, field: Field, *, example: str, noun: str = "the equation") -> dict[str, Any]:
+    """Return what stands right by left-hand side, of a mapping or of ``dy=-x``, given once for each side."""
+    sides: dict[str, Any] = {}
+    for side, right in _pairs(value, field, example):
+        if side in sides:
+            raise UsageError("%s names %s of %r twice; give one", field, noun, side)
+        sides[side] = right
+    return sides
+
+
+def variables(value: Any, field: Field, *, example: str) -> dict[str, tuple[str, ...]]:
+    """Return variables by left-hand side."""
+    return {side: names(right, field, "variable") for side, right in by_equation(value, field, example=example).items()}
+
+
+def guesses(value: Any, field: Field) -> dict[str, tuple[str, ...]]:
+    """Return right-hand sides, one or several, by left-hand side."""
+    sides: dict[str, tuple[str, ...]] = {}
+    for side, right in _pairs(value, field, "dx=3*x-2*x*y"):
+        sides[side] = (*sides.get(side, ()), *map(str, _several(right)))
+    return sides
+
+
+def operators(value: Any, field: Field) -> tuple[tuple[str, ...] | None, dict[str, tuple[str, ...]] | None]:
+    """Return the operators of all equations and those of some: of ``+,-``, a list, ``x=+,*`` or a mapping."""
+    example, noun = "x=+,-,*", "operator"
+    lists = [] if isinstance(value, Mapping) else value if isinstance(value, Repeated) else [value]
+    general = [part for part in lists if not (isinstance(part, str) and "=" in part)]
+    if len(general) > 1:
+        raise UsageError("%s gives two lists for all equations; give one, others as %s", field, example)
+    special = value if isinstance(value, Mapping) else [part for part in lists if part not in general]
+    sides = {side: names(right, field, noun) for side, right in by_equation(special, field, example=example).items()}
+    return names(general[0], field, noun) if general else None, sides or None
+
+
+def bounds(value: Any, field: Field) -> dict[str, tuple[str, ...]]:
+    """Return bounds by left-hand side, which stands before a colon; those of all equations by ``*``."""
+    if isinstance(value, Mapping):
+        lines = [f"{side}: {bound}" for side, several in value.items() for bound in _several(several)]
+    else:
+        lines = [text(line, field) for line in _several(value)]
+    sides: dict[str, tuple[str, ...]] = {}
+    for line in lines:
+        side, colon, bound = (part.strip() for part in line.rpartition(":"))
+        if not bound or (colon and not side):
+            raise UsageError("%s must be of the form c > 0, or x: x*y < 0, but %r was given", field, line)
+        sides[side or _ALL] = (*sides.get(side or _ALL, ()), bound)
+    return sides
+
+
+def _several(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, (list, tuple)) else [value]
+
+
+def _pairs(value: Any, field: Field, example: str) -> list[tuple[str, Any]]:
+    """Return both sides of a mapping, or of each text at its last ``=``, which no expression or list holds."""
+    if isinstance(value, Mapping):
+        pairs = [(side, right if isinstance(right, (list, tuple)) else str(right)) for side, right in value.items()]
+    else:
+        pairs = [(side, right) for part in _several(value) for side, _, right in [text(part, field).rpartition("=")]]
+    stripped = [(str(side).strip(), right.strip() if isinstance(right, str) else right) for side, right in pairs]
+    if not all(side and right for side, right in stripped):
+        raise UsageError("%s must be of the form %s, but %s was given", field, example, _shown(value))
+    return stripped
+
+
+def _shown(value: Any) -> str:
+    return repr(value[0] if isinstance(value, list) and len(value) == 1 else value)
+
+
+GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
+    "data": (
+        Option("time", "data.time", text, "t", "time column (default: t or time)"),
+        Option("states", "data.states", names, "x,y", "state columns (default: all other numeric columns)"),
+        Option("inputs", "data.inputs", names, "u", "columns that are variables without an equation; may name time"),
+        Option("trajectory", "data.trajectory", text, "run", "column whose value changes where a trajectory begins"),
+        Option(
+            "group", "data.group", text, "strain",
+            "column: one structure is sought, whose constants may differ between its values",
+        ),
+        Option(
+            "per_trajectory", "data.per_trajectory", switch, None,
+            "one structure is sought, whose constants each trajectory may own",
+        ),
+        Option("target", "data.target", text, "y", "explicit regression of y on the other columns"),
+        Option("derivatives", "data.derivatives", names, "dx,dy", "measured derivatives, one column per state"),
+        Option("order", "data.order", whole, "1|2", "2: seek d2x/dt2 from positions (default: 1)"),
+        Option(
+            "angle", "data.angles", angles, "theta[:deg]",
+            "a state that is an angle, to be unwrapped", is_repeatable=True,
+        ),
+        Option("only", "data.only", names, "x", "search these equations only; the other states stay usable"),
+        Option("offsets", "data.offsets", names, "x", "states measured up to an offset, fitted for each trajectory"),
+        Option("missing", "data.missing", text, "refuse|drop", "what to do with NaN and infinity (default: refuse)"),
+        Option("robust", "data.robust", switch, None, "smooth so that outliers lose their weight"),
+        Option(
+            "stochastic", "data.stochastic", switch, None,
+            "noise is part of the law: seek drift and diffusion of dx = f dt + g dW",
+        ),
+        Option(
+            "holdout", "data.holdout", holdout, "K|run=4",
+            "keep K last trajectories, or that one, from the search, to judge by them",
+        ),
+        Option(
+            "weights", "data.weights", text, "w",
+            "column of row weights, such as 1/variance; rows of weight 0 are left out",
+        ),
+        Option(
+            "unit", "data.units", partial(by_equation, example="x=m/s", noun="the unit"), "x=m/s",
+            "the unit of a column, or of the time", is_repeatable=True,
+        ),
+    ),
+    "search": (
+        Option("seed", "seed", whole, "S", "same seed, same answer (default: 0)"),
+        Option("preset", "preset", text, "default|paper", "paper: Table II of Schmidt & Lipson 2008, nothing added"),
+        Option(
+            "operators", "space.operators space.operators_of", operators, "LIST",
+            "what expressions are made of (default: +,-,*,/,sin,cos); x=LIST for one equation", is_repeatable=True,
+        ),
+        Option(
+            "allow", "space.variables_of", partial(variables, example="x=x,y"), "x=x,y",
+            "the variables that one equation may use", is_repeatable=True,
+        ),
+        Option(
+            "require", "space.required_of", partial(variables, example="x=y"), "x=y",
+            "the variables that one equation must have", is_repeatable=True,
+        ),
+        Option(
+            "bound", "prior.bounds", bounds, '"[x:] c > 0"',
+            "bounds on constants: c every one, |c| every size, inner those inside terms, x*y the coefficient of "
+            "that term, as in 'x: -2 < x*y < 0'", is_repeatable=True,
+        ),
+        Option(
+            "guess", "prior.guesses", guesses, "dx=EXPR",
+            "an equation to begin from, its constants fitted", is_repeatable=True,
+        ),
+        Option(
+            "known", "prior.known", partial(by_equation, example="dy=-x/10"), "dy=EXPR",
+            "an equation that is given, not searched", is_repeatable=True,
+        ),
+        Option("islands", "evolution.islands", whole, "K", "islands per state variable (default: 8)"),
+        Option("max_size", "space.max_size", whole, "N", "largest complexity of an equation (default: no limit)"),
+    ),
+    "budget": (
+        Option(
+            "max_time", "budget.max_time", seconds, "60s",
+            "end the whole job after 90, 60s, 10m, 1h (default: never by the clock)",
+        ),
+        Option(
+            "max_epochs", "budget.max_epochs budget.max_epochs_of", epochs, "N",
+            "end after N epochs, or x=20,y=12 by state variable (default: 1000)",
+        ),
+        Option(
+            "target_error", "budget.target_error", number, "E",
+            "normalized error at which an equation counts as found (default: from the data)",
+        ),
+    ),
+}  # fmt: skip
+"""All options by their headings in a help."""
+
+OPTIONS: Final[Mapping[str, Option]] = {option.name: option for options in GROUPS.values() for option in options}

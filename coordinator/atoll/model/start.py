@@ -1,0 +1,107 @@
+"""Where a simulation of a model starts, how far it goes, and what drives it, as a data file or bounds of time say."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.model.model import ROWS, Model
+from atoll.model.simulation import MOST_NUMBERS
+from atoll_coordinator.data.roles.options import TRAJECTORY_NAME
+from atoll_core.config import DataConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.errors import Field, UsageError
+
+_SLACK: Final = 1e-9
+"""Share of a step by which rounding may shift the last time."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """An initial state by symbol, and of a file also times (N,) and inputs (N,) by symbol; None: as measured."""
+
+    state: Mapping[str, float] | None = None
+    times: FloatArray | None = None
+    recorded: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def inputs(self, times: FloatArray) -> dict[str, FloatArray]:
+        """Return the file's inputs, interpolated at these times."""
+        if self.times is None:
+            return {}
+        return {name: np.interp(times, self.times, values) for name, values in self.recorded.items()}
+
+
+def start_of_file(model: Model, path: Path) -> Start:
+    """Return the first row, the times and the inputs of the first trajectory of a data file.
+
+    Raises:
+        DataError: it cannot be read.
+        UsageError: it has no column for a state.
+    """
+    config, symbols = _data_settings(model), model.result["symbols"]
+    table = _read(path, model, config)
+    rows = _rows_of_first(table, config.get("trajectory") or TRAJECTORY_NAME)
+    columns = {name: table.column(name)[:rows] for name in table.names}
+    driving = [name for name in columns if symbols.get(name) in model.inputs and name != model.time]
+    inputs = {symbols[name]: columns[name] for name in driving}
+    return Start(_state_of(model, columns, path), columns.get(model.time), inputs)
+
+
+def times_of(model: Model, start: Start, end: float | None, step: float | None) -> FloatArray:
+    """Return the times (N,) of a simulation: up to `end` by `step`, where they are given; raises UsageError."""
+    known = start.times if start.times is not None else np.array(model.beginning.get("times") or ())
+    if end is None and step is None and len(known):
+        return known
+    if end is None and not len(known):
+        raise UsageError("nothing tells how long to simulate; give %s", Field("until"))
+    first = float(known[0]) if len(known) else 0.0
+    last = float(known[-1]) if end is None else end
+    if last <= first:
+        raise UsageError(
+            "%s must be after the first time, %s, but %s was given", Field("until"), f"{first:g}", f"{last:g}"
+        )
+    if step is None:
+        return np.linspace(first, last, ROWS)
+    if step <= 0.0 or (last - first) / step > MOST_NUMBERS:
+        limits = f"above 0 and give at most {MOST_NUMBERS} times"
+        raise UsageError("%s must be %s, but %s was given", Field("step"), limits, f"{step:g}")
+    return np.asarray(first + step * np.arange(math.floor((last - first) / step + _SLACK) + 1), dtype=np.float64)
+
+
+def _data_settings(model: Model) -> Mapping[str, Any]:
+    """Return how the model's data were read, as far as options told it."""
+    return (model.provenance["config"] or {}).get("data") or {}
+
+
+def _read(path: Path, model: Model, config: Mapping[str, Any]) -> Table:
+    """Read a data file; dates are counted in the model's unit of time."""
+    from atoll_coordinator.data.reading.files import read_table
+
+    units = (model.result.get("system") or {}).get("units") or {}
+    return read_table([path], DataConfig(time=config.get("time")), units)
+
+
+def _rows_of_first(table: Table, trajectory: str) -> int:
+    """Return the number of rows of the first trajectory."""
+    end = (*table.starts, table.rows)[1]
+    if trajectory not in table.names:
+        return end
+    numbers = table.column(trajectory)[:end]
+    return int(np.append(np.flatnonzero(numbers != numbers[0]), end)[0])
+
+
+def _state_of(model: Model, columns: Mapping[str, FloatArray], path: Path) -> dict[str, float]:
+    """Return the state of the first row; velocities that are not there are estimated."""
+    symbols = model.result["symbols"]
+    row = {symbols.get(name, name): float(values[0]) for name, values in columns.items() if len(values)}
+    lacking = [state for state in model.states if state not in row]
+    if lacking and model.time in columns:
+        names = {symbol: name for name, symbol in symbols.items()}
+        return model.rows_of({names.get(symbols.get(name, name), name): values for name, values in columns.items()})[2]
+    if lacking:
+        raise UsageError(f"{path} has no column for {', '.join(lacking)}; an initial state names every state")
+    return {state: row[state] for state in model.states}
