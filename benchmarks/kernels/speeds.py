@@ -12,7 +12,7 @@ import numpy as np
 
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import BY_NAME
-from atoll_island_worker.evolution.kernels.rows import padded_rows
+from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.structures import Lists, Rows
 from benchmarks.kernels.corpus import Corpus
 from benchmarks.kernels.loops import (

@@ -30,7 +30,7 @@ from atoll_core.wire.bus.zenoh_bus import open_client
 from atoll_core.wire.messages.workers import Addition, IslandReport
 from atoll_island_worker.compute.compute_thread import WarmedUp
 from atoll_island_worker.session.events import Computed, JobReady, Snapshot
-from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+from atoll_island_worker.session.tasks import ShardKey, Task, TaskKey
 from atoll_island_worker.worker import Worker
 from benchmarks.harness.command_line import option, program
 from benchmarks.operations.island_samples import Samples
@@ -145,8 +145,8 @@ class PacedCompute:
         self._pacer = pacer
         self._books = books
         self._post: Callable[[object], None] = lambda _: None
-        self._ended: dict[tuple[ShareKey, int], float] = {}
-        self._dropped: set[ShareKey] = set()
+        self._ended: dict[tuple[ShardKey, int], float] = {}
+        self._dropped: set[ShardKey] = set()
         self._config: dict[str, JobConfig] = {}
 
     def attach(self, post: Callable[[object], None]) -> None:
@@ -167,21 +167,21 @@ class PacedCompute:
         now, key = time.monotonic(), task.key
         self.current = key
         if task.takes_snapshot:
-            self._post(Snapshot(key, _bytes_of(key, self._samples.snapshot), task.is_held))
-        if task.is_held:
+            self._post(Snapshot(key, _bytes_of(key, self._samples.snapshot), task.is_at_barrier))
+        if task.is_at_barrier:
             return
-        before = self._ended.pop((key.share, key.island), None)
+        before = self._ended.pop((key.shard, key.island), None)
         if before is not None:
             self._books.note_wait(now - before)
         share = 1.0 if key.epoch else _fraction(f"{key.job}/{key.variable}")
         self._pacer.at(now + share * self._period_s, lambda: self._end(task))
 
-    def stop_at(self, share: ShareKey, hit: Position, commit_order: CommitOrder) -> None:
+    def stop_at(self, shard: ShardKey, hit: Position, commit_order: CommitOrder) -> None:
         """See `ComputeThread.stop_at`; nothing is ever hit."""
 
-    def discard(self, share: ShareKey) -> None:
+    def discard(self, shard: ShardKey) -> None:
         """See `ComputeThread.discard`."""
-        self._dropped.add(share)
+        self._dropped.add(shard)
 
     def discard_job(self, job: str) -> None:
         """See `ComputeThread.discard_job`."""
@@ -191,7 +191,7 @@ class PacedCompute:
 
     def _end(self, task: Task) -> None:
         key = task.key
-        if key.share in self._dropped:
+        if key.shard in self._dropped:
             return
         evolution = self._config[key.job].evolution
         report = pretended(self._samples, key.epoch, key.island, f"{key.job}/{key.variable}/{key.island}/{key.epoch}")
@@ -199,7 +199,7 @@ class PacedCompute:
         emigrants = {} if task.is_last else dict.fromkeys(range(evolution.islands), block)
         self.progress += 1
         self._books.note_epoch()
-        self._ended[key.share, key.island] = time.monotonic()
+        self._ended[key.shard, key.island] = time.monotonic()
         self._post(Computed(key, report, emigrants, frozenset(emigrants) - {key.island}))
 
 

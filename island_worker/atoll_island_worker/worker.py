@@ -283,9 +283,9 @@ class Worker:
             case actions.RunTask():
                 self._compute.run(action.task)
             case actions.StopAt():
-                self._compute.stop_at(action.share, action.hit, action.commit_order)
+                self._compute.stop_at(action.shard, action.hit, action.commit_order)
             case actions.Discard():
-                self._compute.discard(action.share)
+                self._compute.discard(action.shard)
             case actions.DiscardJob():
                 self._datasets.forget(action.job)
             case actions.FetchJob():

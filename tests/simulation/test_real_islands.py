@@ -13,7 +13,7 @@ from atoll_core.config import BudgetConfig, DataConfig, EvolutionConfig, JobConf
 from atoll_core.data.dataset import Dataset, Target
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import Work
-from atoll_island_worker.session.tasks import ShareKey, Task
+from atoll_island_worker.session.tasks import ShardKey, Task
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import StubCompute
@@ -68,9 +68,9 @@ class RealCompute(StubCompute):
     def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
         self._later(0.01, self.engine.load(job, config, dataset))
 
-    def discard(self, share: ShareKey) -> None:
-        super().discard(share)
-        self.engine.forget(share)
+    def discard(self, shard: ShardKey) -> None:
+        super().discard(shard)
+        self.engine.forget(shard)
 
     def discard_job(self, job: str) -> None:
         super().discard_job(job)

@@ -44,9 +44,9 @@ class CommitOrder(Model):
 
     def needed(self, hit: Position, island: int) -> int:
         """Return up to which generation of the epoch of `hit` an island counts when the search ends there; 0: not."""
-        its, hits = self._group(hit.epoch, island), self._group(hit.epoch, hit.island)
-        if its != hits:
-            return self.generations if its < hits else 0
+        group, hits = self._group(hit.epoch, island), self._group(hit.epoch, hit.island)
+        if group != hits:
+            return self.generations if group < hits else 0
         return hit.generation if island <= hit.island else (hit.generation - 1) // self.stride * self.stride
 
     def ends(self, generations: int) -> tuple[int, ...]:

@@ -44,7 +44,7 @@ class FrontEntry:
 def merge(front: Iterable[FrontEntry], additions: Iterable[FrontEntry]) -> tuple[FrontEntry, ...]:
     """Return the non-dominated entries of both, by rising complexity and falling error. Pure; order-independent."""
     kept: list[FrontEntry] = []
-    for entry in sorted((*front, *additions), key=lambda each: each.key):
+    for entry in sorted((*front, *additions), key=lambda candidate: candidate.key):
         if math.isfinite(entry.error) and (not kept or entry.error < kept[-1].error):
             kept.append(entry)
     return tuple(kept)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from atoll_coordinator.data.reading.columns import TIME
+from atoll_coordinator.data.reading.dates import Dates, dates_of_array, times_of
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.reading.instants import Instants, of_array, times_of
 from atoll_coordinator.data.roles.options import find_trajectory_column, named_columns, split_unit
-from atoll_coordinator.data.roles.roles import TIME_NAMES
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
@@ -48,7 +48,7 @@ def _has_columns(part: Any) -> bool:
     return isinstance(part, Mapping) or (hasattr(part, "columns") and hasattr(part, "__getitem__"))
 
 
-def _columns_of(part: Any, config: DataConfig, labels: dict[str, dict[str, float]]) -> dict[str, FloatArray | Instants]:
+def _columns_of(part: Any, config: DataConfig, labels: dict[str, dict[str, float]]) -> dict[str, FloatArray | Dates]:
     """Return the columns of numbers (N,) by name.
 
     As in files, the columns of trajectories and of groups alone may hold text, which is numbered by first appearance
@@ -59,14 +59,14 @@ def _columns_of(part: Any, config: DataConfig, labels: dict[str, dict[str, float
     named = _named_arrays(part)
     plain = [split_unit(name)[0] for name in named]
     trajectory, needed = find_trajectory_column(plain, config), named_columns(config)
-    found: dict[str, FloatArray | Instants] = {}
+    found: dict[str, FloatArray | Dates] = {}
     for (name, values), its in zip(named.items(), plain, strict=True):
         if values.ndim != 1:
             raise DataError(f"column '{name}' has the shape {values.shape}; one number for each row is expected")
-        instants = _instants_of(values)
-        numbers = None if instants is not None else numbers_of(values, f"column '{name}'")
-        if instants is not None:
-            found[_time_name(its, plain, config)] = instants
+        dates = _dates_of(values)
+        numbers = None if dates is not None else numbers_of(values, f"column '{name}'")
+        if dates is not None:
+            found[_time_name(its, plain, config)] = dates
         elif numbers is not None:
             found[f"{name} [s]" if values.dtype.kind == "m" and its == name else name] = numbers
         elif its == trajectory:
@@ -95,7 +95,7 @@ def _named_arrays(part: Any) -> dict[str, Any]:
     if index is None or callable(index):
         return named
     values, name = _array(index, "index"), getattr(index, "name", None)
-    says_when = values.dtype.kind == "m" or _instants_of(values) is not None
+    says_when = values.dtype.kind == "m" or _dates_of(values) is not None
     if (name is not None or says_when) and str(name or TIME) not in named:
         return {str(name or TIME): values, **named}
     return named
@@ -108,18 +108,18 @@ def _array(values: Any, name: str) -> Any:
         raise DataError(f"column '{name}' holds rows of different lengths; one number for each is expected") from None
 
 
-def _instants_of(values: Any) -> Instants | None:
+def _dates_of(values: Any) -> Dates | None:
     """Return dates (N,) in nanoseconds; None where there are none."""
     if values.dtype.kind == "M":
-        return of_array(values)
+        return dates_of_array(values)
     cells = values.tolist() if values.dtype.kind == "O" else []
     if not cells or not all(isinstance(cell, datetime.datetime) for cell in cells):
         return None
-    return Instants(tuple(_nanoseconds(cell) for cell in cells), "dates", has_date=True)
+    return Dates(tuple(_nanoseconds(cell) for cell in cells), "dates", has_date=True)
 
 
 def _nanoseconds(cell: datetime.datetime) -> int:
-    """Return the nanoseconds since 1970, which are ``value`` of pandas' own instants."""
+    """Return the nanoseconds since 1970, which are ``value`` of pandas' own time stamps."""
     value = getattr(cell, "value", None)
     if isinstance(value, int):
         return value
@@ -141,8 +141,8 @@ def _time_name(name: str, names: Sequence[str], config: DataConfig) -> str:
     return TIME
 
 
-def _length(values: FloatArray | Instants) -> int:
-    return len(values.nanoseconds if isinstance(values, Instants) else values)
+def _length(values: FloatArray | Dates) -> int:
+    return len(values.nanoseconds if isinstance(values, Dates) else values)
 
 
 def numbers_of(values: Any, name: str) -> FloatArray | None:
@@ -182,7 +182,7 @@ def _numbered(values: Any, kinds: dict[str, float]) -> FloatArray:
     return np.array([kinds.setdefault(str(value), float(len(kinds) + 1)) for value in values.tolist()])
 
 
-def _joined(parts: Sequence[Mapping[str, FloatArray | Instants]]) -> Table:
+def _joined(parts: Sequence[Mapping[str, FloatArray | Dates]]) -> Table:
     first = tuple(parts[0])
     for part in parts:
         if set(part) != set(first):
@@ -199,11 +199,11 @@ def _joined(parts: Sequence[Mapping[str, FloatArray | Instants]]) -> Table:
     return Table(names, its, columns, starts, (NAME,), nowhere, nowhere.copy(), read_as=remarks)
 
 
-def _column(parts: Sequence[FloatArray | Instants], name: str, starts: Sequence[int]) -> tuple[FloatArray, str, str]:
+def _column(parts: Sequence[FloatArray | Dates], name: str, starts: Sequence[int]) -> tuple[FloatArray, str, str]:
     """Return one column of all trajectories, and of dates the unit and since when."""
-    instants = [part for part in parts if isinstance(part, Instants)]
-    if instants and len(instants) < len(parts):
+    dates = [part for part in parts if isinstance(part, Dates)]
+    if dates and len(dates) < len(parts):
         raise DataError(f"column '{name}' holds dates in some trajectories only; write all alike")
-    if instants:
-        return times_of(instants, starts, None)
-    return np.concatenate([part for part in parts if not isinstance(part, Instants)]), "", ""
+    if dates:
+        return times_of(dates, starts, None)
+    return np.concatenate([part for part in parts if not isinstance(part, Dates)]), "", ""

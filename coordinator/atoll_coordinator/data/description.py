@@ -45,7 +45,7 @@ def _prior(config: JobConfig, roles: Roles) -> list[str]:
     prior, side = config.prior, roles.left_hand_side
     lines = [f"known: {side(name)} = {text}" for name, text in prior.known.items()]
     lines += [f"guess: {side(name)} = {text}" for name, texts in prior.guesses.items() for text in texts]
-    lines += [f"required: {side(name)} has {', '.join(its)}" for name, its in config.space.required_of.items()]
+    lines += [f"required: {side(name)} has {', '.join(names)}" for name, names in config.space.required_of.items()]
     return lines + [f"bounds: {side(name)}: {'; '.join(texts)}" for name, texts in prior.bounds.items()]
 
 

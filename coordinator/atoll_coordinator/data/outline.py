@@ -64,13 +64,13 @@ class Outline:
             "units": self.units,
             "equations": [
                 {
-                    "lhs": each.lhs,
-                    "variables": list(each.variables),
-                    "operators": list(each.operators),
-                    "known": each.known,
-                    "guesses": list(each.guesses),
+                    "lhs": equation.lhs,
+                    "variables": list(equation.variables),
+                    "operators": list(equation.operators),
+                    "known": equation.known,
+                    "guesses": list(equation.guesses),
                 }
-                for each in self.equations
+                for equation in self.equations
             ],
             "config": self.config.model_dump(mode="json", exclude_defaults=True),
         }
@@ -86,8 +86,8 @@ def outline(table: Table, config: JobConfig) -> Outline:
     roles, options = assign_roles(table, config.data)
     symbols = assign_symbols(roles.variables)
     resolved, names = resolve_equations(config.model_copy(update={"data": options}), roles, symbols)
-    given = {**dict(zip(table.names, table.units, strict=True)), **options.units}
-    units = {name: unit for name, unit in given.items() if unit and name in roles.used}
+    stated_units = {**dict(zip(table.names, table.units, strict=True)), **options.units}
+    units = {name: unit for name, unit in stated_units.items() if unit and name in roles.used}
     equations = tuple(_equation(resolved, roles, name, tuple(symbols.values())) for name in names)
     return Outline(table.files, table.read_as, table.rows, roles.time, units, equations, resolved)
 

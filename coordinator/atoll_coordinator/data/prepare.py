@@ -13,7 +13,7 @@ from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
-from atoll_coordinator.data.row_selection.rows import select_rows
+from atoll_coordinator.data.row_selection.selected_rows import select_rows
 from atoll_coordinator.data.row_selection.thinning import thin_searched_rows
 from atoll_coordinator.data.row_selection.weights import normalize_weights, select_weighty_rows
 from atoll_coordinator.data.trajectories.gaps import split_at_gaps
@@ -35,8 +35,8 @@ def prepare(table: Table, config: JobConfig) -> Preparation:
 
 def _source(table: Table, roles: Roles, options: DataConfig) -> Source:
     units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if unit} | options.units
-    its = (roles.time, roles.states, roles.velocities, roles.inputs, roles.target, roles.order)
-    return Source(table.digest, table.files, table.rows, units, *its, table.read_as)
+    role_values = (roles.time, roles.states, roles.velocities, roles.inputs, roles.target, roles.order)
+    return Source(table.digest, table.files, table.rows, units, *role_values, table.read_as)
 
 
 def _prepare(table: Table, config: JobConfig, roles: Roles, options: DataConfig) -> Preparation:

@@ -56,18 +56,18 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     known = sides.single("--known", config.prior.known)
     for name, text in known.items():
         _known_program(name, text, names)
-    given = sides.several("--guess", config.prior.guesses)
-    guesses = {name: tuple(text for texts in those for text in texts) for name, those in given.items()}
+    text_lists = sides.several("--guess", config.prior.guesses)
+    guesses = {name: tuple(text for texts in lists for text in texts) for name, lists in text_lists.items()}
     space = _resolved_space(config.space, sides)
     bounds = _resolved_bounds(config.prior.bounds, sides, [name for name in variables if name not in known])
-    for option, those in (
+    for option, by_variable in (
         ("--guess", guesses),
         ("--operators", space.operators_of),
         ("--allow", space.variables_of),
         ("--require", space.required_of),
         ("--bound", bounds),
     ):
-        _check_sought(option, those, known)
+        _check_sought(option, by_variable, known)
     _check_required(space, names)
     prior = PriorConfig(guesses=guesses, known=known, bounds=bounds)
     resolved = config.model_copy(update={"prior": prior, "space": space})
@@ -81,8 +81,8 @@ def _resolved_bounds(
 ) -> dict[str, tuple[str, ...]]:
     """Return the bounds by variable, those on all equations among them; raises UsageError."""
     general = tuple(bounds.get(ALL_EQUATIONS, ()))
-    given = sides.several("--bound", {side: texts for side, texts in bounds.items() if side != ALL_EQUATIONS})
-    own = {name: tuple(text for texts in those for text in texts) for name, those in given.items()}
+    text_lists = sides.several("--bound", {side: texts for side, texts in bounds.items() if side != ALL_EQUATIONS})
+    own = {name: tuple(text for texts in lists for text in texts) for name, lists in text_lists.items()}
     if general and not sought:
         raise UsageError(f"--bound {general[0]!r} is about equations that are sought, but all are known; leave it out")
     names = tuple(sides.symbols.values())

@@ -222,8 +222,10 @@ class Preparation:
 
 def of_group(recording: Recording, group: str) -> Recording:
     """Return the trajectories of one group, as if there were no others."""
-    chosen = tuple(replace(each, group="") for each in recording.trajectories if each.group == group)
-    return replace(recording, trajectories=chosen, groups=())
+    trajectories = tuple(
+        replace(trajectory, group="") for trajectory in recording.trajectories if trajectory.group == group
+    )
+    return replace(recording, trajectories=trajectories, groups=())
 
 
 def by_group(preparation: Preparation) -> Iterator[Preparation]:

@@ -17,7 +17,7 @@ from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import RunQueue, brief
 from atoll_island_worker.session.events import JobReady, LoadFailed, Outcome, Snapshot
-from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+from atoll_island_worker.session.tasks import ShardKey, Task, TaskKey
 
 _LOG = logging.getLogger(__name__)
 _JOIN_LIMIT_S: Final = 2.0
@@ -95,17 +95,17 @@ class ComputeThread:
     def run(self, task: Task) -> None:
         """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
 
-        Before that comes the Snapshot, where one is wanted; of a held epoch nothing else comes. Several take turns.
+        Before that comes the Snapshot, where one is wanted; at a barrier nothing else follows. Tasks take turns.
         """
         self._commands.put(lambda: self._post_all(self._queue.add(task)))
 
-    def stop_at(self, share: ShareKey, hit: Position, commit_order: CommitOrder) -> None:
+    def stop_at(self, shard: ShardKey, hit: Position, commit_order: CommitOrder) -> None:
         """Compute nothing of this archipelago that is not needed when the target was met there."""
-        self._commands.put(lambda: self._post_all(self._queue.stop_at(share, hit, commit_order)))
+        self._commands.put(lambda: self._post_all(self._queue.stop_at(shard, hit, commit_order)))
 
-    def discard(self, share: ShareKey) -> None:
+    def discard(self, shard: ShardKey) -> None:
         """Forget the islands of an archipelago under one term, and give up those under way."""
-        self._commands.put(lambda: self._discard(share))
+        self._commands.put(lambda: self._discard(shard))
 
     def discard_job(self, job: str) -> None:
         """Forget a job's dataset, and give up its tasks."""
@@ -167,9 +167,9 @@ class ComputeThread:
         self._queue.set_weight(job, weight)
         self._post_all([self._engine.load(job, config, dataset)])
 
-    def _discard(self, share: ShareKey) -> None:
-        self._queue.discard(share)
-        self._engine.forget(share)
+    def _discard(self, shard: ShardKey) -> None:
+        self._queue.discard(shard)
+        self._engine.forget(shard)
 
     def _discard_job(self, job: str) -> None:
         self._queue.discard_job(job)

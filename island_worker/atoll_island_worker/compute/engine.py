@@ -6,7 +6,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.session.events import Computed, JobReady, LoadFailed
-from atoll_island_worker.session.tasks import ShareKey, Task
+from atoll_island_worker.session.tasks import ShardKey, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -24,7 +24,7 @@ class Engine:
 
     def __init__(self) -> None:
         self._jobs: dict[str, tuple[JobConfig, Dataset]] = {}
-        self._islands: dict[ShareKey, dict[int, Island]] = {}
+        self._islands: dict[ShardKey, dict[int, Island]] = {}
 
     def load(self, job: str, config: JobConfig, dataset: bytes) -> JobReady | LoadFailed:
         """Take in a job's configuration and encoded dataset."""
@@ -42,7 +42,7 @@ class Engine:
 
         key = task.key
         config, dataset = self._jobs[key.job]
-        islands = self._islands.setdefault(key.share, {})
+        islands = self._islands.setdefault(key.shard, {})
         if task.state is not None:
             islands[key.island] = _restored(task, dataset.problem(key.variable), config)
         elif task.blocks is None:
@@ -51,9 +51,9 @@ class Engine:
             islands[key.island].immigrate(task.blocks)
         return Epoch(task, islands[key.island], config)
 
-    def forget(self, share: ShareKey) -> None:
+    def forget(self, shard: ShardKey) -> None:
         """Forget the islands of an archipelago's term."""
-        self._islands.pop(share, None)
+        self._islands.pop(shard, None)
 
     def forget_job(self, job: str) -> None:
         """Forget a job's dataset."""

@@ -12,7 +12,7 @@ from typing import Protocol
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
-from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+from atoll_island_worker.session.tasks import ShardKey, Task, TaskKey
 
 
 class Work(Protocol):
@@ -60,7 +60,7 @@ class RunQueue:
         self._begin = begin
         self._clock = clock
         self._open: dict[TaskKey, _Open] = {}
-        self._hits: dict[ShareKey, Position] = {}
+        self._hits: dict[ShardKey, Position] = {}
         self._charged: dict[str, float] = {}
         self._weights: dict[str, float] = {}
         self.current: TaskKey | None = None
@@ -82,10 +82,10 @@ class RunQueue:
         self._open[task.key] = _Open(task)
         return self._settle([task.key])
 
-    def stop_at(self, share: ShareKey, hit: Position, commit_order: CommitOrder) -> list[Outcome]:
+    def stop_at(self, shard: ShardKey, hit: Position, commit_order: CommitOrder) -> list[Outcome]:
         """Note that the target was met; return what came of the tasks of which no more is needed."""
-        self._hits[share] = min(hit, self._hits.get(share, hit), key=commit_order.rank)
-        return self._settle([key for key in self._open if key.share == share])
+        self._hits[shard] = min(hit, self._hits.get(shard, hit), key=commit_order.rank)
+        return self._settle([key for key in self._open if key.shard == shard])
 
     def turn(self) -> list[Snapshot | Outcome]:
         """Compute one slice of the task whose turn it is; return its snapshot and what came of tasks done by it."""
@@ -97,29 +97,29 @@ class RunQueue:
         outcome: Outcome | None = None
         try:
             snapshots += self._begin_if_new(opened)
-            outcome = None if opened.task.is_held else self._advance(opened)
+            outcome = None if opened.task.is_at_barrier else self._advance(opened)
         except RemoteProtocolError as error:
             outcome = Rejected(key, str(error))
         except Exception as error:  # it is the job that fails, not the worker
             outcome = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}")
         self._charged[key.job] += (self._clock() - began) / self._weights.get(key.job, 1.0)
-        if outcome is None and not opened.task.is_held:
+        if outcome is None and not opened.task.is_at_barrier:
             return snapshots + self._settle([key])
         del self._open[key]
         return snapshots + (
             [outcome, *self._stop_others(outcome, opened.task.commit_order)] if outcome is not None else []
         )
 
-    def discard(self, share: ShareKey) -> None:
+    def discard(self, shard: ShardKey) -> None:
         """Forget the tasks of an archipelago's term."""
-        self._hits.pop(share, None)
-        for key in [key for key in self._open if key.share == share]:
+        self._hits.pop(shard, None)
+        for key in [key for key in self._open if key.shard == shard]:
             del self._open[key]
 
     def discard_job(self, job: str) -> None:
         """Forget the tasks of a job and what it was charged."""
         self._open = {key: opened for key, opened in self._open.items() if key.job != job}
-        self._hits = {share: hit for share, hit in self._hits.items() if share.job != job}
+        self._hits = {shard: hit for shard, hit in self._hits.items() if shard.job != job}
         self._charged.pop(job, None)
         self._weights.pop(job, None)
 
@@ -135,7 +135,7 @@ class RunQueue:
             return []
         opened.work = self._begin(opened.task)
         data = opened.work.snapshot
-        return [Snapshot(opened.task.key, data, opened.task.is_held)] if data is not None else []
+        return [Snapshot(opened.task.key, data, opened.task.is_at_barrier)] if data is not None else []
 
     def _advance(self, opened: _Open) -> Outcome | None:
         return opened.work.computed() if opened.work is not None and opened.work.advance() else None
@@ -144,13 +144,13 @@ class RunQueue:
         if not isinstance(outcome, Computed) or outcome.report.hit is None:
             return []
         key = outcome.key
-        return self.stop_at(key.share, Position(key.epoch, outcome.report.hit.generation, key.island), commit_order)
+        return self.stop_at(key.shard, Position(key.epoch, outcome.report.hit.generation, key.island), commit_order)
 
     def _settle(self, keys: Iterable[TaskKey]) -> list[Outcome]:
         """Close those of these tasks of which no more is needed, and return what came of them."""
         outcomes: list[Outcome] = []
         for key in keys:
-            opened, hit = self._open[key], self._hits.get(key.share)
+            opened, hit = self._open[key], self._hits.get(key.shard)
             if hit is None or self._is_needed(opened, hit):
                 continue
             del self._open[key]

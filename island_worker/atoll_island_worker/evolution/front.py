@@ -23,15 +23,15 @@ from atoll_island_worker.evolution.formula import (
     reductions,
     to_program,
 )
+from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.kernels.offers import (
     SIMPLE,
     choose_near,
     choose_offers,
     refit,
-    refit_chosen,
+    refit_offers,
     structure_hash,
 )
-from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.kernels.tape import canonical_tape
 from atoll_island_worker.evolution.restricted import restrained
 from atoll_island_worker.evolution.runners_up import RunnersUp
@@ -113,7 +113,7 @@ class FrontUpdater:
         sizes, nodes = setup.scratch.best_of_size.shape[0], setup.scratch.book.code.shape[1]
         population = setup.config.evolution.population
         self._book = empty_book(sizes + population, nodes) if runners_up.most else setup.scratch.book
-        self._chosen = np.zeros(len(self._book.size), np.int64)
+        self._individuals = np.zeros(len(self._book.size), np.int64)
         self._candidates: list[FrontEntry] = []
         self._measured_loss: dict[int, float] = {}
         self.offered = np.zeros(sizes, np.uint64)
@@ -140,7 +140,8 @@ class FrontUpdater:
         looks_beside = looks_beside and self._runners_up.most > 0
         number, least = self._choose(lists, fitness, looks_beside)
         count = setup.call(
-            refit_chosen, lists, self._chosen, number, setup.every, setup.fit, REFIT_STEPS if setup.fit.steps else 0,
+            refit_offers, lists, self._individuals, number, setup.every, setup.fit,
+            REFIT_STEPS if setup.fit.steps else 0,
             setup.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
         )  # fmt: skip
         before, additions = self._front.entries(), list[FrontEntry]()
@@ -155,14 +156,14 @@ class FrontUpdater:
         self, lists: Lists, fitness: npt.NDArray[np.float64], looks_beside: bool
     ) -> tuple[int, npt.NDArray[np.float64]]:
         """Choose individuals; return their number and, by size, the loss below which one is worth offering."""
-        scratch, chosen, runners_up = self._setup.scratch, self._chosen, self._runners_up
+        scratch, individuals, runners_up = self._setup.scratch, self._individuals, self._runners_up
         call = self._setup.call
-        number = int(call(choose_offers, lists, fitness, scratch, self.offered, self.offered_loss, chosen))
+        number = int(call(choose_offers, lists, fitness, scratch, self.offered, self.offered_loss, individuals))
         if not looks_beside:
             return number, self._front.least_by_size(len(self.offered))
         order = np.argsort(fitness, kind="stable")
         most, known = runners_up.most, runners_up.known
-        number = int(call(choose_near, lists, fitness, order, most, scratch, known, chosen, number))
+        number = int(call(choose_near, lists, fitness, order, most, scratch, known, individuals, number))
         return number, runners_up.limits(len(self.offered))
 
     def _offer_one(self, k: int, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:
@@ -263,17 +264,17 @@ class FrontUpdater:
         One operator at a time gives way to one of its arguments or to a constant, the constants are fitted anew, and
         the first reduction that still meets the target is taken, until there is none. Returns the additions.
         """
-        found: list[FrontEntry] = []
+        additions: list[FrontEntry] = []
         if not self._setup.fit.steps:
-            return found
+            return additions
         formula: Formula | None = self._best(target)
         while formula is not None:
             formula = self._reduced(formula, target, counters)
             if formula is not None:
                 entry = self._entry(to_program(formula), tag)
                 if self._front.add(entry):
-                    found.append(entry)
-        return found
+                    additions.append(entry)
+        return additions
 
     def _best(self, target: float) -> Formula:
         """Return the simplest formula on the front that meets `target`."""
@@ -288,9 +289,9 @@ class FrontUpdater:
             if size >= len(formula) or not self._promising(size, target, counters):
                 continue
             self._refit(size, self._setup.every, PRUNE_STEPS, counters)
-            found = from_tape(scratch.canonical, size)
-            if self._error() <= target and self._setup.restrictions.are_kept(to_program(found)):
-                return found
+            reduced = from_tape(scratch.canonical, size)
+            if self._error() <= target and self._setup.restrictions.are_kept(to_program(reduced)):
+                return reduced
         return None
 
     def _promising(self, size: int, target: float, counters: Counters) -> bool:

@@ -244,21 +244,21 @@ class Island:
     def from_bytes(cls, data: bytes, problem: Problem, config: JobConfig, island: int) -> Self:
         """Rebuild an island from `to_bytes`; raises RemoteProtocolError."""
         header, arrays = decode_arrays(data)
-        made = cls(problem, config, island)
+        restored = cls(problem, config, island)
         try:
-            for name, mine in made._state_arrays().items():
+            for name, mine in restored._state_arrays().items():
                 if (arrays[name].shape, arrays[name].dtype.kind) != (mine.shape, mine.dtype.kind):
                     raise ValueError(f"{name} has shape {arrays[name].shape}, expected {mine.shape}")
                 mine[...] = arrays[name]
-            made.epoch = int(header["epoch"])
-            made._front.replace(FrontEntry(*entry) for entry in header["front"])
-            made._runners_up.replace(FrontEntry(*entry) for entry in header["runners up"])
+            restored.epoch = int(header["epoch"])
+            restored._front.replace(FrontEntry(*entry) for entry in header["front"])
+            restored._runners_up.replace(FrontEntry(*entry) for entry in header["runners up"])
         except (KeyError, ValueError, TypeError) as error:
             raise RemoteProtocolError(f"the state of an island does not fit its job: {error}") from error
-        made._check()
-        made._retrain()
-        made._start_epoch()
-        return made
+        restored._check()
+        restored._retrain()
+        restored._start_epoch()
+        return restored
 
     def _check(self) -> None:
         """Raise RemoteProtocolError unless all nodes and rows that kernels will follow exist; at epoch 0 none are."""

@@ -16,9 +16,8 @@ from atoll_core.expression.kernels.tape import functions_address, padded
 from atoll_core.expression.operators import COS, SIN
 from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.search.pareto import FrontEntry
-from atoll_island_worker.evolution.kernels.rows import gather, padded_rows
+from atoll_island_worker.evolution.kernels.measured_rows import gather, padded_rows
 from atoll_island_worker.evolution.migration import operator_codes
-from atoll_island_worker.evolution.narrowing import narrow, widen
 from atoll_island_worker.evolution.structures import (
     MOST_REQUIRED,
     Coevolution,
@@ -30,6 +29,7 @@ from atoll_island_worker.evolution.structures import (
     empty_rows,
     empty_scratch,
 )
+from atoll_island_worker.evolution.variable_subset import restore_variables, select_variables
 
 LEAST_INNER = 2
 """Constants inside terms that may be fitted on few rows all the same, beyond a quarter of their number (ADR 0005)."""
@@ -52,7 +52,7 @@ class IslandSetup:
         self.columns = config.space.columns_for(self.variable, problem.names)
         self.is_narrowed = len(self.columns) < len(problem.names)
         if self.is_narrowed:
-            problem = narrow(problem, self.columns)
+            problem = select_variables(problem, self.columns)
         self.names = problem.names
         self.island = island
         self.restrictions = restrictions_of(config, self.variable, problem.names)
@@ -74,7 +74,8 @@ class IslandSetup:
         self.sample = sample if self.coevolving.enabled else rows
         self.fit = Fit(
             evolution.constant_fit_steps, evolution.linear_terms, LEAST_INNER, int(evolution.loss != "mae"),
-            evolution.constant_fit_gate, sum(1 << each for each in self.restrictions.required if each < MOST_REQUIRED),
+            evolution.constant_fit_gate,
+            sum(1 << variable for variable in self.restrictions.required if variable < MOST_REQUIRED),
         )  # fmt: skip
         self.runners_up = island_share(evolution.runners_up or 0, evolution.islands)
         variables = problem.inputs.shape[0]
@@ -100,7 +101,7 @@ class IslandSetup:
 
     def outward(self, entry: FrontEntry) -> FrontEntry:
         """Return a front member as all others know it: its program over all variables, not over those allowed here."""
-        return widen(entry, self.columns) if self.is_narrowed else entry
+        return restore_variables(entry, self.columns) if self.is_narrowed else entry
 
     def gather(self, coevolution: Coevolution) -> None:
         """Fill `rows` with those of the best predictor; nothing to do while predictors are off."""

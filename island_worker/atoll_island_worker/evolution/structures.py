@@ -241,7 +241,7 @@ class Scratch(NamedTuple):
     """Rows for one predictor at a time."""
     predictor_children: Ints
     best_of_size: Ints
-    chosen: Ints
+    taken: Ints
     hashes: Hashes
     book: Book
 
@@ -324,7 +324,7 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
         spare=empty_rows(variables, sample, 0),
         predictor_children=np.zeros((2, sample), np.int64),
         best_of_size=np.zeros(space, np.int64),
-        chosen=np.zeros(space, np.int64),
+        taken=np.zeros(space, np.int64),
         hashes=np.zeros(population, np.uint64),
         book=empty_book(space, space),
     )

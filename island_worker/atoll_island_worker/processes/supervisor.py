@@ -99,13 +99,13 @@ class Supervisor:
         """
         with handling(dict.fromkeys((signal.SIGINT, *termination_signals()), self._on_signal)):
             try:
-                while not all(each.policy.state == "ended" for each in self._processes):
+                while not all(process.policy.state == "ended" for process in self._processes):
                     self._poll(parent)
                     self._sleep(_POLL_S)
             finally:
                 self._kill()
                 self._exit_reasons.print_new(self._clock())
-        codes = [each.policy.code for each in self._processes]
+        codes = [process.policy.code for process in self._processes]
         if self._deadline is not None:  # who was told before it could listen has ended as it was told
             codes = [0 if code == -signal.SIGTERM else code for code in codes]
         return INTERRUPTED if signal.SIGINT in self._signals else worst(codes)
@@ -120,13 +120,13 @@ class Supervisor:
             self._stop(now) if self._deadline is None else self._kill()
         if self._deadline is not None and now > self._deadline:
             self._kill()
-        for each in self._processes:
-            if each.policy.state == "paused" and now >= each.policy.due_at:
-                self._begin(each, now)
-        ended = [(each, code) for each in self._processes if (code := _ended(each)) is not None]
+        for process in self._processes:
+            if process.policy.state == "paused" and now >= process.policy.due_at:
+                self._begin(process, now)
+        ended = [(process, code) for process in self._processes if (code := _ended(process)) is not None]
         self._exit_reasons.print_new(now)
-        for each, code in ended:
-            self._handle_end(each, code, now)
+        for process, code in ended:
+            self._handle_end(process, code, now)
 
     def _begin(self, process: _Process, now: float) -> None:
         """Start a process; that there is room for no more of them fails all at first, and is a death later."""
@@ -147,7 +147,7 @@ class Supervisor:
         if pause_s is not None:
             complain(f"{who} {how}; it is started again in {pause_s:g} s")
         elif process.policy.is_given_up:
-            others = sum(each.policy.state != "ended" for each in self._processes)
+            others = sum(process.policy.state != "ended" for process in self._processes)
             left = f"{others} {'other goes' if others == 1 else 'others go'} on" if others else "no other is left"
             complain(
                 f"{who} {how}, as it did {process.policy.deaths} times within a minute, and is "
@@ -157,15 +157,15 @@ class Supervisor:
     def _stop(self, now: float) -> None:
         grace_s = 0.0 if signal.SIGINT in self._signals else self._grace_s
         self._deadline = now + _STOP_LIMIT_S + grace_s
-        for each in self._processes:
-            each.policy.stop()
-            if each.child is not None:
-                each.child.terminate()
+        for process in self._processes:
+            process.policy.stop()
+            if process.child is not None:
+                process.child.terminate()
 
     def _kill(self) -> None:
-        for each in self._processes:
-            if each.child is not None:
-                each.child.kill()
+        for process in self._processes:
+            if process.child is not None:
+                process.child.kill()
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self._signals.append(number)

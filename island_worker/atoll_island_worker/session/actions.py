@@ -16,7 +16,7 @@ from atoll_core.wire.messages.workers import (
     Sent,
     States,
 )
-from atoll_island_worker.session.tasks import ShareKey, Task
+from atoll_island_worker.session.tasks import ShardKey, Task
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +54,9 @@ class RunTask:
 
 @dataclass(frozen=True, slots=True)
 class StopAt:
-    """Compute nothing of the share that is not needed when the target was met at `hit`."""
+    """Compute nothing of the shard that is not needed when the target was met at `hit`."""
 
-    share: ShareKey
+    shard: ShardKey
     hit: Position
     commit_order: CommitOrder
 
@@ -65,7 +65,7 @@ class StopAt:
 class Discard:
     """Forget the islands of one archipelago under one term, also those that are being computed."""
 
-    share: ShareKey
+    shard: ShardKey
 
 
 @dataclass(frozen=True, slots=True)

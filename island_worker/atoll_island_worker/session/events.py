@@ -73,11 +73,11 @@ class StatesCame:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The state of an island before generation 0 of an epoch; when it `is_held`, that is all that was wanted."""
+    """The state of an island before generation 0 of an epoch; when it `is_at_barrier`, that is all that was wanted."""
 
     key: TaskKey
     data: bytes
-    is_held: bool
+    is_at_barrier: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class Abandoned:
 
 
 Outcome = Computed | Rejected | Broken | Abandoned
-"""What can come of a task that is not held."""
+"""What can come of a task that is not at a barrier."""
 
 
 @dataclass(frozen=True, slots=True)

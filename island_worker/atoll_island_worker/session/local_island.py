@@ -1,4 +1,4 @@
-"""One island of a share: its states, and when it asks for what it waits for. Pure."""
+"""One island of a shard: its states, and when it asks for what it waits for. Pure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,19 +6,20 @@ from typing import Final, Literal
 
 from atoll_core.errors import LocalProtocolError
 
-IslandState = Literal["restoring", "ready", "computing", "waiting", "held", "stopped"]
-IslandStep = Literal["restore", "begin", "emigrate", "complete", "end", "reject", "hold"]
+IslandState = Literal["restoring", "ready", "computing", "waiting", "at barrier", "stopped"]
+IslandStep = Literal["restore", "begin", "emigrate", "complete", "end", "reject", "reach barrier"]
 
 ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]] = {
     "restoring": {"restore": "ready", "end": "stopped"},
     "ready": {"begin": "computing", "end": "stopped"},
-    "computing": {"emigrate": "waiting", "end": "stopped", "reject": "waiting", "hold": "held"},
+    "computing": {"emigrate": "waiting", "end": "stopped", "reject": "waiting", "reach barrier": "at barrier"},
     "waiting": {"complete": "ready", "end": "stopped"},
-    "held": {"end": "stopped"},
+    "at barrier": {"end": "stopped"},
     "stopped": {},
 }
 """State of one island -> what happens -> its next state. `restoring`: its state is on its way; `computing`: it is in
-the run queue; `held`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last epoch."""
+the run queue; `at barrier`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last
+epoch."""
 
 PULL_AFTER_S: Final = 1.0
 """An island that has waited this long asks the senders; the pause doubles with every question."""

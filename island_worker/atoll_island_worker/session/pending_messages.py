@@ -18,23 +18,24 @@ class PendingMessages:
     def keep(self, mail: Mailed) -> bool:
         """Keep a message; return whether it is the first of its archipelago."""
         is_first = all(
-            (each.body.job, each.body.variable) != (mail.body.job, mail.body.variable) for each in self._messages
+            (message.body.job, message.body.variable) != (mail.body.job, mail.body.variable)
+            for message in self._messages
         )
         self._messages = [*self._messages[-(MAX_PENDING - 1) :], mail]
         return is_first
 
     def take(self, job: str, variable: str) -> list[Mailed]:
         """Remove the messages of an archipelago and return them."""
-        taken = [each for each in self._messages if (each.body.job, each.body.variable) == (job, variable)]
+        taken = [message for message in self._messages if (message.body.job, message.body.variable) == (job, variable)]
         self.forget(job, variable)
         return taken
 
     def forget(self, job: str, variable: str | None = None, term: float = math.inf) -> None:
         """Forget the messages of an archipelago, or of all of a job (`variable` None), up to a term."""
         self._messages = [
-            each
-            for each in self._messages
-            if each.body.job != job or variable not in (None, each.body.variable) or each.body.term > term
+            message
+            for message in self._messages
+            if message.body.job != job or variable not in (None, message.body.variable) or message.body.term > term
         ]
 
     def clear(self) -> None:

@@ -93,7 +93,7 @@ class RetransmitBuffer:
         for epoch in range(pull.first, min(pull.last, reported)):
             if epoch in self._reports and additions < ADDITIONS_PER_ANSWER:
                 reports.append(self.report(epoch))
-                additions += sum(len(each.additions) for each in reports[-1].islands)
+                additions += sum(len(island.additions) for island in reports[-1].islands)
         return Reports(reports=tuple(reports)) if reports else NotYet()
 
     def answer_states(self, pull: PullStates) -> States | NotYet:

@@ -56,7 +56,7 @@ from atoll_island_worker.session.events import (
     Tick,
 )
 from atoll_island_worker.session.pending_messages import PendingMessages
-from atoll_island_worker.session.share import Share
+from atoll_island_worker.session.shard import Shard
 from atoll_island_worker.session.tasks import TaskKey
 
 JobState = Literal["unknown", "loading", "loaded"]
@@ -77,11 +77,11 @@ ArchipelagoKey = tuple[str, str]
 
 
 class Session:
-    """All shares of one worker. Not thread-safe; owned by the worker's loop."""
+    """All shards of one worker. Not thread-safe; owned by the worker's loop."""
 
     def __init__(self, worker: str) -> None:
         self.worker = worker
-        self._shares: dict[ArchipelagoKey, Share] = {}
+        self._shards: dict[ArchipelagoKey, Shard] = {}
         self._jobs: dict[str, JobState] = {}
         self._terms: dict[ArchipelagoKey, int] = {}
         self._pending = PendingMessages()
@@ -92,17 +92,17 @@ class Session:
     @property
     def waited_s(self) -> float:
         """Seconds that islands here have waited for migrants, summed over islands."""
-        return self._waited_before_s + sum(share.waited_s for share in self._shares.values())
+        return self._waited_before_s + sum(shard.waited_s for shard in self._shards.values())
 
     @property
     def duplicates(self) -> int:
         """Blocks of migrants that came again, or too late, and changed nothing."""
-        return self._duplicates_before + sum(share.duplicates for share in self._shares.values())
+        return self._duplicates_before + sum(shard.duplicates for shard in self._shards.values())
 
     def elapse(self, seconds: float) -> None:
         """Let time pass, before an event that came after it."""
-        for share in self._shares.values():
-            share.elapse(seconds)
+        for shard in self._shards.values():
+            shard.elapse(seconds)
 
     def handle(self, event: SessionEvent) -> list[Action]:
         """Take in one event and return what is to be done, computations first.
@@ -116,13 +116,13 @@ class Session:
 
     def state(self) -> WorkerState:
         """Return what the heartbeat says of this worker once its kernels are ready."""
-        if any(share.is_computing() for share in self._shares.values()):
+        if any(shard.is_computing() for shard in self._shards.values()):
             return "computing"
-        return "waiting" if any(share.is_waiting() for share in self._shares.values()) else "ready"
+        return "waiting" if any(shard.is_waiting() for shard in self._shards.values()) else "ready"
 
     def holdings(self) -> tuple[Holding, ...]:
-        """Return what the heartbeat says of every share."""
-        return tuple(share.holding() for share in self._shares.values())
+        """Return what the heartbeat says of every shard."""
+        return tuple(shard.holding() for shard in self._shards.values())
 
     def failures(self) -> tuple[IslandFailure, ...]:
         """Return what broke and has not been closed yet."""
@@ -134,7 +134,7 @@ class Session:
 
     def wants(self, job: str) -> bool:
         """Tell whether the job's dataset is still wanted."""
-        return any(name == job for name, _ in self._shares)
+        return any(name == job for name, _ in self._shards)
 
     def forget_pending(self, job: str) -> None:
         """Forget a job's mail whose placement was asked for and did not come with the answer: it can be pulled."""
@@ -142,10 +142,10 @@ class Session:
 
     def validate(self) -> None:
         """Check the invariants; raises LocalProtocolError."""
-        for (job, variable), share in self._shares.items():
-            share.validate()
-            if self._terms[job, variable] != share.placement.term:
-                raise LocalProtocolError(f"the share of {job}/{variable} is not of the newest term")
+        for (job, variable), shard in self._shards.items():
+            shard.validate()
+            if self._terms[job, variable] != shard.placement.term:
+                raise LocalProtocolError(f"the shard of {job}/{variable} is not of the newest term")
 
     # ------------------------------------------------------------------------------------ coordinator
 
@@ -163,13 +163,13 @@ class Session:
         self._record_term(key, placement.term)
         if self.worker not in placement.workers:
             return actions
-        self._shares[key] = Share(placement, self.worker)
+        self._shards[key] = Shard(placement, self.worker)
         # Also while it loads: a fetch for islands placed elsewhere meanwhile may have been given up.
         if not was_wanted and self._jobs.get(placement.job) != "loaded":
             actions.append(FetchJob(placement.job))
         self._step_job(placement.job, "placed")
         self._deliver_pending(key)
-        return actions + self._fetches(self._shares[key]) + self._stop_from(self._shares[key], None)
+        return actions + self._fetches(self._shards[key]) + self._stop_from(self._shards[key], None)
 
     @_on.register
     def _job_ready(self, event: JobReady) -> list[Action]:
@@ -178,29 +178,29 @@ class Session:
 
     @_on.register
     def _load_failed(self, event: LoadFailed) -> list[Action]:
-        for (job, variable), share in self._shares.items():
+        for (job, variable), shard in self._shards.items():
             if job == event.job:
-                island = next(iter(share.islands))
-                key = TaskKey(job, variable, share.placement.term, island, 0)
-                self._add_failure(share, key, f"the dataset of job {job} cannot be read: {event.sentence}")
+                island = next(iter(shard.islands))
+                key = TaskKey(job, variable, shard.placement.term, island, 0)
+                self._add_failure(shard, key, f"the dataset of job {job} cannot be read: {event.sentence}")
         return []
 
     @_on.register
     def _committed(self, commit: Commit) -> list[Action]:
-        share = self._shares.get((commit.job, commit.variable))
-        if share is not None and share.placement.term == commit.term:
-            share.commit_at(commit)
+        shard = self._shards.get((commit.job, commit.variable))
+        if shard is not None and shard.placement.term == commit.term:
+            shard.commit_at(commit)
         return []
 
     @_on.register
     def _closed(self, close: Close) -> list[Action]:
         self._pending.forget(close.job, close.variable, close.term)
-        share = self._shares.get((close.job, close.variable))
-        return self._drop((close.job, close.variable)) if share and share.placement.term <= close.term else []
+        shard = self._shards.get((close.job, close.variable))
+        return self._drop((close.job, close.variable)) if shard and shard.placement.term <= close.term else []
 
     @_on.register
     def _job_closed(self, event: CloseJob) -> list[Action]:
-        keys = [key for key in self._shares if key[0] == event.job]
+        keys = [key for key in self._shards if key[0] == event.job]
         actions: list[Action] = [action for key in keys for action in self._drop(key)]
         self._pending.forget(event.job)
         if self._jobs.get(event.job, "unknown") != "unknown":
@@ -211,11 +211,11 @@ class Session:
 
     @_on.register
     def _reset(self, event: Reset) -> list[Action]:
-        void = [key for key, each in self._shares.items() if each.placement.incarnation != event.incarnation]
+        void = [key for key, shard in self._shards.items() if shard.placement.incarnation != event.incarnation]
         actions: list[Action] = [action for key in void for action in self._drop(key)]
         actions += [DiscardJob(job) for job in self.jobs() if not self.wants(job)]
         self._jobs = {job: state for job, state in self._jobs.items() if self.wants(job)}
-        self._terms = {key: share.placement.term for key, share in self._shares.items()}
+        self._terms = {key: shard.placement.term for key, shard in self._shards.items()}
         self._pending.clear()
         return actions
 
@@ -228,26 +228,26 @@ class Session:
         if event.body.term > term:
             is_first = self._pending.keep(event)
             return [FetchPlacements(event.body.job)] if is_first else []
-        share = self._shares.get(key)
-        if share is None or event.body.term < term:
+        shard = self._shards.get(key)
+        if shard is None or event.body.term < term:
             return []
-        before = share.stop
-        share.deliver(event.sender, event.body)
-        return self._stop_from(share, before) + list(share.due_reports())
+        before = shard.stop
+        shard.deliver(event.sender, event.body)
+        return self._stop_from(shard, before) + list(shard.due_reports())
 
     @_on.register
     def _pull_asked(self, event: PullAsked) -> list[Action]:
         pull = event.body
         key = (pull.job, pull.variable)
-        share = self._shares.get(key)
-        if share is None or pull.term != share.placement.term:
+        shard = self._shards.get(key)
+        if shard is None or pull.term != shard.placement.term:
             term = self._terms.get(key, 0)
             return [Respond(event.handle, NewerTerm(job=pull.job, variable=pull.variable, term=term))]
         if isinstance(pull, PullReports):
-            return [Respond(event.handle, share.answer_reports(pull))]
+            return [Respond(event.handle, shard.answer_reports(pull))]
         if isinstance(pull, PullStates):
-            return [Respond(event.handle, share.answer_states(pull))]
-        return [Respond(event.handle, share.answer_migrants(pull))]
+            return [Respond(event.handle, shard.answer_states(pull))]
+        return [Respond(event.handle, shard.answer_migrants(pull))]
 
     @_on.register
     def _pull_answered(self, event: PullAnswered) -> list[Action]:
@@ -257,103 +257,103 @@ class Session:
         actions: list[Action] = []
         if isinstance(body, Sent):
             mail: list[Migrants | Finished] = [*([body.migrants] if body.migrants else []), *body.finished]
-            for each in mail:
-                actions += self._mailed(Mailed(event.peer, each))
+            for message in mail:
+                actions += self._mailed(Mailed(event.peer, message))
         return actions
 
     @_on.register
     def _tick(self, event: Tick) -> list[Action]:
         actions: list[Action] = []
-        for share in self._shares.values():
-            actions += [AskPeer(peer, pull) for peer, pull in share.due_pulls(event.now)]
-            actions += self._fetches(share)
+        for shard in self._shards.values():
+            actions += [AskPeer(peer, pull) for peer, pull in shard.due_pulls(event.now)]
+            actions += self._fetches(shard)
         return actions
 
     @_on.register
     def _states_came(self, event: StatesCame) -> list[Action]:
         asked = event.asked
-        share = self._shares.get((asked.job, asked.variable))
-        if share is None or share.placement.term != asked.term or not share.fetched(event.body):
+        shard = self._shards.get((asked.job, asked.variable))
+        if shard is None or shard.placement.term != asked.term or not shard.fetched(event.body):
             return []  # asked again at the next tick
-        return self._fetches(share)
+        return self._fetches(shard)
 
     # ---------------------------------------------------------------------------------------- compute
 
     @_on.register
     def _computed(self, event: Computed) -> list[Action]:
-        share = self._share_computing(event.key)
-        return [*share.computed(event), *share.due_reports()] if share else []
+        shard = self._shard_computing(event.key)
+        return [*shard.computed(event), *shard.due_reports()] if shard else []
 
     @_on.register
     def _snapshot(self, event: Snapshot) -> list[Action]:
-        share = self._share_computing(event.key)
-        return [SendHeartbeat()] if share is not None and share.file_snapshot(event) else []
+        shard = self._shard_computing(event.key)
+        return [SendHeartbeat()] if shard is not None and shard.file_snapshot(event) else []
 
     @_on.register
     def _rejected(self, event: Rejected) -> list[Action]:
-        share = self._share_computing(event.key)
-        if share is not None and not share.rejected(event.key.island):
-            self._add_failure(share, event.key, event.sentence)
-        return list(share.due_reports()) if share else []
+        shard = self._shard_computing(event.key)
+        if shard is not None and not shard.rejected(event.key.island):
+            self._add_failure(shard, event.key, event.sentence)
+        return list(shard.due_reports()) if shard else []
 
     @_on.register
     def _broken(self, event: Broken) -> list[Action]:
-        share = self._share_computing(event.key)
-        if share is not None:
-            self._add_failure(share, event.key, event.sentence)
+        shard = self._shard_computing(event.key)
+        if shard is not None:
+            self._add_failure(shard, event.key, event.sentence)
         return []
 
     @_on.register
     def _abandoned(self, event: Abandoned) -> list[Action]:
-        share = self._share_computing(event.key)
-        if share is None:
+        shard = self._shard_computing(event.key)
+        if shard is None:
             return []
-        share.abandoned(event.key.island)
-        return list(share.due_reports())
+        shard.abandoned(event.key.island)
+        return list(shard.due_reports())
 
     # ----------------------------------------------------------------------------------------- private
 
     def _computations(self) -> list[Action]:
         """Begin every island that can begin; in what order they take turns is for the compute thread to say."""
         runnable = [
-            (share, local.index)
-            for (job, _), share in self._shares.items()
+            (shard, local.index)
+            for (job, _), shard in self._shards.items()
             if self._jobs.get(job) == "loaded"
-            for local in share.runnable()
+            for local in shard.runnable()
         ]
-        return [RunTask(share.begin(island)) for share, island in runnable]
+        return [RunTask(shard.begin(island)) for shard, island in runnable]
 
-    def _fetches(self, share: Share) -> list[Action]:
+    def _fetches(self, shard: Shard) -> list[Action]:
         """Ask for the states with which the term begins, one message at a time."""
-        pull = share.due_fetch()
+        pull = shard.due_fetch()
         return [FetchStates(pull)] if pull is not None else []
 
-    def _stop_from(self, share: Share, before: Position | None) -> list[Action]:
+    def _stop_from(self, shard: Shard, before: Position | None) -> list[Action]:
         """Have the compute thread stop where the target was met, when that is not where it was before."""
         return (
             []
-            if share.stop is None or share.stop == before
-            else [StopAt(share.key, share.stop, share.placement.commit_order)]
+            if shard.stop is None or shard.stop == before
+            else [StopAt(shard.key, shard.stop, shard.placement.commit_order)]
         )
 
-    def _share_computing(self, key: TaskKey) -> Share | None:
-        """Return the share of a task that the compute thread is done with, unless the share is gone.
+    def _shard_computing(self, key: TaskKey) -> Shard | None:
+        """Return the shard of a task that the compute thread is done with, unless the shard is gone.
 
-        Raises LocalProtocolError when it was not computed for that share.
+        Raises LocalProtocolError when it was not computed for that shard.
         """
-        share = self._share_of(key)
-        if share is not None:
-            local = share.islands.get(key.island)
+        shard = self._shard_of(key)
+        if shard is not None:
+            local = shard.islands.get(key.island)
             if local is None or (local.state, local.epoch) != ("computing", key.epoch):
                 raise LocalProtocolError(f"{key} was computed, but nobody asked for it")
-        return share
+        return shard
 
-    def _share_of(self, key: TaskKey) -> Share | None:
-        share = self._shares.get((key.job, key.variable))
-        return share if share is not None and share.placement.term == key.term else None
+    def _shard_of(self, key: TaskKey) -> Shard | None:
+        shard = self._shards.get((key.job, key.variable))
+        return shard if shard is not None and shard.placement.term == key.term else None
 
-    def _add_failure(self, share: Share, key: TaskKey, sentence: str) -> None:
-        local = share.islands[key.island]
+    def _add_failure(self, shard: Shard, key: TaskKey, sentence: str) -> None:
+        local = shard.islands[key.island]
         if local.state != "stopped":
             local.step("end")
         failure = IslandFailure(
@@ -362,12 +362,12 @@ class Session:
         self._failures.append(failure)
 
     def _drop(self, key: ArchipelagoKey) -> list[Action]:
-        share = self._shares.pop(key, None)
-        if share is not None:
-            self._waited_before_s += share.waited_s
-            self._duplicates_before += share.duplicates
-        self._failures = [each for each in self._failures if (each.job, each.variable) != key]
-        return [Discard(share.key)] if share is not None else []
+        shard = self._shards.pop(key, None)
+        if shard is not None:
+            self._waited_before_s += shard.waited_s
+            self._duplicates_before += shard.duplicates
+        self._failures = [failure for failure in self._failures if (failure.job, failure.variable) != key]
+        return [Discard(shard.key)] if shard is not None else []
 
     def _record_term(self, key: ArchipelagoKey, term: int) -> None:
         """Remember the newest term of an archipelago; of those that are not computed here no more than `MAX_TERMS`.
@@ -376,19 +376,21 @@ class Session:
         """
         self._terms.pop(key, None)
         self._terms[key] = term
-        elsewhere = [each for each in self._terms if each not in self._shares and each != key]
-        for each in elsewhere[:-MAX_TERMS]:
-            del self._terms[each]
+        elsewhere = [
+            archipelago for archipelago in self._terms if archipelago not in self._shards and archipelago != key
+        ]
+        for archipelago in elsewhere[:-MAX_TERMS]:
+            del self._terms[archipelago]
 
     def _step_job(self, job: str, step: JobStep) -> None:
         self._jobs[job] = JOB_TRANSITIONS[self._jobs.get(job, "unknown")][step]
 
     def _deliver_pending(self, key: ArchipelagoKey) -> None:
         """File the mail that came before its placement; what does not fit is dropped, it can be pulled."""
-        share = self._shares[key]
-        for each in self._pending.take(*key):
-            if each.body.term == share.placement.term:
+        shard = self._shards[key]
+        for message in self._pending.take(*key):
+            if message.body.term == shard.placement.term:
                 try:
-                    share.deliver(each.sender, each.body)
+                    shard.deliver(message.sender, message.body)
                 except RemoteProtocolError:
                     continue

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from atoll_core.search.commit_order import CommitOrder
 
 
-class ShareKey(NamedTuple):
+class ShardKey(NamedTuple):
     """One archipelago under one term."""
 
     job: str
@@ -26,9 +26,9 @@ class TaskKey:
     epoch: int
 
     @property
-    def share(self) -> ShareKey:
+    def shard(self) -> ShardKey:
         """The archipelago and its term."""
-        return ShareKey(self.job, self.variable, self.term)
+        return ShardKey(self.job, self.variable, self.term)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Task:
 
     Emigrants are wanted unless the epoch `is_last`; by the `commit_order` its slices count before or after others.
     `state` is what the island goes on from when its term begins at a checkpoint. A snapshot is wanted at a checkpoint;
-    an epoch that `is_held` is begun for its sake alone.
+    an epoch that `is_at_barrier` is begun for the snapshot alone.
     """
 
     key: TaskKey
@@ -46,4 +46,4 @@ class Task:
     commit_order: CommitOrder
     state: bytes | None = None
     takes_snapshot: bool = False
-    is_held: bool = False
+    is_at_barrier: bool = False

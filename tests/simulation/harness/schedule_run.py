@@ -228,7 +228,7 @@ class ScheduleRun:
         worker, compute = self.participants.workers[name], self.participants.computes[name]
         session, queue = worker.session, compute._queue
         held = {
-            "shares": session.holdings(),
+            "shards": session.holdings(),
             "failures": session.failures(),
             "states of jobs": session.jobs(),
             "pending messages": session._pending._messages,

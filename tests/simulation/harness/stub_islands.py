@@ -21,7 +21,7 @@ from atoll_core.wire.messages.workers import Addition, HitStatement, IslandRepor
 from atoll_island_worker.compute.compute_thread import WarmedUp, WarmUpNote
 from atoll_island_worker.compute.run_queue import RunQueue, Work
 from atoll_island_worker.session.events import Computed, JobReady
-from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+from atoll_island_worker.session.tasks import ShardKey, Task, TaskKey
 from tests.simulation.bus.network import SimulatedNetwork
 
 OURS = source_digest(WORKER)
@@ -162,7 +162,7 @@ class StubCompute:
     turns: int = 0
     restored: list[tuple[int, int, int]] = field(default_factory=list)
     _jobs: dict[str, JobConfig] = field(default_factory=dict)
-    _islands: dict[ShareKey, dict[int, StubIsland]] = field(default_factory=dict)
+    _islands: dict[ShardKey, dict[int, StubIsland]] = field(default_factory=dict)
     _post: Callable[[object], None] | None = None
     _dead: bool = False
     _is_at_work: bool = False
@@ -196,12 +196,12 @@ class StubCompute:
         self._say_all(self._queue.add(task))
         self._go_on()
 
-    def stop_at(self, share: ShareKey, hit: Position, commit_order: CommitOrder) -> None:
-        self._say_all(self._queue.stop_at(share, hit, commit_order))
+    def stop_at(self, shard: ShardKey, hit: Position, commit_order: CommitOrder) -> None:
+        self._say_all(self._queue.stop_at(shard, hit, commit_order))
 
-    def discard(self, share: ShareKey) -> None:
-        self._queue.discard(share)
-        self._islands.pop(share, None)
+    def discard(self, shard: ShardKey) -> None:
+        self._queue.discard(shard)
+        self._islands.pop(shard, None)
 
     def discard_job(self, job: str) -> None:
         self._queue.discard_job(job)
@@ -229,7 +229,7 @@ class StubCompute:
         if (key.island, key.epoch) == self.broken:
             raise ZeroDivisionError("the stub broke as it was told to")
         config = self._jobs[key.job]
-        islands = self._islands.setdefault(key.share, {})
+        islands = self._islands.setdefault(key.shard, {})
         if task.state is not None:
             self.restored.append((key.term, key.epoch, key.island))
             islands[key.island] = StubIsland.from_bytes(task.state)

@@ -86,10 +86,10 @@ def test_the_address_may_come_from_the_environment_and_the_name_from_host_and_pr
 def test_a_worker_leaves_after_its_lifetime_and_has_some_grace(
     words: list[str], lifetime_s: float | None, grace_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[tuple[float | None, float]] = []
-    monkeypatch.setattr(worker_module, "run_worker", lambda *arguments: given.append(arguments[3:5]) or 0)
+    calls: list[tuple[float | None, float]] = []
+    monkeypatch.setattr(worker_module, "run_worker", lambda *arguments: calls.append(arguments[3:5]) or 0)
     assert cli.main(["--connect", "tcp/a:1", "--processes", "1", *words]) == 0
-    assert given == [(lifetime_s, grace_s)]
+    assert calls == [(lifetime_s, grace_s)]
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from atoll_coordinator.data.differentiation.standard_deviation import (
     representable_standard_deviation,
 )
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.data.row_selection.rows import SelectedRows
+from atoll_coordinator.data.row_selection.selected_rows import SelectedRows
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, Target
@@ -105,7 +105,7 @@ def assemble_differentiated(
 
 
 def _take_rows(dataset: Dataset, rows: list[int]) -> Dataset:
-    targets = [replace(each, values=np.ascontiguousarray(each.values[rows])) for each in dataset.targets]
+    targets = [replace(target, values=np.ascontiguousarray(target.values[rows])) for target in dataset.targets]
     groups = None if dataset.groups is None else np.ascontiguousarray(dataset.groups[rows])
     inputs = np.ascontiguousarray(dataset.inputs[:, rows])
     return replace(dataset, inputs=inputs, targets=tuple(targets), groups=groups)

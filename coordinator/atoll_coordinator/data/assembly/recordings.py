@@ -7,7 +7,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.inputs import estimate_input_slopes
 from atoll_coordinator.data.recording import ExcludedRow, Method, Recording, Smoothing, Trajectory
-from atoll_coordinator.data.row_selection.rows import SelectedRows
+from atoll_coordinator.data.row_selection.selected_rows import SelectedRows
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.data.trajectories.trajectories import Range
 from atoll_core.data.dataset import FloatArray
@@ -46,8 +46,8 @@ def build_recording(
     robustness_weights = None
     if any(estimate.robustness_weights is not None for estimate in estimates):
         ones = np.ones(rows)
-        given = [estimate.robustness_weights for estimate in estimates]
-        robustness_weights = _stack([ones if each is None else each for each in given], rows)
+        by_state = [estimate.robustness_weights for estimate in estimates]
+        robustness_weights = _stack([ones if of_state is None else of_state for of_state in by_state], rows)
     is_known = np.array([estimate.is_known for estimate in estimates])
     trajectories = [
         Trajectory(

@@ -202,10 +202,13 @@ def _estimate(
     if fit is None or not fit.outliers:
         return replace(_by_loess(signals, smoother, options.order, searched, least), has_heavy_tails=is_tailed)
     rest = iter(fit.signals)
-    weighted = [next(rest) if any(signal is each for each in searched) else weigh_by(fit, signal) for signal in signals]
-    given = [signal.robustness_weights for signal in weighted]
+    weighted = [
+        next(rest) if any(signal is other for other in searched) else weigh_by(fit, signal) for signal in signals
+    ]
+    robustness_weights = [signal.robustness_weights for signal in weighted]
     weights = [
-        np.ones(len(signal.times)) if each is None else each for signal, each in zip(weighted, given, strict=True)
+        np.ones(len(signal.times)) if row_weights is None else row_weights
+        for signal, row_weights in zip(weighted, robustness_weights, strict=True)
     ]
     estimate = _by_loess(weighted, fit.smoother, options.order, fit.signals, least)
     return replace(estimate, outliers=fit.outliers, robustness_weights=np.concatenate(weights))
@@ -269,8 +272,8 @@ def _is_long_enough(signal: Signal) -> bool:
 
 def _joined(smoothed: Sequence[SmoothedSignal]) -> tuple[FloatArray, FloatArray]:
     """Return fits and gains over the rows of all signals."""
-    fits = np.concatenate([each.fits for each in smoothed], axis=1)
-    return fits, np.concatenate([each.gains for each in smoothed], axis=1)
+    fits = np.concatenate([signal.fits for signal in smoothed], axis=1)
+    return fits, np.concatenate([signal.gains for signal in smoothed], axis=1)
 
 
 def _standard_deviation(signals: Sequence[Signal]) -> float:
@@ -280,20 +283,22 @@ def _standard_deviation(signals: Sequence[Signal]) -> float:
 
 def _interpolate(signals: Sequence[Signal], order: int, noise: float, deviation: float) -> StateEstimate:
     filled = [fill_holes(signal) for signal in signals]
-    known = [np.flatnonzero(np.isfinite(each.steps)) for each in filled]
+    known = [np.flatnonzero(np.isfinite(filling.steps)) for filling in filled]
     parts = [slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0) for rows in known]
     whole = [
-        Signal(each.signal.times[part], each.signal.values[part]) for each, part in zip(filled, parts, strict=True)
+        Signal(filling.signal.times[part], filling.signal.values[part])
+        for filling, part in zip(filled, parts, strict=True)
     ]
     errors = [
-        np.maximum(noise, noise * each.gains + each.steps)[part] for each, part in zip(filled, parts, strict=True)
+        np.maximum(noise, noise * filling.gains + filling.steps)[part]
+        for filling, part in zip(filled, parts, strict=True)
     ]
-    rows = np.concatenate([np.isfinite(each.steps) for each in filled])
+    rows = np.concatenate([np.isfinite(filling.steps) for filling in filled])
     velocity, uncertainty = _spread(interpolate_derivative(whole, 1, errors), rows)
     derivative = velocity
     if order == 2:
         derivative, uncertainty = _spread(interpolate_derivative(whole, 2, errors), rows)
-    values = np.concatenate([each.signal.values for each in filled])
+    values = np.concatenate([filling.signal.values for filling in filled])
     estimate = StateEstimate(values, velocity, derivative, uncertainty, uncertainty, noise, deviation, None)
     return _without_unknown(estimate, signals, np.where(rows, 0.0, math.inf))
 

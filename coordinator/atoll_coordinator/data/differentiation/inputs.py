@@ -44,8 +44,8 @@ def estimate_input_slopes(times: Sequence[FloatArray], values: Sequence[FloatArr
         times: of each trajectory, ascending strictly, 5 rows or more.
         values: of the input at these times, finite.
     """
-    _, exponent = math.frexp(max(float(np.max(np.abs(each))) for each in values))
-    samples = [(each_times, np.ldexp(each, -exponent)) for each_times, each in zip(times, values, strict=True)]
+    _, exponent = math.frexp(max(float(np.max(np.abs(part))) for part in values))
+    samples = [(part_times, np.ldexp(part, -exponent)) for part_times, part in zip(times, values, strict=True)]
     best = min(_KINDS, key=lambda kind: _left_out_error(kind, samples))
     with np.errstate(over="ignore", under="ignore"):
         return [np.ldexp(best(*sample), exponent) for sample in samples]

@@ -122,8 +122,8 @@ def interpolate_derivative(
 def _loess_errors(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> FloatArray:
     """Return the leave-one-out errors of loess, residual / (1 - leverage), of all rows that were measured."""
     values = np.concatenate([signal.values for signal in signals])
-    fits = np.concatenate([each.fits[0] for each in smoothed])
-    leverages = np.concatenate([each.gains[3] for each in smoothed])
+    fits = np.concatenate([signal.fits[0] for signal in smoothed])
+    leverages = np.concatenate([signal.gains[3] for signal in smoothed])
     if any(signal.is_measured is not None for signal in signals):
         ones = [np.ones(len(signal.times)) if signal.is_measured is None else signal.is_measured for signal in signals]
         rows = np.concatenate(ones) > 0.0

@@ -31,37 +31,39 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     unique = np.unique(values)
     if len(unique) < LIMITS.fewest_values:
         return None
-    found = [_decimal_rounding(unique), _binary_rounding(unique)]
-    finest = max((each.step for each in found if each is not None), default=0.0)
-    found.append(_common_step(unique, finest))
-    coarsest = max((each for each in found if each is not None), key=lambda each: each.error, default=None)
+    roundings = [_decimal_rounding(unique), _binary_rounding(unique)]
+    finest = max((rounding.step for rounding in roundings if rounding is not None), default=0.0)
+    roundings.append(_common_step(unique, finest))
+    coarsest = max(
+        (rounding for rounding in roundings if rounding is not None), key=lambda rounding: rounding.error, default=None
+    )
     spread = float(unique[-1] - unique[0])
     return (
         coarsest if coarsest is not None and coarsest.error > SETTINGS.interpolation.smallest_noise * spread else None
     )
 
 
-def is_refuted(found: Quantisation, signals: Sequence[Signal]) -> bool:
+def is_refuted(quantisation: Quantisation, signals: Sequence[Signal]) -> bool:
     """Say whether a state follows a smooth curve more closely, in every row, than rounded values could: it is exact.
 
     Whole numbers that are squares, or a line in even steps, show a step and have no error. Where values were rounded,
     the curve misses some row by about the error of rounding, however slowly the state moves.
 
     Args:
-        found: what the digits say.
+        quantisation: what the digits say.
         signals: the state along each trajectory that is long enough to be differentiated.
     """
     errors, gains = predict_left_out([signal.measured for signal in signals])
     largest = np.max(np.abs(errors) / gains, axis=0)
-    return bool(np.any(largest < SETTINGS.common.negligible * found.error))
+    return bool(np.any(largest < SETTINGS.common.negligible * quantisation.error))
 
 
 def _decimal_rounding(values: FloatArray) -> Quantisation:
     """Return the rounding of decimals: to a place, or to significant digits where that is coarser."""
     numbers = [Decimal(repr(value)).normalize() for value in values.tolist() if value != 0.0]
-    digits = max(len(each.as_tuple().digits) for each in numbers)
-    place = min(int(each.as_tuple().exponent) for each in numbers)
-    steps = [10.0 ** (each.adjusted() + 1 - digits) for each in numbers]
+    digits = max(len(number.as_tuple().digits) for number in numbers)
+    place = min(int(number.as_tuple().exponent) for number in numbers)
+    steps = [10.0 ** (number.adjusted() + 1 - digits) for number in numbers]
     by_digits = math.sqrt(sum(step * step for step in steps) / len(steps)) / _ROOT_12
     by_place = 10.0**place / _ROOT_12
     if by_digits > by_place:

@@ -53,7 +53,9 @@ class Signal:
         if self.is_measured is None:
             return self
         rows = self.is_measured > 0.0
-        weights = [None if each is None else each[rows] for each in (self.robustness_weights, self.inverse_variances)]
+        weights = [
+            None if factor is None else factor[rows] for factor in (self.robustness_weights, self.inverse_variances)
+        ]
         return Signal(self.times[rows], self.values[rows], *weights)
 
     @cached_property
@@ -65,8 +67,8 @@ class Signal:
     def weights(self) -> FloatArray:
         """The weight of each row, (R,): its inverse variance times its robustness weight, 0 where it is missing."""
         weights = self.filled_inverse_variances
-        for each in (self.robustness_weights, self.is_measured):
-            weights = weights if each is None else each * weights
+        for factor in (self.robustness_weights, self.is_measured):
+            weights = weights if factor is None else factor * weights
         return weights
 
 
@@ -187,7 +189,7 @@ def _score_degrees(parts: Sequence[_BinnedSignal], span: int, every: int, degree
         signal = part.signal
         validate_into(sums, signal.times, signal.values, signal.weights, part.span(span), every)
     smoothers = (Smoother(span, degree, _score(sums[:, degree])) for degree in degrees)
-    return min(smoothers, key=lambda each: each.score)
+    return min(smoothers, key=lambda smoother: smoother.score)
 
 
 def _score(sums: FloatArray) -> float:

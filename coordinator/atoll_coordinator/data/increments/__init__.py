@@ -7,7 +7,7 @@
 - `correlations`: whether the noises of two states go together, by a test on signs
 - `moments`: mean and products of steps in each bin; measurement noise told by a test
 - `targets`: all of these -> `Preparation`: one target for each drift and for each component of the diffusion
-- `sums`: sums that are the same on every machine
+- `exact_sums`: sums that are the same on every machine
 
 What goes into the search is made with + - * / and square roots alone, sums exactly rounded.
 """

@@ -21,10 +21,10 @@ def split_into_bins(positions: FloatArray, most: int) -> list[Rows]:
 
 
 def _halves(positions: FloatArray, rows: Rows, ranges: FloatArray) -> tuple[Rows, Rows]:
-    its = positions[:, rows]
-    widths = np.max(its, axis=1) - np.min(its, axis=1)
+    points = positions[:, rows]
+    widths = np.max(points, axis=1) - np.min(points, axis=1)
     shares = [
         width / whole if whole > 0.0 else 0.0 for width, whole in zip(widths.tolist(), ranges.tolist(), strict=True)
     ]
-    order = rows[np.argsort(its[shares.index(max(shares))], kind="stable")]
+    order = rows[np.argsort(points[shares.index(max(shares))], kind="stable")]
     return order[: len(order) // 2], order[len(order) // 2 :]

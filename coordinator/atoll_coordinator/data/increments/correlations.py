@@ -17,9 +17,9 @@ import numpy as np
 
 from atoll_coordinator.data.increments.bins import Rows
 from atoll_coordinator.data.increments.differences import separate_windows
+from atoll_coordinator.data.increments.exact_sums import total
 from atoll_coordinator.data.increments.roughness import is_driven
 from atoll_coordinator.data.increments.steps import Steps
-from atoll_coordinator.data.increments.sums import total
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
@@ -58,7 +58,7 @@ def correlation_scores(products: FloatArray, bins: Sequence[Rows]) -> tuple[floa
     variance = math.fsum(squares)
     if not variance > 0.0:
         return 0.0, 0.0
-    parts = [its * its / square for its, square in zip(sums, squares, strict=True) if square > 0.0]
+    parts = [bin_sum * bin_sum / square for bin_sum, square in zip(sums, squares, strict=True) if square > 0.0]
     spread = 2.0 / (9.0 * len(parts))
     local = (_cube_root(math.fsum(parts) / len(parts)) - (1.0 - spread)) / math.sqrt(spread)
     return abs(math.fsum(sums)) / math.sqrt(variance), local

@@ -25,13 +25,13 @@ class Windows:
 
     def differences(self, state: int) -> FloatArray:
         """Return the difference of one state in each window (W,), as a share of the deviation of Brownian motion's."""
-        found, variance = np.zeros(len(self.first)), np.zeros(len(self.first))
+        differences, variance = np.zeros(len(self.first)), np.zeros(len(self.first))
         lengths = self._moves(self.steps.lengths)
         moves = self._moves(self.steps.increments[state])
         for weight, move, length in zip(_weights(lengths), moves, lengths, strict=True):
-            found += weight * move
+            differences += weight * move
             variance += weight * weight * length
-        return np.asarray(found / np.sqrt(variance))
+        return np.asarray(differences / np.sqrt(variance))
 
     def _moves(self, values: FloatArray) -> list[FloatArray]:
         """Return the sums of each move's steps, (W,) for each of the moves."""
@@ -72,7 +72,7 @@ def _weights(lengths: Sequence[FloatArray]) -> list[FloatArray]:
         for j, other in enumerate(times):
             product = product * (time - other) if i != j else product
         of_rows.append(1.0 / product)
-    found = [of_rows[-1]]
-    for its in reversed(of_rows[1:-1]):
-        found.append(found[-1] + its)
-    return found[::-1]
+    weights = [of_rows[-1]]
+    for of_row in reversed(of_rows[1:-1]):
+        weights.append(weights[-1] + of_row)
+    return weights[::-1]

@@ -13,8 +13,8 @@ import numpy as np
 
 from atoll_coordinator.data.increments.bins import Rows, split_into_bins
 from atoll_coordinator.data.increments.correlations import Pair, correlated_pairs
+from atoll_coordinator.data.increments.exact_sums import total
 from atoll_coordinator.data.increments.steps import Steps
-from atoll_coordinator.data.increments.sums import total
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
@@ -54,14 +54,17 @@ def bin_moments(steps: Steps) -> BinnedMoments:
         noise = np.where(noise > 0.0, np.maximum(measurement_noise(residuals, steps), noise), 0.0)
     pairs = [(i, i) for i in range(len(drift))] + correlated_pairs(steps, bins)
     squares = {pair: products(residuals, steps, pair, corrected=bool((noise > 0.0).any())) for pair in pairs}
-    points = np.array([[total(its[rows]) / len(rows) for rows in bins] for its in steps.points])
+    points = np.array([[total(positions[rows]) / len(rows) for rows in bins] for positions in steps.points])
     means = {
         pair: np.array(
-            [total(its[rows]) / total(steps.lengths[rows]) * factor for rows, factor in zip(bins, factors, strict=True)]
+            [
+                total(pair_products[rows]) / total(steps.lengths[rows]) * factor
+                for rows, factor in zip(bins, factors, strict=True)
+            ]
         )
-        for pair, its in squares.items()
+        for pair, pair_products in squares.items()
     }
-    errors = [_mean_error(its, steps.lengths, bins) for its in (*residuals, *squares.values())]
+    errors = [_mean_error(values, steps.lengths, bins) for values in (*residuals, *squares.values())]
     return BinnedMoments(points, drift, means, errors, noise)
 
 
@@ -82,7 +85,7 @@ def _drift(steps: Steps, bins: Sequence[Rows]) -> tuple[FloatArray, FloatArray, 
     factors = []
     for number, rows in enumerate(bins):
         design = _design(steps, rows)
-        sides = [[total(column * its[rows]) for its in steps.increments] for column in design]
+        sides = [[total(column * increments[rows]) for increments in steps.increments] for column in design]
         normal = [[total(one * other) for other in design] for one in design]
         solved, rank = _solved(normal, sides)
         for state in range(len(drift)):
@@ -96,9 +99,9 @@ def _drift(steps: Steps, bins: Sequence[Rows]) -> tuple[FloatArray, FloatArray, 
 def _design(steps: Steps, rows: Rows) -> list[FloatArray]:
     """Return what multiplies each coefficient: the length of a step, and that times where it begins, from -1 to 1."""
     columns = [steps.lengths[rows]]
-    for its in steps.points:
-        middle = total(its[rows]) / len(rows)
-        away = its[rows] - middle
+    for positions in steps.points:
+        middle = total(positions[rows]) / len(rows)
+        away = positions[rows] - middle
         widest = float(np.max(np.abs(away)))
         columns.append(away / widest * steps.lengths[rows] if widest > 0.0 else np.zeros(len(rows)))
     return columns
@@ -116,7 +119,7 @@ def _solved(normal: list[list[float]], sides: list[list[float]]) -> tuple[list[l
         is_determined.append(matrix[k][k] > _DEPENDENT * normal[k][k])
         for i in range(k + 1, size):
             factor = matrix[i][k] / matrix[k][k] if is_determined[k] else 0.0
-            matrix[i] = [its - factor * pivot for its, pivot in zip(matrix[i], matrix[k], strict=True)]
+            matrix[i] = [entry - factor * pivot for entry, pivot in zip(matrix[i], matrix[k], strict=True)]
     solution = [[0.0] * len(sides[0]) for _ in range(size)]
     for k in range(size - 1, -1, -1):
         if is_determined[k]:
@@ -136,14 +139,14 @@ def lagged(steps: Steps) -> Steps:
 
 def measurement_noise(residuals: FloatArray, steps: Steps) -> FloatArray:
     """Return the variance of errors of measurement of each state (S,), 0 where products of neighbours are chance."""
-    found = np.zeros(len(residuals))
+    variances = np.zeros(len(residuals))
     rows = np.flatnonzero(steps.follows)
-    for state, its in enumerate(residuals):
-        products = its[rows] * its[rows - 1]
+    for state, residual in enumerate(residuals):
+        products = residual[rows] * residual[rows - 1]
         covariance, square = total(products), total(products * products)
         if covariance < 0.0 and covariance * covariance > SETTINGS.process.significant**2 * square:
-            found[state] = -covariance / len(rows)
-    return found
+            variances[state] = -covariance / len(rows)
+    return variances
 
 
 def products(residuals: FloatArray, steps: Steps, pair: Pair, *, corrected: bool) -> FloatArray:
@@ -152,13 +155,13 @@ def products(residuals: FloatArray, steps: Steps, pair: Pair, *, corrected: bool
     E r_k^2 = B h + 2 var e and E r_k r_k+1 = - var e, so that the sum of the first and both neighbours is B h.
     """
     one, other = residuals[pair[0]], residuals[pair[1]]
-    found = one * other
+    product = one * other
     if corrected:
         rows = np.flatnonzero(steps.follows)
         mixed = 0.5 * (one[rows] * other[rows - 1] + one[rows - 1] * other[rows])
-        found[rows] += mixed
-        found[rows - 1] += mixed
-    return np.asarray(found)
+        product[rows] += mixed
+        product[rows - 1] += mixed
+    return np.asarray(product)
 
 
 def _freedom(rows: Rows) -> float:
@@ -169,7 +172,7 @@ def _mean_error(values: FloatArray, lengths: FloatArray, bins: Sequence[Rows]) -
     """Return the mean standard error of the sums of `values` over the time of their bin."""
     errors = []
     for rows in bins:
-        time, its = total(lengths[rows]), values[rows]
-        spread = its - total(its) / len(rows)
+        time, in_bin = total(lengths[rows]), values[rows]
+        spread = in_bin - total(in_bin) / len(rows)
         errors.append(math.sqrt(total(spread * spread) * _freedom(rows)) / time)
     return math.fsum(errors) / len(errors)

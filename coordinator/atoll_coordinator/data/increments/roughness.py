@@ -26,11 +26,11 @@ _SMOOTH: Final = 2.0**10
 
 def noise_shares(steps: Steps) -> FloatArray:
     """Return about how large noise is beside the median step, for each state (S,)."""
-    found = np.zeros(len(steps.increments))
-    for state, its in enumerate(steps.increments):
-        step, rate = float(np.median(np.abs(its))), noise_rate(steps, state)
-        found[state] = math.sqrt(rate * float(np.median(steps.lengths))) / step if step > 0.0 else math.inf
-    return found
+    shares = np.zeros(len(steps.increments))
+    for state, increments in enumerate(steps.increments):
+        step, rate = float(np.median(np.abs(increments))), noise_rate(steps, state)
+        shares[state] = math.sqrt(rate * float(np.median(steps.lengths))) / step if step > 0.0 else math.inf
+    return shares
 
 
 def is_driven(steps: Steps, state: int) -> bool:

@@ -44,8 +44,8 @@ def assemble_process(measurements: Measurements, equations: Collection[str], sym
     process = process.with_findings(moments.noise, tuple(moments.products))
     values = [*moments.drift, *moments.products.values()]
     targets = tuple(
-        _target(name, roles.left_hand_side(name), its, error)
-        for name, its, error in zip([*process.states, *process.components], values, moments.errors, strict=True)
+        _target(name, roles.left_hand_side(name), moment, error)
+        for name, moment, error in zip([*process.states, *process.components], values, moments.errors, strict=True)
         if name in equations
     )
     warnings = (*measurements.warnings, *_remarks(process, moments, len(steps.lengths)))

@@ -1,4 +1,4 @@
-"""Named arrays, as NPZ, MATLAB and HDF5 files hold them -> `Rows`. Pure, apart from reading an NPZ file.
+"""Named arrays, as NPZ, MATLAB and HDF5 files hold them -> `RawTable`. Pure, apart from reading an NPZ file.
 
 Letters: N rows, K columns of one array.
 """
@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from atoll_coordinator.data.reading.rows import Rows, with_breaks
-from atoll_coordinator.data.roles.roles import TIME_NAMES
+from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 from atoll_core.errors import DataError
 
 
-def read_npz(path: Path, config: DataConfig) -> Rows:
+def read_npz(path: Path, config: DataConfig) -> RawTable:
     """Read an NPZ file; raises DataError."""
     try:
         zipfile.ZipFile(path).close()  # whatever is none is found out here: np.load would leave it open
@@ -26,17 +26,17 @@ def read_npz(path: Path, config: DataConfig) -> Rows:
         raise
     except Exception as error:  # of many kinds, for whatever is broken in there
         raise DataError(f"{path.name} is not an NPZ file of plain arrays; write one with numpy.savez") from error
-    return rows_of_arrays(path.name, arrays, config, ("NPZ",))
+    return table_of_arrays(path.name, arrays, config, ("NPZ",))
 
 
-def rows_of_arrays(
+def table_of_arrays(
     file: str,
     arrays: Mapping[str, Any],
     config: DataConfig,
     remarks: tuple[str, ...],
     units: Mapping[str, str] | None = None,
     first: int = 0,
-) -> Rows:
+) -> RawTable:
     """Return the columns of arrays of one length: vectors (N,), and those of matrices (N, K), counted from `first`.
 
     Where there is a time, its length is N, and arrays of another length are left out. Single numbers always are.
@@ -44,11 +44,11 @@ def rows_of_arrays(
     Raises:
         DataError: the arrays do not fit together.
     """
-    vectors = {name: its for name, array in arrays.items() if (its := np.squeeze(np.asarray(array))).ndim}
+    vectors = {name: squeezed for name, array in arrays.items() if (squeezed := np.squeeze(np.asarray(array))).ndim}
     count = _length(file, vectors, config)
     headers: list[str] = []
     columns: list[list[str]] = []
-    its_units: list[str] = []
+    column_units: list[str] = []
     left_out = [name for name in arrays if name not in vectors]
     for name, array in vectors.items():
         parts = _columns(array, count)
@@ -59,9 +59,9 @@ def rows_of_arrays(
             cells, unit = _cells(file, name, part)
             headers.append(name if len(parts) == 1 else f"{name}{number + first}")
             columns.append(cells)
-            its_units.append((units or {}).get(name, unit))
+            column_units.append((units or {}).get(name, unit))
     others = (f"left out: {', '.join(left_out)}",) if left_out else ()
-    return with_breaks(headers, columns, (*remarks, *others), its_units)
+    return with_breaks(headers, columns, (*remarks, *others), column_units)
 
 
 def _length(file: str, vectors: Mapping[str, Any], config: DataConfig) -> int:

@@ -67,4 +67,6 @@ def visible(text: str) -> str:
     """Return `text` with escapes, as ``\\x1b``, for characters that cannot be seen."""
     if text.isprintable():
         return text
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape").decode() for character in text
+    )

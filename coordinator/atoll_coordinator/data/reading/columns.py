@@ -1,4 +1,4 @@
-"""`Rows` -> the columns of one file: numbers, instants, and text that is set aside. Pure."""
+"""`RawTable` -> the columns of one file: numbers, dates, and text that is set aside. Pure."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -8,10 +8,10 @@ from typing import Final, cast
 import numpy as np
 
 from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line, visible
-from atoll_coordinator.data.reading.instants import Instants, is_instant, split_origin
+from atoll_coordinator.data.reading.date_columns import compact_dates, read_date_columns
+from atoll_coordinator.data.reading.dates import Dates, is_date, split_origin
 from atoll_coordinator.data.reading.numerals import place, read_numbers
-from atoll_coordinator.data.reading.rows import Rows
-from atoll_coordinator.data.reading.times import compact_dates, read_times
+from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.roles.options import find_trajectory_column, named_columns, split_unit, strip_units
 from atoll_coordinator.data.roles.roles import assigned
 from atoll_core.config import DataConfig
@@ -30,7 +30,7 @@ class Columns:
     """
 
     file: str
-    values: Mapping[str, FloatArray | Instants]
+    values: Mapping[str, FloatArray | Dates]
     units: Mapping[str, str]
     lines: Sequence[int]
     starts: Sequence[int]
@@ -39,93 +39,97 @@ class Columns:
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
-def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
-    """Turn cells into numbers and instants.
+def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
+    """Turn cells into numbers and dates.
 
     Text in every cell sets a column aside unless `config` names it; the columns of trajectories and of groups alone may
-    hold names, which are numbered. Dates are read as `times.read_times` says. A column without a name (such as a
+    hold names, which are numbered. Dates are read as `read_date_columns` says. A column without a name (such as a
     table's row numbers) is set aside, by its place.
 
     Raises:
         DataError: columns share a name, or a cell holds nothing that is expected there.
     """
-    rows = _with_index(rows)
-    written, cells = _headed(file, rows)
+    raw = _with_index(raw)
+    written, cells = _headed(file, raw)
     counted = {name: split_origin(unit) for name, unit in written.items()}
     units = {name: unit for name, (unit, _) in counted.items()}
     since = tuple(f"{name}: in {unit} since {origin}" for name, (unit, origin) in counted.items() if origin)
     names = [*cells]
     config = strip_units(config, names)
     needed, trajectory = named_columns(config), find_trajectory_column(names, config)
-    texts = {name: its for name, its in cells.items() if is_text(its)}
+    texts = {name: column for name, column in cells.items() if is_text(column)}
     labels = {name: _labels(texts[name]) for name in [config.group] if name in texts}
     runs = {name: _numbered(texts.pop(name)) for name in {trajectory, *labels} if name in texts}
-    texts |= compact_dates({name: its for name, its in cells.items() if name not in (trajectory, *labels)}, config)
-    times = read_times(file, texts, names, rows.starts, config, lambda row: place(rows.lines, row))
+    texts |= compact_dates(
+        {name: column for name, column in cells.items() if name not in (trajectory, *labels)}, config
+    )
+    dates = read_date_columns(file, texts, names, raw.starts, config, lambda row: place(raw.lines, row))
     plain = {
-        name: its
-        for name, its in cells.items()
-        if name not in runs and name not in times.values and (name not in texts or name in needed)
+        name: column
+        for name, column in cells.items()
+        if name not in runs and name not in dates.values and (name not in texts or name in needed)
     }
-    old, new = times.renamed or ("", "")
-    usable = {new if name == old else name: None for name in names if name in {**runs, **times.values, **plain}}
+    old, new = dates.renamed or ("", "")
+    usable = {new if name == old else name: None for name in names if name in {**runs, **dates.values, **plain}}
     if texts and not assigned([*usable], config, trajectory).equations:
-        raise _nothing_left(file, {name: its for name, its in texts.items() if name not in times.values}, rows.lines)
-    numbers, remarks = read_numbers(file, plain, rows.lines, rows.separator)
-    read = cast(dict[str, FloatArray | Instants], {**runs, **times.values, **numbers})
-    skipped = (*_unnamed(rows), *(name for name in texts if name not in read and name != times.absorbed))
+        raise _nothing_left(
+            file, {name: column for name, column in texts.items() if name not in dates.values}, raw.lines
+        )
+    numbers, remarks = read_numbers(file, plain, raw.lines, raw.separator)
+    read = cast(dict[str, FloatArray | Dates], {**runs, **dates.values, **numbers})
+    skipped = (*_unnamed(raw), *(name for name in texts if name not in read and name != dates.absorbed))
     left_out = (f"text left out: {', '.join(skipped)}",) if skipped else ()
     return Columns(
         file,
         {new if name == old else name: read[name] for name in names if name in read},
         {new if name == old else name: units[name] for name in names if name in read},
-        rows.lines,
-        rows.starts,
+        raw.lines,
+        raw.starts,
         skipped,
-        (*rows.remarks, *remarks, *times.remarks, *since, *left_out),
+        (*raw.remarks, *remarks, *dates.remarks, *since, *left_out),
         labels,
     )
 
 
 def _nothing_left(file: str, texts: Mapping[str, Sequence[str]], lines: Sequence[int]) -> DataError:
     """Name columns of text, and a cell of each."""
-    found = []
+    examples = []
     for name, cells in [*texts.items()][:MANY]:
         row = next(row for row, cell in enumerate(cells) if not is_missing(cell))
         cell = textwrap.shorten(on_one_line(cells[row]), 40, placeholder="…")
-        found.append(f"'{name}' holds '{cell}' in {place(lines, row)}")
+        examples.append(f"'{name}' holds '{cell}' in {place(lines, row)}")
     more = ", …" if len(texts) > MANY else ""
     advice = "write numbers alone into cells, and their unit into the header, as x [%]"
-    return DataError(f"no column of numbers is left in {file}: {', '.join(found)}{more}; {advice}")
+    return DataError(f"no column of numbers is left in {file}: {', '.join(examples)}{more}; {advice}")
 
 
-def _with_index(rows: Rows) -> Rows:
+def _with_index(raw: RawTable) -> RawTable:
     """Name a first column of dates that has no name, as an index of pandas, so that it can be the time."""
-    if rows.headers[:1] != ("",) or TIME in rows.headers or not rows.lines:
-        return rows
-    first = next((cell for cell in rows.columns[0] if not is_missing(cell)), "")
-    return replace(rows, headers=(TIME, *rows.headers[1:])) if is_instant(first) else rows
+    if raw.headers[:1] != ("",) or TIME in raw.headers or not raw.lines:
+        return raw
+    first = next((cell for cell in raw.columns[0] if not is_missing(cell)), "")
+    return replace(raw, headers=(TIME, *raw.headers[1:])) if is_date(first) else raw
 
 
-def _headed(file: str, rows: Rows) -> tuple[dict[str, str], dict[str, list[str]]]:
+def _headed(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[str]]]:
     """Return units and cells by name."""
-    units = rows.units or ("",) * len(rows.headers)
+    units = raw.units or ("",) * len(raw.headers)
     named = [
         (*split_unit(on_one_line(header)), unit, cells)
-        for header, unit, cells in zip(rows.headers, units, rows.columns, strict=True)
+        for header, unit, cells in zip(raw.headers, units, raw.columns, strict=True)
         if header
     ]
     names = [name for name, *_ in named]
     for name in names:
         if names.count(name) > 1:
             raise DataError(f"{file} has {names.count(name)} columns named '{name}'; give each column its own name")
-    if not rows.lines:
+    if not raw.lines:
         raise DataError(f"{file} has a header but no rows; rows of numbers are expected below it")
-    return {name: its or unit for name, its, unit, _ in named}, {name: cells for name, _, _, cells in named}
+    return {name: own_unit or unit for name, own_unit, unit, _ in named}, {name: cells for name, _, _, cells in named}
 
 
-def _unnamed(rows: Rows) -> list[str]:
-    places = enumerate(zip(rows.headers, rows.columns, strict=True), start=1)
+def _unnamed(raw: RawTable) -> list[str]:
+    places = enumerate(zip(raw.headers, raw.columns, strict=True), start=1)
     return [f"column {number}" for number, (header, cells) in places if not header and any(map(str.strip, cells))]
 
 

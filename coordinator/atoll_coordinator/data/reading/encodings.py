@@ -24,14 +24,14 @@ def decode(name: str, data: bytes) -> tuple[str, str]:
     Raises:
         DataError: the bytes are no text.
     """
-    for start, found, ending in _KNOWN:
+    for start, kind, ending in _KNOWN:
         if data.startswith(start):
-            raise DataError(f"{name} is {found}, not text; give it the ending {ending}")
+            raise DataError(f"{name} is {kind}, not text; give it the ending {ending}")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return _decoded(name, data, "utf-16"), "UTF-16"
     if b"\0" in data:
-        found = f"{name} holds zero bytes, as a binary file does, or UTF-16 without a byte order mark"
-        raise DataError(f"{found}; save it as CSV in UTF-8, or as Parquet")
+        content = f"{name} holds zero bytes, as a binary file does, or UTF-16 without a byte order mark"
+        raise DataError(f"{content}; save it as CSV in UTF-8, or as Parquet")
     try:
         return data.decode("utf-8-sig"), ""
     except UnicodeDecodeError as error:

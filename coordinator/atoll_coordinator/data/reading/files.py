@@ -14,13 +14,13 @@ import numpy as np
 
 from atoll_coordinator.data.reading.arrays import read_npz
 from atoll_coordinator.data.reading.columns import Columns, columns_of
+from atoll_coordinator.data.reading.dates import Dates, origin_of, times_of
 from atoll_coordinator.data.reading.hdf5 import read_hdf5
-from atoll_coordinator.data.reading.instants import Instants, origin_of, times_of
 from atoll_coordinator.data.reading.layout import read_text
 from atoll_coordinator.data.reading.matlab import read_matlab
 from atoll_coordinator.data.reading.parquet import read_parquet
+from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.reading.records import read_records
-from atoll_coordinator.data.reading.rows import Rows
 from atoll_coordinator.data.reading.workbooks import read_workbook
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
@@ -54,12 +54,12 @@ def _read_file(path: Path, config: DataConfig) -> Columns:
     if path.is_dir():
         raise DataError(f"{path} is a folder; name the files in it that hold the measurements")
     try:
-        return columns_of(path.name, _rows(path, config), config)
+        return columns_of(path.name, _raw_table(path, config), config)
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
-def _rows(path: Path, config: DataConfig) -> Rows:
+def _raw_table(path: Path, config: DataConfig) -> RawTable:
     match path.suffix.lower():
         case ".parquet" | ".pq":
             return read_parquet(path)
@@ -97,8 +97,8 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
         columns.append(values)
         if unit:
             units[name] = unit
-            instants = [part for file in files if isinstance(part := file.values[name], Instants)]
-            origins[name] = origin_of(instants, unit)
+            dates = [part for file in files if isinstance(part := file.values[name], Dates)]
+            origins[name] = origin_of(dates, unit)
             remarks.append(f"{name}: {remark}")
     return Table(
         tuple(first.values),
@@ -118,32 +118,32 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
 def _with_common_labels(files: Sequence[Columns]) -> tuple[Sequence[Columns], dict[str, tuple[str, ...]]]:
     """Return files in which the numbers of a column of groups stand for the same texts, and these texts."""
     named = {name for file in files for name in file.labels}
-    found: dict[str, tuple[str, ...]] = {}
+    labels: dict[str, tuple[str, ...]] = {}
     for name in sorted(named):
         missing = next((file.file for file in files if name not in file.labels), None)
         if missing is not None:
             raise DataError(f"column '{name}' holds numbers in {missing} and text in another file; write both alike")
         texts = tuple(dict.fromkeys(label for file in files for label in file.labels[name]))
-        found[name] = texts
+        labels[name] = texts
         files = [replace(file, values={**file.values, name: _renumbered(file, name, texts)}) for file in files]
-    return files, found
+    return files, labels
 
 
 def _renumbered(file: Columns, name: str, texts: Sequence[str]) -> FloatArray:
     places = np.array([texts.index(label) + 1.0 for label in file.labels[name]])
     numbers = file.values[name]
-    assert not isinstance(numbers, Instants)
+    assert not isinstance(numbers, Dates)
     return np.asarray(places[numbers.astype(np.int64) - 1], dtype=np.float64)
 
 
 def _joined(
-    parts: Sequence[FloatArray | Instants], starts: Sequence[int], unit: str | None
+    parts: Sequence[FloatArray | Dates], starts: Sequence[int], unit: str | None
 ) -> tuple[FloatArray, str, str]:
-    """Return the values (N,) of one column, and where it holds instants their unit and what they are."""
-    instants = [part for part in parts if isinstance(part, Instants)]
-    if instants:
-        return times_of(instants, starts, unit)
-    return np.concatenate([part for part in parts if not isinstance(part, Instants)]), "", ""
+    """Return the values (N,) of one column, and where it holds dates their unit and what they are."""
+    dates = [part for part in parts if isinstance(part, Dates)]
+    if dates:
+        return times_of(dates, starts, unit)
+    return np.concatenate([part for part in parts if not isinstance(part, Dates)]), "", ""
 
 
 def _read_as(files: Sequence[Columns]) -> str:
@@ -167,6 +167,6 @@ def _check_alike(first: Columns, other: Columns) -> None:
             raise DataError(f"{pair} differ in column '{name}', which holds dates in one of them; write both alike")
 
 
-def _kind(values: FloatArray | Instants) -> tuple[bool, bool]:
-    is_instants = isinstance(values, Instants)
-    return is_instants, isinstance(values, Instants) and values.has_date
+def _kind(values: FloatArray | Dates) -> tuple[bool, bool]:
+    is_dates = isinstance(values, Dates)
+    return is_dates, isinstance(values, Dates) and values.has_date

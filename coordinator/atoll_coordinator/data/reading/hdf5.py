@@ -1,4 +1,4 @@
-"""HDF5 files -> `Rows`, by h5py, an extra: ``pip install 'atoll[hdf5]'``.
+"""HDF5 files -> `RawTable`, by h5py, an extra: ``pip install 'atoll[hdf5]'``.
 
 Every dataset is an array of its own, or, where it is a table, one for each of its fields; an attribute ``units`` gives
 the unit. Files of netCDF 4 are such files.
@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll_coordinator.data.reading.arrays import rows_of_arrays
-from atoll_coordinator.data.reading.rows import Rows
-from atoll_coordinator.data.roles.roles import TIME_NAMES
+from atoll_coordinator.data.reading.arrays import table_of_arrays
+from atoll_coordinator.data.reading.raw_table import RawTable
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 from atoll_core.errors import DataError
 
@@ -19,7 +19,7 @@ MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 _Arrays = tuple[dict[str, Any], dict[str, str]]
 
 
-def read_hdf5(path: Path, config: DataConfig) -> Rows:
+def read_hdf5(path: Path, config: DataConfig) -> RawTable:
     """Read an HDF5 file; raises DataError."""
     arrays, units = read_arrays(path)
     if not arrays:
@@ -28,7 +28,7 @@ def read_hdf5(path: Path, config: DataConfig) -> Rows:
     if len(times) > 1 and config.time is None and config.states is None:
         advice = "write each group into a file of its own, or choose columns with --time and --states"
         raise DataError(f"{path.name} holds {len(times)} times, {', '.join(times)}; {advice}")
-    return rows_of_arrays(path.name, arrays, config, ("HDF5",), units)
+    return table_of_arrays(path.name, arrays, config, ("HDF5",), units)
 
 
 def read_arrays(path: Path, is_matlab: bool = False) -> _Arrays:
@@ -51,7 +51,7 @@ def read_arrays(path: Path, is_matlab: bool = False) -> _Arrays:
 
 
 def _collected(name: str, file: Any, h5py: Any, is_matlab: bool) -> _Arrays:
-    found: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
     units: dict[str, str] = {}
 
     def take(path: str, item: Any) -> None:
@@ -62,12 +62,12 @@ def _collected(name: str, file: Any, h5py: Any, is_matlab: bool) -> _Arrays:
         values = _with_missing(item, item[()])
         parts = {field: values[field] for field in values.dtype.names} if values.dtype.names else {"": values}
         for field, part in parts.items():
-            called = _unused(path, field, found)
-            found[called] = part.T if is_matlab else part
+            called = _unused(path, field, arrays)
+            arrays[called] = part.T if is_matlab else part
             units[called] = _text(item.attrs.get("units", "")) if not field else ""
 
     file.visititems(take)
-    return found, {name: unit for name, unit in units.items() if unit}
+    return arrays, {name: unit for name, unit in units.items() if unit}
 
 
 def _is_hidden(path: str, item: Any, is_matlab: bool) -> bool:

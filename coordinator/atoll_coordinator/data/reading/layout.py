@@ -1,4 +1,4 @@
-"""A text file -> `Rows`: which character separates cells, which lines are comments, which is the header.
+"""A text file -> `RawTable`: which character separates cells, which lines are comments, which is the header.
 
 Lines are kept apart because messages name them. The header is the first line that is no comment, or, where that holds
 numbers, the last comment before it that has as many cells, as `numpy.savetxt` writes it.
@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line
+from atoll_coordinator.data.reading.dates import is_date
 from atoll_coordinator.data.reading.encodings import decode
-from atoll_coordinator.data.reading.instants import is_instant
-from atoll_coordinator.data.reading.rows import Rows, is_units_row, plain_unit, rows_of_records
+from atoll_coordinator.data.reading.raw_table import RawTable, is_units_row, plain_unit, table_of_records
 from atoll_core.errors import DataError
 
 SPACES: Final = " "
@@ -44,7 +44,7 @@ class _Beginning:
     first: _Line | None
 
 
-def read_text(name: str, data: bytes) -> Rows:
+def read_text(name: str, data: bytes) -> RawTable:
     """Split a text file into cells.
 
     Raises:
@@ -59,12 +59,12 @@ def read_text(name: str, data: bytes) -> Rows:
     if _JSON.match(beginning.first[1]):
         raise DataError(f"{name} holds JSON or JSON lines; give it the ending .json or .jsonl")
     try:
-        rows = _split(name, text, beginning, _COMMENT.match)
+        raw = _split(name, text, beginning, _COMMENT.match)
     except DataError as error:
         raise (_preamble(name, text, beginning.first[0]) or error) from None
-    if not rows.lines and _has_other_comments(text, beginning):  # the first column begins with the mark of a comment
-        rows = _split(name, text, beginning, lambda _: None)
-    return replace(rows, remarks=(*rows.remarks, encoding)) if encoding else rows
+    if not raw.lines and _has_other_comments(text, beginning):  # the first column begins with the mark of a comment
+        raw = _split(name, text, beginning, lambda _: None)
+    return replace(raw, remarks=(*raw.remarks, encoding)) if encoding else raw
 
 
 def _lines(text: str) -> Iterator[_Line]:
@@ -91,17 +91,17 @@ def _has_other_comments(text: str, beginning: _Beginning) -> bool:
     return sum(_COMMENT.match(line) is not None for _, line in _lines(text)) > len(beginning.comments)
 
 
-def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[str], object]) -> Rows:
+def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[str], object]) -> RawTable:
     assert beginning.first is not None
     number, line = beginning.first
     where: tuple[str, ...] = ()
-    body = ((place, each) for place, each in _lines(text) if place >= number)
+    body = ((place, line) for place, line in _lines(text) if place >= number)
     skipped = _Counted(body, is_comment)
-    found = _header_of_comments(line, beginning)
-    if found is not None:
-        separator, headers, units = found
-        rows = rows_of_records(name, headers, _records(name, skipped, separator), ())
-        rows, where = replace(rows, units=units or rows.units), ("header in a comment",)
+    comment_header = _header_of_comments(line, beginning)
+    if comment_header is not None:
+        separator, headers, units = comment_header
+        raw = table_of_records(name, headers, _records(name, skipped, separator), ())
+        raw, where = replace(raw, units=units or raw.units), ("header in a comment",)
     else:
         below = next(_following(text, number), "")
         separator = beginning.separator or _separator(line, below)
@@ -109,12 +109,12 @@ def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[st
         _, headers = next(records)
         _check_header(name, headers)
         is_named_as_by_r = below.lstrip().startswith('"')
-        rows = rows_of_records(name, headers, records, (), has_row_names=is_named_as_by_r)
-    used = 0 if found is None else 1 + bool(found[2])
+        raw = table_of_records(name, headers, records, (), has_row_names=is_named_as_by_r)
+    used = 0 if comment_header is None else 1 + bool(comment_header[2])
     comments = skipped.count + len(beginning.comments) - used
     left_out = (f"{comments} comment {'line' if comments == 1 else 'lines'} left out",) if comments else ()
     how = f"text with {_NAMES.get(separator, repr(separator))}"
-    return replace(rows, remarks=(how, *where, *rows.remarks, *left_out), separator=separator)
+    return replace(raw, remarks=(how, *where, *raw.remarks, *left_out), separator=separator)
 
 
 class _Counted:
@@ -210,14 +210,14 @@ def _header_of_comments(line: str, beginning: _Beginning) -> tuple[str, Sequence
 
 
 def _is_datum(cell: str) -> bool:
-    return is_missing(cell) or is_numeral(cell) or is_instant(cell)
+    return is_missing(cell) or is_numeral(cell) or is_date(cell)
 
 
 def _names(comment: str, separator: str, count: int) -> list[str] | None:
     """Return the cells of a comment if there are as many as `count`, however it separates them."""
     text = comment.strip().lstrip(_MARKS)
-    for each in (separator, ",", ";", "\t", SPACES):
-        cells = [on_one_line(cell) for cell in cells_of(text, each)]
+    for candidate in (separator, ",", ";", "\t", SPACES):
+        cells = [on_one_line(cell) for cell in cells_of(text, candidate)]
         if len(cells) == count and not any(cell.endswith((",", ";")) or is_numeral(cell) for cell in cells):
             return cells
     cells = re.split(r"\s{2,}", text)

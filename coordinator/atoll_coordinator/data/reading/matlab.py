@@ -1,4 +1,4 @@
-"""MATLAB files -> `Rows`: versions 5 to 7 by scipy, 7.3 by h5py, since they are HDF5 then.
+"""MATLAB files -> `RawTable`: versions 5 to 7 by scipy, 7.3 by h5py, since they are HDF5 then.
 
 Matrices have their columns counted from 1, fields of structures are taken as arrays.
 """
@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll_coordinator.data.reading.arrays import rows_of_arrays
+from atoll_coordinator.data.reading.arrays import table_of_arrays
 from atoll_coordinator.data.reading.hdf5 import MAGIC, read_arrays
-from atoll_coordinator.data.reading.rows import Rows
+from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_core.config import DataConfig
 from atoll_core.errors import DataError
 
@@ -22,7 +22,7 @@ _USERBLOCK: Final = 512
 """Bytes of text with which MATLAB begins an HDF5 file."""
 
 
-def read_matlab(path: Path, config: DataConfig) -> Rows:
+def read_matlab(path: Path, config: DataConfig) -> RawTable:
     """Read a MATLAB file; raises DataError."""
     with path.open("rb") as file:
         beginning = file.read(_USERBLOCK + len(MAGIC))
@@ -35,7 +35,7 @@ def read_matlab(path: Path, config: DataConfig) -> Rows:
         arrays, units, version = _loaded(path), {}, "MATLAB"
     if not any(np.ndim(array) for array in arrays.values()):
         raise DataError(f"{path.name} holds no numeric arrays; save vectors or matrices, tables with table2struct")
-    return rows_of_arrays(path.name, arrays, config, (version,), units, first=1)
+    return table_of_arrays(path.name, arrays, config, (version,), units, first=1)
 
 
 def _loaded(path: Path) -> dict[str, Any]:

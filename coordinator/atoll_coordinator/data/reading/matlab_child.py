@@ -29,16 +29,16 @@ def flat(values: dict[str, Any]) -> dict[str, Any]:
 
     What holds no numbers or text becomes a single empty text.
     """
-    found: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, dict):
             inner = flat(value)
-            found |= {field if field not in found else f"{name}.{field}": its for field, its in inner.items()}
+            arrays |= {field if field not in arrays else f"{name}.{field}": part for field, part in inner.items()}
         else:
             is_plain = isinstance(value, (np.ndarray, np.generic, str, int, float, complex))
             array = np.asarray(value) if is_plain else np.array("")
-            found[name] = array if array.dtype.kind in "biufcU" and array.ndim <= 2 else np.array("")
-    return found
+            arrays[name] = array if array.dtype.kind in "biufcU" and array.ndim <= 2 else np.array("")
+    return arrays
 
 
 if __name__ == "__main__":

@@ -35,20 +35,20 @@ def read_numbers(
     Raises:
         DataError: a cell holds no number, or one that may be two.
     """
-    plain = {name: found for name, cells in columns.items() if (found := _plain(cells)) is not None}
+    plain = {name: numbers for name, cells in columns.items() if (numbers := _plain(cells)) is not None}
     ways = {name: _ways(file, name, cells, lines) for name, cells in columns.items() if name not in plain}
-    seen: set[Decimal] = {next(iter(its)) for its in ways.values() if len(its) == 1}
-    if any(len(its) > 1 for its in ways.values()) and _has_points(columns, plain):
+    seen: set[Decimal] = {next(iter(possible)) for possible in ways.values() if len(possible) == 1}
+    if any(len(possible) > 1 for possible in ways.values()) and _has_points(columns, plain):
         seen.add("point")
     usual: set[Decimal] = _of_separator(separator) if not seen else seen if len(seen) == 1 else set()
-    chosen: dict[str, Decimal] = {
-        name: next(iter(its & usual)) if its & usual else _only(file, name, columns[name], its)
-        for name, its in ways.items()
+    decimals: dict[str, Decimal] = {
+        name: next(iter(possible & usual)) if possible & usual else _only(file, name, columns[name], possible)
+        for name, possible in ways.items()
     }
-    if any(way == "comma" and any("," in cell for cell in columns[name]) for name, way in chosen.items()):
-        chosen |= {name: "comma" for name in plain if _has_thousands(columns[name])}
-    read = {name: _converted(columns[name], chosen[name]) if name in chosen else plain[name] for name in columns}
-    return read, _remarks(columns, chosen)
+    if any(way == "comma" and any("," in cell for cell in columns[name]) for name, way in decimals.items()):
+        decimals |= {name: "comma" for name in plain if _has_thousands(columns[name])}
+    read = {name: _converted(columns[name], decimals[name]) if name in decimals else plain[name] for name in columns}
+    return read, _remarks(columns, decimals)
 
 
 def _plain(cells: Sequence[str]) -> FloatArray | None:
@@ -66,30 +66,30 @@ def _ways(file: str, name: str, cells: Sequence[str], lines: Sequence[int]) -> s
     """Return in which ways all cells of a column can be read."""
     ways: set[Decimal] = {"point", "comma"}
     for row, cell in enumerate(cells):
-        its = _ways_of(cell)
-        if not its:
-            found = textwrap.shorten(on_one_line(cell), 40, placeholder="…")
+        cell_ways = _ways_of(cell)
+        if not cell_ways:
+            shown = textwrap.shorten(on_one_line(cell), 40, placeholder="…")
             raise DataError(
-                f"column '{name}' of {file} holds '{found}' in {place(lines, row)} where a number is expected"
+                f"column '{name}' of {file} holds '{shown}' in {place(lines, row)} where a number is expected"
             )
-        if not ways & its:
+        if not ways & cell_ways:
             raise DataError(
                 f"column '{name}' of {file} holds '{on_one_line(cell)}' in {place(lines, row)}, but decimal "
                 f"{'commas' if ways == {'comma'} else 'points'} above it; write all numbers in one way"
             )
-        ways &= its
+        ways &= cell_ways
     return ways
 
 
 def _ways_of(cell: str) -> set[Decimal]:
-    its: set[Decimal] = set()
+    ways: set[Decimal] = set()
     if number(cell) is not None:
         return {"point"} if "." in cell and not _THOUSANDS.fullmatch(cell) else {"point", "comma"}
     if WITH_POINT.fullmatch(cell):
-        its.add("point")
+        ways.add("point")
     if WITH_COMMA.fullmatch(cell):
-        its.add("comma")
-    return its
+        ways.add("comma")
+    return ways
 
 
 def _has_points(columns: Mapping[str, Sequence[str]], plain: Mapping[str, object]) -> bool:
@@ -130,17 +130,17 @@ def _number(cell: str, way: Decimal) -> float:
         plain = text.replace(",", "")
     else:
         plain = (text.replace(".", "") if "," in text or _THOUSANDS.fullmatch(text) else text).replace(",", ".")
-    found = number(plain)
-    assert found is not None
-    return found
+    value = number(plain)
+    assert value is not None
+    return value
 
 
-def _remarks(columns: Mapping[str, Sequence[str]], chosen: Mapping[str, Decimal]) -> tuple[str, ...]:
+def _remarks(columns: Mapping[str, Sequence[str]], decimals: Mapping[str, Decimal]) -> tuple[str, ...]:
     """Say which columns have decimal commas, and which separators of thousands."""
-    commas = [name for name, way in chosen.items() if way == "comma" and any("," in cell for cell in columns[name])]
+    commas = [name for name, way in decimals.items() if way == "comma" and any("," in cell for cell in columns[name])]
     grouped = [
         name
-        for name, way in chosen.items()
+        for name, way in decimals.items()
         if any(_is_grouped(cell, way) for cell in columns[name] if not is_missing(cell))
     ]
     remarks = [f"decimal commas in {', '.join(commas)}"] if commas else []

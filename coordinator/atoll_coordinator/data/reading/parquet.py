@@ -1,13 +1,13 @@
-"""Parquet files -> `Rows`, by polars."""
+"""Parquet files -> `RawTable`, by polars."""
 
 from pathlib import Path
 from typing import Any
 
-from atoll_coordinator.data.reading.rows import Rows, with_breaks
+from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
 from atoll_core.errors import DataError
 
 
-def read_parquet(path: Path) -> Rows:
+def read_parquet(path: Path) -> RawTable:
     """Read a Parquet file; raises DataError."""
     import polars  # slow to load and rarely needed
 

@@ -1,4 +1,4 @@
-"""JSON files -> `Rows`: a list of records, one record a line, or columns by name, as pandas and polars write them."""
+"""JSON files -> `RawTable`: a list of records, a record a line, or columns by name, as pandas and polars write them."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -6,19 +6,19 @@ from pathlib import Path
 from typing import Any
 
 from atoll_coordinator.data.reading.encodings import decode
-from atoll_coordinator.data.reading.rows import Rows, with_breaks
+from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
 from atoll_core.errors import DataError
 
 _EXPECTED = 'a list of records such as [{"t": 0, "x": 1}] is expected'
 
 
-def read_records(path: Path) -> Rows:
+def read_records(path: Path) -> RawTable:
     """Read a JSON file; raises DataError."""
     text, _ = decode(path.name, path.read_bytes())
     if not text.strip():
         raise DataError(f"{path.name} is empty; {_EXPECTED}")
-    found, remark = _parsed(path.name, text)
-    headers, columns = _columns(path.name, found)
+    document, remark = _parsed(path.name, text)
+    headers, columns = _columns(path.name, document)
     cells = [
         [_cell(path.name, header, value) for value in column] for header, column in zip(headers, columns, strict=True)
     ]
@@ -47,22 +47,22 @@ def _at(error: Exception) -> str:
     return f" from line {error.lineno}, column {error.colno} on" if isinstance(error, json.JSONDecodeError) else ""
 
 
-def _columns(name: str, found: Any) -> tuple[list[str], list[Sequence[Any]]]:
+def _columns(name: str, document: Any) -> tuple[list[str], list[Sequence[Any]]]:
     """Return names and values of the columns."""
-    if isinstance(found, Mapping) and {"columns", "data"} <= set(found):  # pandas: orient="split"
-        found = [dict(zip(found["columns"], row, strict=False)) for row in found["data"]]
-    elif isinstance(found, Mapping) and {"schema", "data"} <= set(found):  # pandas: orient="table"
-        found = found["data"]
-    if isinstance(found, Mapping):
-        columns = [[*its.values()] if isinstance(its, Mapping) else its for its in found.values()]
-        lengths = {len(its) if isinstance(its, list) else 0 for its in columns}
+    if isinstance(document, Mapping) and {"columns", "data"} <= set(document):  # pandas: orient="split"
+        document = [dict(zip(document["columns"], row, strict=False)) for row in document["data"]]
+    elif isinstance(document, Mapping) and {"schema", "data"} <= set(document):  # pandas: orient="table"
+        document = document["data"]
+    if isinstance(document, Mapping):
+        columns = [[*values.values()] if isinstance(values, Mapping) else values for values in document.values()]
+        lengths = {len(column) if isinstance(column, list) else 0 for column in columns}
         if len(lengths) != 1 or lengths == {0}:
             raise DataError(f"{name} holds an object whose values are no columns of one length; {_EXPECTED}")
-        return [str(key) for key in found], columns
-    if not isinstance(found, list) or not found or not all(isinstance(record, Mapping) for record in found):
+        return [str(key) for key in document], columns
+    if not isinstance(document, list) or not document or not all(isinstance(record, Mapping) for record in document):
         raise DataError(f"{name} holds no records; {_EXPECTED}")
-    headers = list(dict.fromkeys(str(key) for record in found for key in record))
-    return headers, [[record.get(header) for record in found] for header in headers]
+    headers = list(dict.fromkeys(str(key) for record in document for key in record))
+    return headers, [[record.get(header) for record in document] for header in headers]
 
 
 def _cell(name: str, header: str, value: Any) -> str:

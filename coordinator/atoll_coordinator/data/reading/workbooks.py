@@ -1,4 +1,4 @@
-"""Excel workbooks -> `Rows`, by openpyxl, an extra: ``pip install 'atoll[xlsx]'``.
+"""Excel workbooks -> `RawTable`, by openpyxl, an extra: ``pip install 'atoll[xlsx]'``.
 
 The first sheet that is not empty is read, from its first row that is not.
 """
@@ -10,13 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from atoll_coordinator.data.reading.rows import Rows, rows_of_records
+from atoll_coordinator.data.reading.raw_table import RawTable, table_of_records
 from atoll_core.errors import DataError
 
 _Record = tuple[int, list[str]]
 
 
-def read_workbook(path: Path) -> Rows:
+def read_workbook(path: Path) -> RawTable:
     """Read a workbook; raises DataError."""
     try:
         import openpyxl
@@ -42,8 +42,8 @@ def read_workbook(path: Path) -> Rows:
     remarks = (f"Excel, sheet '{title}'", *([f"other sheets left out: {', '.join(others)}"] if others else []))
     first, last = _extent(records)
     cut = [(line, [*cells[first:last], *[""] * (last - max(len(cells), first))]) for line, cells in records]
-    rows = rows_of_records(path.name, cut[0][1], iter(cut[1:]), ())
-    return replace(rows, remarks=(*remarks, *rows.remarks))
+    raw = table_of_records(path.name, cut[0][1], iter(cut[1:]), ())
+    return replace(raw, remarks=(*remarks, *raw.remarks))
 
 
 def _records(sheet: Any) -> Iterator[_Record]:

@@ -32,21 +32,21 @@ class LeftSides:
     symbols: Mapping[str, str]
     order: int | None
 
-    def several(self, option: str, given: Mapping[str, Value]) -> dict[str, tuple[Value, ...]]:
-        """Return all that is `given` for each variable, in the order of the variables.
+    def several(self, option: str, by_side: Mapping[str, Value]) -> dict[str, tuple[Value, ...]]:
+        """Return the values in `by_side` for each variable, in the order of the variables.
 
         Raises:
             UsageError: a left-hand side belongs to no variable; `option` is named.
         """
-        pairs = [(self.variable(option, text), value) for text, value in given.items()]
+        pairs = [(self.variable(option, text), value) for text, value in by_side.items()]
         named = {name for name, _ in pairs}
         return {
             name: tuple(value for other, value in pairs if other == name) for name in self.variables if name in named
         }
 
-    def single(self, option: str, given: Mapping[str, Value]) -> dict[str, Value]:
-        """Return what is `given` for each variable; raises UsageError like `several`, or for a variable named twice."""
-        several = self.several(option, given)
+    def single(self, option: str, by_side: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the value in `by_side` for each variable; raises UsageError like `several`, or for one named twice."""
+        several = self.several(option, by_side)
         twice = next((name for name, values in several.items() if len(values) > 1), None)
         if twice is not None:
             raise UsageError(f"{option} names the equation of '{twice}' twice; give one")
@@ -89,7 +89,7 @@ class LeftSides:
         if order is None:
             return False
         names = dict.fromkeys((name, self.symbols.get(name, name)))
-        return any(re.fullmatch(_FORMS[order].format(re.escape(each)), text) for each in names)
+        return any(re.fullmatch(_FORMS[order].format(re.escape(spelling)), text) for spelling in names)
 
     def _sought(self) -> str:
         if self.order is None:

@@ -37,8 +37,8 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
     def plain(name: str) -> str:
         return name if name in known or split_unit(name)[0] not in known else split_unit(name)[0]
 
-    def several(those: Iterable[str] | None) -> tuple[str, ...] | None:
-        return None if those is None else tuple(plain(name) for name in those)
+    def several(columns: Iterable[str] | None) -> tuple[str, ...] | None:
+        return None if columns is None else tuple(plain(name) for name in columns)
 
     single = {part: getattr(config, part) for part in ("time", "trajectory", "group", "target", "weights")}
     changes: dict[str, object] = {part: plain(name) for part, name in single.items() if name is not None}

@@ -2,19 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
-
-import numpy as np
+from typing import Literal
 
 from atoll_coordinator.data.roles.options import check_options, find_trajectory_column, named_columns, strip_units
+from atoll_coordinator.data.roles.time_column import check_no_text_time, find_time_column, missing_time
 from atoll_coordinator.units import parse_unit
 from atoll_core.config import Angle, DataConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError, UsageError
 from atoll_core.hints import did_you_mean
-
-TIME_NAMES: Final = ("t", "time", "Time", "TIME")
-"""What the time is called unless options name it, in this order."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +96,8 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
         _check_known(name, table)
         _check_unit(name, unit)
     roles = assigned(table.names, config, trajectory)
-    _check_time(roles, table)
+    if not _has_time_or_slopes(roles):
+        check_no_text_time(table)
     _check_equations(roles, config, table)
     _check_angles(roles)
     return roles, config
@@ -130,7 +127,7 @@ def _check_unit(name: str, text: str) -> None:
 
 def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
     """Return the roles of columns by their names alone; nothing is checked."""
-    time = config.time or next((name for name in TIME_NAMES if name in names and _is_free(name, config)), None)
+    time = find_time_column(names, config)
     taken = {time, trajectory, config.group, config.target, config.weights, *config.inputs, *(config.derivatives or ())}
     rest = tuple(name for name in names if name not in taken)
     states, inputs = config.states if config.states is not None else rest, config.inputs
@@ -153,18 +150,9 @@ def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -
     )
 
 
-def _is_free(name: str, config: DataConfig) -> bool:
-    """Say whether a column called t or time may be the time: as an input it may, in another role it may not."""
-    other = (config.target, config.trajectory, config.weights, *(config.states or ()), *(config.derivatives or ()))
-    return name not in other
-
-
-def _check_time(roles: Roles, table: Table) -> None:
-    """Raise DataError when there is a time, but as text."""
-    name = next((name for name in TIME_NAMES if name in table.skipped), None)
-    if name is not None and roles.time is None and roles.target is None and not roles.derivatives:
-        found = f"column '{name}' of {table.files[0]} holds text that is neither a number nor a date"
-        raise DataError(f"{found}; write numbers, or dates as year-month-day")
+def _has_time_or_slopes(roles: Roles) -> bool:
+    """Say whether left-hand sides can be had: given in columns, or as derivatives in the time."""
+    return roles.time is not None or roles.target is not None or bool(roles.derivatives)
 
 
 def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
@@ -172,20 +160,16 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         raise DataError("no column is left to be a state; name the states with --states")
     clash = next((name for name in roles.states if roles.order == 2 and f"{name}_dot" in roles.states), None)
     if clash is not None:
-        found = f"'{clash}_dot' is a state and with --order 2 also the name of the velocity of '{clash}'"
-        raise DataError(f"{found}; name the states without it, as --states {clash}, or leave --order 2 out")
+        reason = f"'{clash}_dot' is a state and with --order 2 also the name of the velocity of '{clash}'"
+        raise DataError(f"{reason}; name the states without it, as --states {clash}, or leave --order 2 out")
     if roles.target is not None and not roles.inputs:
         raise DataError(f"there is no column besides '{roles.target}' from which it could be computed; add one")
     if roles.derivatives and len(roles.derivatives) != len(roles.states):
         states = ", ".join(roles.states)
         counts = f"{len(roles.derivatives)} derivatives were named for the states {states}"
         raise UsageError(f"{counts}; name as many states with --states, in the same order")
-    if roles.target is None and not roles.derivatives and roles.time is None:
-        looked = config.time or " or ".join(TIME_NAMES[:2])
-        ascending = next((name for name in roles.states if _ascends(table, name)), None)
-        perhaps = "" if ascending is None else f" (perhaps {ascending})"
-        found = f"no time column was found (looked for {looked})"
-        raise DataError(f"{found}; name it with --time{perhaps}, or use --target COLUMN")
+    if not _has_time_or_slopes(roles):
+        raise missing_time(table, roles.states, config)
     for name in config.only or ():
         if name not in roles.equations:
             sought = f"equations are sought for {', '.join(roles.equations)}{did_you_mean(name, roles.equations)}"
@@ -193,12 +177,6 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
     for name in config.offsets:
         if name not in roles.states:
             raise UsageError(f"--offsets names '{name}', but the states are {', '.join(roles.states)}; remove it")
-
-
-def _ascends(table: Table, name: str) -> bool:
-    """Tell whether the numbers of a column only grow within each trajectory, as times do."""
-    steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
-    return bool(len(steps)) and bool((steps > 0.0).all())
 
 
 def _check_angles(roles: Roles) -> None:

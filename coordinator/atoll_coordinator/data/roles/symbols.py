@@ -47,8 +47,8 @@ def _rewritten(name: str) -> str:
 
 def _unique(name: str, taken: set[str]) -> str:
     number = 2
-    chosen = name
-    while chosen in taken:
-        chosen = f"{name}_{number}"
+    symbol = name
+    while symbol in taken:
+        symbol = f"{name}_{number}"
         number += 1
-    return chosen
+    return symbol

@@ -27,7 +27,7 @@ def explain_excluded_rows(
         uncertain: rows whose derivative is too uncertain.
         searched: rows of the trajectories that are not held out.
     """
-    lengths = [len(each) for each in times]
+    lengths = [len(part) for part in times]
     cut_off = mark_ends(lengths) if estimate.is_interpolated else np.zeros(sum(lengths))
     weights = np.ones(sum(lengths)) if estimate.robustness_weights is None else estimate.robustness_weights
     excluded: list[ExcludedRow] = []

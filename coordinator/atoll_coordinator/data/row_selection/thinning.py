@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll_coordinator.data.row_selection.rows import SelectedRows
+from atoll_coordinator.data.row_selection.selected_rows import SelectedRows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.data.roles.roles import TIME_NAMES, Roles
+from atoll_coordinator.data.roles.roles import Roles
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
@@ -127,8 +128,8 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
         if not 0.5 * turn < high - low <= (1.0 + SETTINGS.common.negligible) * turn:
             continue
         steps = [np.abs(np.diff(part)) for part in parts]
-        usual = max(float(np.max(each[each < 0.5 * turn], initial=0.0)) for each in steps)
-        jumps = sum(_count_turns(each, usual, turn) for each in steps)
+        usual = max(float(np.max(sizes[sizes < 0.5 * turn], initial=0.0)) for sizes in steps)
+        jumps = sum(_count_turns(sizes, usual, turn) for sizes in steps)
         if jumps:
             count = f"{jumps} time{'s' if jumps > 1 else ''}"
             raise DataError(
@@ -142,7 +143,7 @@ def _count_turns(steps: FloatArray, usual: float, turn: float) -> int:
     count = 0
     for index in np.flatnonzero(steps > max(0.5 * turn, _JUMP * usual)).tolist():
         near = [float(steps[other]) for other in (index - 1, index + 1) if 0 <= other < len(steps)]
-        around = max((each for each in near if each < 0.5 * turn), default=0.0)
+        around = max((size for size in near if size < 0.5 * turn), default=0.0)
         count += abs(float(steps[index]) - turn) <= _JUMP * around + SETTINGS.common.negligible * turn
     return count
 
@@ -201,7 +202,9 @@ def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) ->
     if len(kept) < len(weighted):
         sentences.append(f"{len(weighted) - len(kept)} of {table.rows} rows hold NaN or infinity and were dropped.")
     values = [
-        f"{int(each[kept].sum())} of {name}" for name, each in zip(roles.used, bad, strict=True) if each[kept].any()
+        f"{int(bad_rows[kept].sum())} of {name}"
+        for name, bad_rows in zip(roles.used, bad, strict=True)
+        if bad_rows[kept].any()
     ]
     if values:
         sentences.append(f"Values are missing, {' and '.join(values)}; their rows count for the other states.")
@@ -216,7 +219,7 @@ def _not_finite(table: Table, used: Sequence[int], bad: BoolArray) -> str:
     is_missing = bool(np.isnan(table.columns[used[first]][rows]).all())
     text = f"column '{names[first]}' holds {'NaN or an empty cell' if is_missing else 'NaN or infinity'}"
     text += f" in {table.places(rows)}"
-    others = [name for name, each in zip(names, bad, strict=True) if each.any() and name != names[first]]
+    others = [name for name, bad_rows in zip(names, bad, strict=True) if bad_rows.any() and name != names[first]]
     if others:
         total = int(bad.any(axis=0).sum())
         text += f", and so do {', '.join(others)} ({total} rows over all)"

@@ -39,13 +39,13 @@ def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
     """
     assert measurements.trajectories is not None
     pieces = [find_pieces(times, span) for times in measurements.trajectories.times]
-    gaps = sum(len(each) - 1 for each in pieces)
+    gaps = sum(len(ranges) - 1 for ranges in pieces)
     if gaps == 0:
         return measurements
     counted = f"{gaps} gap{'s' if gaps > 1 else ''} in the times {'are' if gaps > 1 else 'is'}"
-    long_enough = [[piece for piece in each if piece[1] - piece[0] >= MIN_ROWS] for each in pieces]
-    rows = sum(last - first for each in long_enough for first, last in each)
-    is_any_searched = any(each and not out for each, out in zip(long_enough, measurements.held_out, strict=True))
+    long_enough = [[piece for piece in ranges if piece[1] - piece[0] >= MIN_ROWS] for ranges in pieces]
+    rows = sum(last - first for ranges in long_enough for first, last in ranges)
+    is_any_searched = any(ranges and not out for ranges, out in zip(long_enough, measurements.held_out, strict=True))
     if rows < SETTINGS.rows.least_kept * measurements.row_count or not is_any_searched:
         sentence = f"{counted} bridged although long, because the pieces between them are too short."
         return replace(measurements, warnings=(*measurements.warnings, sentence))
@@ -56,11 +56,11 @@ def _split(measurements: Measurements, pieces: Sequence[Sequence[Range]], reason
     """Return `measurements` with the `pieces` of each trajectory, which are ranges of its rows."""
     whole = measurements.trajectories
     assert whole is not None
-    parts = [(number, slice(*piece)) for number, each in enumerate(pieces) for piece in each]
+    parts = [(number, slice(*piece)) for number, ranges in enumerate(pieces) for piece in ranges]
     rows = [
         row
-        for (first, last), each in zip(measurements.ranges, pieces, strict=True)
-        for piece in each
+        for (first, last), ranges in zip(measurements.ranges, pieces, strict=True)
+        for piece in ranges
         for row in range(first, last)[slice(*piece)]
     ]
     ends = np.cumsum([0, *(part.stop - part.start for _, part in parts)]).tolist()
@@ -70,7 +70,11 @@ def _split(measurements: Measurements, pieces: Sequence[Sequence[Range]], reason
     pieces_of = {
         number: [name for name, (whose, _) in zip(names, parts, strict=True) if whose == number] for number, _ in parts
     }
-    texts = [f"{whole.names[number]} into {', '.join(each)}" for number, each in pieces_of.items() if len(each) > 1]
+    texts = [
+        f"{whole.names[number]} into {', '.join(piece_names)}"
+        for number, piece_names in pieces_of.items()
+        if len(piece_names) > 1
+    ]
     listed = "; ".join(texts[:MANY]) + ("; …" if len(texts) > MANY else "")
     warnings = [*measurements.warnings, f"{reason}; trajectories are split there{f': {listed}' if listed else ''}."]
     left_out = measurements.row_count - len(rows)

@@ -77,8 +77,12 @@ class Measurements:
         return np.repeat(np.array([names.index(group) for group in self.groups], np.int64), lengths)
 
     def _rows(self, *, held_out: bool) -> list[int]:
-        chosen = [each for each, is_held_out in zip(self.ranges, self.held_out, strict=True) if is_held_out == held_out]
-        return [row for first, last in chosen for row in range(first, last)]
+        ranges = [
+            row_range
+            for row_range, is_held_out in zip(self.ranges, self.held_out, strict=True)
+            if is_held_out == held_out
+        ]
+        return [row for first, last in ranges for row in range(first, last)]
 
     @property
     def inputs(self) -> list[list[FloatArray]]:
@@ -86,8 +90,8 @@ class Measurements:
         angles = {angle.column for angle in self.roles.angles}
         parts = [[self.columns[name][first:last] for first, last in self.ranges] for name in self.roles.inputs]
         return [
-            [unwrap(part) for part in each] if name in angles else each
-            for name, each in zip(self.roles.inputs, parts, strict=True)
+            [unwrap(part) for part in input_parts] if name in angles else input_parts
+            for name, input_parts in zip(self.roles.inputs, parts, strict=True)
         ]
 
 

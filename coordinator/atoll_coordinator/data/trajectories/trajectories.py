@@ -171,4 +171,4 @@ def _round_step(length: float, steps: int, precision: float) -> float:
     """Return the step with the fewest digits that spans `length` in `steps` to within `precision`."""
     step = length / steps
     rounded = (float(f"{step:.{digits}g}") for digits in range(1, 17))
-    return next((each for each in rounded if abs(each * steps - length) <= precision), step)
+    return next((candidate for candidate in rounded if abs(candidate * steps - length) <= precision), step)

@@ -1,7 +1,7 @@
 """The compiled part of the search; see `atoll_core.compilation.jit` for what a kernel may do.
 
 - ``variation``: random lists, crossover, mutation. ``tape``: from a list to its live nodes, and to a canonical program.
-- ``rows``: the rows that a measurement is made on. ``fit``: coefficients and constants fitted to rows; the loss.
+- ``measured_rows``: the rows of measurements. ``fit``: coefficients and constants fitted to rows; the loss.
 - ``generation``: whole generations with deterministic crowding. ``offers``: which individuals are measured on all rows.
 - ``predictors``, ``coevolution``: predictors judged and varied, trainers renewed. ``random``: the counter-based stream.
 

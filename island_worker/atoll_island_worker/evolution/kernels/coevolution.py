@@ -5,8 +5,8 @@ import numpy as np
 from atoll_core.compilation.jit import kernel
 from atoll_core.expression.kernels.tape import Int
 from atoll_island_worker.evolution.kernels.generation import COEVOLUTION, residual_of_list
+from atoll_island_worker.evolution.kernels.measured_rows import gather
 from atoll_island_worker.evolution.kernels.predictors import INFINITY
-from atoll_island_worker.evolution.kernels.rows import gather
 from atoll_island_worker.evolution.structures import Coevolution, Fit, Ints, Lists, Rows, Scratch, Tape, Work
 
 

@@ -16,7 +16,7 @@ from atoll_core.compilation.jit import inlined
 from atoll_core.expression.kernels.lanes import LANES, add_scaled, copy, fill, lowest_bit, place, total_magnitude
 from atoll_core.expression.kernels.tape import Int, apply_operator, forward, reverse_block
 from atoll_core.expression.operators import ADD, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT, VARIABLE
-from atoll_island_worker.evolution.kernels.rows import centre_into, product
+from atoll_island_worker.evolution.kernels.measured_rows import centre_into, product
 from atoll_island_worker.evolution.kernels.tape import ARITY_OF
 from atoll_island_worker.evolution.kernels.variation import reset_scale
 from atoll_island_worker.evolution.structures import MOST_FITTED, Fit, Floats, Hashes, Ints, Lists, Rows, Tape, Work

@@ -72,11 +72,11 @@ def residual_of_list(lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape,
 @inlined
 def has_required(tape: Tape, count: Int, required: Int) -> bool:
     """Tell whether all variables whose bits are set in `required` are among the first `count` nodes of `tape`."""
-    found = _ZERO
+    present = _ZERO
     for i in range(count):
         if tape.code[i] == VARIABLE and tape.left[i] < MOST_REQUIRED:
-            found |= _ONE << tape.left[i]
-    return (found & required) == required
+            present |= _ONE << tape.left[i]
+    return (present & required) == required
 
 
 @inlined

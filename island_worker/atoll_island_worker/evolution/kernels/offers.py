@@ -44,9 +44,9 @@ def canonical(lists: Lists, p: int, scratch: Scratch) -> int:
 
 @kernel
 def choose_offers(
-    lists: Lists, fitness: Floats, scratch: Scratch, offered: Hashes, offered_loss: Floats, chosen: Ints
+    lists: Lists, fitness: Floats, scratch: Scratch, offered: Hashes, offered_loss: Floats, offers: Ints
 ) -> int:
-    """List in `chosen` the best individual of each size that no smaller one equals; return their number.
+    """List in `offers` the best individual of each size that no smaller one equals; return their number.
 
     Those are left out whose structure was the last one offered at that size, unless the predicted loss has halved.
     `offered` (sizes,) uint64 and `offered_loss` (sizes,) are brought up to date.
@@ -72,31 +72,31 @@ def choose_offers(
             continue
         offered[n] = scratch.hashes[p]
         offered_loss[n] = fitness[p]
-        chosen[count] = p
+        offers[count] = p
         count += 1
     return count
 
 
 @kernel
 def choose_near(
-    lists: Lists, fitness: Floats, order: Ints, most: int, scratch: Scratch, known: Hashes, chosen: Ints, count: int
+    lists: Lists, fitness: Floats, order: Ints, most: int, scratch: Scratch, known: Hashes, offers: Ints, count: int
 ) -> int:
-    """Add to the `count` individuals in `chosen` the next best of each size; return the number of all.
+    """Add to the `count` individuals in `offers` the next best of each size; return the number of all.
 
-    So many are taken of a size that `most` are chosen of it, `chosen` ones that were not there counted; none has the
+    So many are taken of a size that `most` are chosen of it, chosen ones that were not there counted; none has the
     fitness of one before it, nor a structure in the table `known`, which all that are chosen enter: (a power of two,)
     uint64, a structure's place is given by its last bits and the next one there displaces it.
 
     Args:
         order: (P,) individuals by rising fitness.
     """
-    taken, last = scratch.chosen, scratch.best_of_size
+    taken, last = scratch.taken, scratch.best_of_size
     mask = np.uint64(known.shape[0] - 1)
     for n in range(taken.shape[0]):
         taken[n] = 0
         last[n] = -1
     for c in range(count):
-        hashed = scratch.hashes[chosen[c]]
+        hashed = scratch.hashes[offers[c]]
         known[np.int64(hashed & mask)] = hashed
     for k in range(order.shape[0]):
         p = order[k]
@@ -110,7 +110,7 @@ def choose_near(
         taken[n] += 1
         if known[place] != scratch.hashes[p]:
             known[place] = scratch.hashes[p]
-            chosen[count] = p
+            offers[count] = p
             count += 1
     return count
 
@@ -160,9 +160,9 @@ def _measure_variants(count: int, rows: Rows, options: Fit, tape: Tape, work: Wo
 
 
 @kernel
-def refit_chosen(
+def refit_offers(
     lists: Lists,
-    chosen: Ints,
+    offers: Ints,
     number: int,
     rows: Rows,
     options: Fit,
@@ -173,7 +173,7 @@ def refit_chosen(
     book: Book,
     counters: Ints,
 ) -> int:
-    """Fit the first `number` individuals in `chosen` to all `rows`; book those that improve; return how many do.
+    """Fit the first `number` individuals in `offers` to all `rows`; book those that improve; return how many do.
 
     Improving is a loss below `least` (sizes,), for example the least so far of programs no larger. Those take no steps
     whose loss, terms fitted, is more than `slack` times that: steps rarely gain as much.
@@ -181,7 +181,7 @@ def refit_chosen(
     work, tape = scratch.work, scratch.canonical
     count = 0
     for c in range(number):
-        size = canonical(lists, chosen[c], scratch)
+        size = canonical(lists, offers[c], scratch)
         scale = book.scale[count]
         ceiling = slack * least[size] if slack < INFINITY else INFINITY
         if options.loss > 0:

@@ -16,7 +16,7 @@ _ROW_MUTATION = 0.05
 
 
 @inlined
-def judge(coevolution: Coevolution, relative: Int, chosen: Ints) -> float:
+def judge(coevolution: Coevolution, relative: Int, rows: Ints) -> float:
     """Return the mean absolute difference of predicted and exact loss over the trainers that have one.
 
     With `relative` 1, of the share of the exact loss that the difference is: so that no trainer outweighs the others.
@@ -27,9 +27,9 @@ def judge(coevolution: Coevolution, relative: Int, chosen: Ints) -> float:
         if not np.isfinite(coevolution.exact[t]):
             continue
         loss = 0.0
-        for r in chosen:
+        for r in rows:
             loss += coevolution.losses[t, r]
-        difference = abs(loss / chosen.shape[0] - coevolution.exact[t])
+        difference = abs(loss / rows.shape[0] - coevolution.exact[t])
         total += difference / coevolution.exact[t] if relative == 1 and difference > 0.0 else difference
         finite += 1
     return total / finite if finite > 0 else INFINITY

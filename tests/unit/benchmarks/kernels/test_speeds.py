@@ -8,7 +8,7 @@ import pytest
 
 from atoll_core.errors import DataError, UsageError
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SIN, VARIABLE
-from atoll_island_worker.evolution.kernels.rows import padded_rows
+from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.structures import empty_lists, empty_tape
 from benchmarks.harness.record import Record
 from benchmarks.kernels import __main__ as kernels

@@ -109,10 +109,10 @@ def test_an_island_that_is_held_gives_its_state_and_nothing_else(samples: Sample
     compute.attach(said.append)
     compute.load("j", PRESETS["default"], b"")
     order = CommitOrder(generations=10, stride=10, joining=8)
-    compute.run(Task(TaskKey("j", "x", 1, 2, 1), {}, False, order, takes_snapshot=True, is_held=True))
+    compute.run(Task(TaskKey("j", "x", 1, 2, 1), {}, False, order, takes_snapshot=True, is_at_barrier=True))
     time.sleep(0.05)
     assert isinstance(said[-1], Snapshot)
-    assert said[-1].is_held
+    assert said[-1].is_at_barrier
 
 
 def test_puts_are_counted_by_kind() -> None:

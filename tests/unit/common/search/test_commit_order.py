@@ -55,5 +55,5 @@ def test_what_counts_at_a_hit_is_what_does_not_come_after_it(
 
 
 def test_no_two_slices_have_the_same_rank() -> None:
-    all_of_them = [Position(*each) for each in itertools.product(range(2), ENDS, range(8))]
-    assert len({COMMIT_ORDER.rank(each) for each in all_of_them}) == len(all_of_them)
+    all_of_them = [Position(*parts) for parts in itertools.product(range(2), ENDS, range(8))]
+    assert len({COMMIT_ORDER.rank(position) for position in all_of_them}) == len(all_of_them)

@@ -36,20 +36,20 @@ def program(text):
 def by_definition(front, candidates, most):
     """Return the runners-up as they are defined, pair by pair."""
     kept = []
-    for each in sorted({*front, *candidates}, key=lambda one: one.key):
-        if each in front:
-            kept.append(each)
+    for candidate in sorted({*front, *candidates}, key=lambda one: one.key):
+        if candidate in front:
+            kept.append(candidate)
             continue
         alike = [
             one
             for one in kept
-            if structure_of(one.program) == structure_of(each.program)
-            or (abs(one.error - each.error) <= AGREEMENT * each.error
-                and abs(one.mse - each.mse) <= AGREEMENT * min(one.mse, each.mse))
+            if structure_of(one.program) == structure_of(candidate.program)
+            or (abs(one.error - candidate.error) <= AGREEMENT * candidate.error
+                and abs(one.mse - candidate.mse) <= AGREEMENT * min(one.mse, candidate.mse))
         ]  # fmt: skip
-        beside = sum(one.complexity == each.complexity and one not in front for one in kept)
-        if math.isfinite(each.error) and not alike and beside < most:
-            kept.append(each)
+        beside = sum(one.complexity == candidate.complexity and one not in front for one in kept)
+        if math.isfinite(candidate.error) and not alike and beside < most:
+            kept.append(candidate)
     return tuple(one for one in kept if one not in front)
 
 
@@ -88,8 +88,8 @@ def test_the_next_best_of_each_complexity_come_after_the_front():
     front = (entry(3, 1.0, program=b"a"),)
     others = [entry(3, 1.0 + 0.1 * k, program=bytes([1, k, 0, 0, 0, 0])) for k in range(1, 5)]
     worse_but_larger = entry(5, 1.25, program=bytes([1, 9, 0, 0, 0, 0]))
-    found = runners_up(front, (*others, worse_but_larger), 2)
-    assert found == (*others[:2], worse_but_larger)
+    next_best = runners_up(front, (*others, worse_but_larger), 2)
+    assert next_best == (*others[:2], worse_but_larger)
 
 
 def test_a_structure_counts_once_however_far_its_constants_were_fitted():

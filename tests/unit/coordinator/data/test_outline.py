@@ -27,14 +27,16 @@ def test_each_equation_is_said_with_what_it_may_be_made_of() -> None:
 
 
 def test_other_programs_get_the_same() -> None:
-    found = outline(TABLE, JobConfig(seed=3, data=DataConfig(order=2, states=("x",), inputs=("y",)))).as_dict()
-    assert [(each["lhs"], each["variables"]) for each in found["equations"]] == [("d2x/dt2", ["x", "x_dot", "y"])]
-    assert found["config"]["seed"] == 3
-    assert (found["rows"], found["time"]) == (TABLE.rows, "t")
+    content = outline(TABLE, JobConfig(seed=3, data=DataConfig(order=2, states=("x",), inputs=("y",)))).as_dict()
+    assert [(equation["lhs"], equation["variables"]) for equation in content["equations"]] == [
+        ("d2x/dt2", ["x", "x_dot", "y"])
+    ]
+    assert content["config"]["seed"] == 3
+    assert (content["rows"], content["time"]) == (TABLE.rows, "t")
 
 
 def test_a_process_has_a_drift_and_a_diffusion() -> None:
-    sides = [each.lhs for each in outline(TABLE, JobConfig(data=DataConfig(stochastic=True))).equations]
+    sides = [equation.lhs for equation in outline(TABLE, JobConfig(data=DataConfig(stochastic=True))).equations]
     assert sides == ["dx/dt", "dy/dt", "d[x]/dt", "d[x,y]/dt", "d[y]/dt"]
 
 

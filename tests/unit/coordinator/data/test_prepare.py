@@ -152,24 +152,24 @@ def test_dropped_rows_are_bridged():
 def test_a_missing_value_costs_that_value_and_not_its_row():
     columns = oscillator(100)
     columns["x"][[30, 31, 50]] = columns["y"][[7, 70]] = math.nan
-    its = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop")))
-    assert 88 <= its.dataset.inputs.shape[1] <= 100 - 8
-    assert its.dataset.targets[0].values == pytest.approx(its.dataset.inputs[1], abs=1e-8)
-    assert its.dataset.targets[1].values == pytest.approx(-its.dataset.inputs[0], abs=1e-8)
-    assert its.recording.trajectories[0].is_known is None
-    assert np.isnan(its.recording.trajectories[0].measured).sum(axis=1).tolist() == [3, 2]
+    preparation = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop")))
+    assert 88 <= preparation.dataset.inputs.shape[1] <= 100 - 8
+    assert preparation.dataset.targets[0].values == pytest.approx(preparation.dataset.inputs[1], abs=1e-8)
+    assert preparation.dataset.targets[1].values == pytest.approx(-preparation.dataset.inputs[0], abs=1e-8)
+    assert preparation.recording.trajectories[0].is_known is None
+    assert np.isnan(preparation.recording.trajectories[0].measured).sum(axis=1).tolist() == [3, 2]
 
 
 def test_rows_that_lack_an_unknown_state_are_kept_from_the_search_and_in_the_recording():
     columns = oscillator(100)
     columns["x"][:20] = math.nan
-    its = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop")))
-    trajectory = its.recording.trajectories[0]
-    assert 70 <= its.dataset.inputs.shape[1] <= 100 - 20 - 4
+    preparation = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop")))
+    trajectory = preparation.recording.trajectories[0]
+    assert 70 <= preparation.dataset.inputs.shape[1] <= 100 - 20 - 4
     assert len(trajectory.times) == 100
     assert trajectory.is_known.tolist() == [[False] * 20 + [True] * 80, [True] * 100]
-    assert {each.reason for each in its.recording.smoothing[0].excluded_rows} == {"missing", "end"}
-    assert "missing" not in {each.reason for each in its.recording.smoothing[1].excluded_rows}
+    assert {row.reason for row in preparation.recording.smoothing[0].excluded_rows} == {"missing", "end"}
+    assert "missing" not in {row.reason for row in preparation.recording.smoothing[1].excluded_rows}
 
 
 def test_noisy_states_are_smoothed_and_nearly_all_rows_kept():
@@ -208,9 +208,9 @@ def test_units_and_origin_of_time_change_nothing_but_the_scale(scales):
     apart = np.abs(unscaled[:, :, None] - plain.inputs[:, None, :]).max(axis=0)
     mine, theirs = np.nonzero(apart < 1e-12)
     assert len(mine) >= 0.99 * plain.inputs.shape[1]
-    for its, others, scale in zip(plain.targets, moved.targets, scales, strict=False):
-        assert np.abs(others.values[mine] / scale - its.values[theirs]).max() < 1e-9 * its.standard_deviation
-        assert others.uncertainty == pytest.approx(its.uncertainty, rel=0.1)
+    for target, others, scale in zip(plain.targets, moved.targets, scales, strict=False):
+        assert np.abs(others.values[mine] / scale - target.values[theirs]).max() < 1e-9 * target.standard_deviation
+        assert others.uncertainty == pytest.approx(target.uncertainty, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", [0, 3])

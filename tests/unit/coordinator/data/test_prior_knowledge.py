@@ -24,8 +24,8 @@ def config_of(guesses=(), known=(), operators_of=(), variables_of=(), required_o
     return JobConfig(prior=prior, space=space, **others)
 
 
-def resolved(variables=VARIABLES, **given):
-    return resolve_prior(config_of(**given), variables, SYMBOLS)
+def resolved(variables=VARIABLES, **options):
+    return resolve_prior(config_of(**options), variables, SYMBOLS)
 
 
 def test_without_prior_knowledge_a_configuration_stays_as_it_is():
@@ -33,16 +33,16 @@ def test_without_prior_knowledge_a_configuration_stays_as_it_is():
 
 
 def test_left_hand_sides_become_variables_and_allowed_columns_symbols():
-    its = resolved(
+    config = resolved(
         guesses={"dx/dt": ("2*x",), "x": ("y_1",)},
         known={"dy_1": "-x/10"},
         operators_of={"x'": ("+", "*")},
         variables_of={"dx": ("y-1", "x")},
     )
-    assert its.prior == PriorConfig(guesses={"x": ("2*x", "y_1")}, known={"y-1": "-x/10"})
-    assert its.space.operators_of == {"x": ("+", "*")}
-    assert its.space.variables_of == {"x": ("y_1", "x")}
-    assert resolve_prior(its, VARIABLES, SYMBOLS) == its
+    assert config.prior == PriorConfig(guesses={"x": ("2*x", "y_1")}, known={"y-1": "-x/10"})
+    assert config.space.operators_of == {"x": ("+", "*")}
+    assert config.space.variables_of == {"x": ("y_1", "x")}
+    assert resolve_prior(config, VARIABLES, SYMBOLS) == config
 
 
 def test_an_equation_has_its_own_operators_and_variables_the_others_the_general_ones():
@@ -53,7 +53,7 @@ def test_an_equation_has_its_own_operators_and_variables_the_others_the_general_
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("options", "words"),
     [
         ({"known": {"z": "x"}}, ["--known", "'z'", "x, y-1"]),
         ({"known": {"x": "1", "dx": "2"}}, ["--known", "'x'", "twice"]),
@@ -84,9 +84,9 @@ def test_an_equation_has_its_own_operators_and_variables_the_others_the_general_
         ({"bounds": {"x": ("c > 0",)}, "known": {"x": "1"}}, ["--bound", "'x'", "known"]),
     ],
 )
-def test_what_cannot_be_used_is_one_sentence(given, words):
+def test_what_cannot_be_used_is_one_sentence(options, words):
     with pytest.raises(UsageError) as caught:
-        resolved(**given)
+        resolved(**options)
     assert "\n" not in str(caught.value)
     assert [word for word in words if word not in str(caught.value)] == []
 
@@ -100,10 +100,12 @@ def test_an_equation_too_long_to_print_is_refused():
 
 
 def test_bounds_on_all_equations_are_bounds_on_each_that_is_sought():
-    its = resolved(bounds={"*": ("|c| < 9",), "dx/dt": ("x*u < 0",)}, known={"y-1": "x"}, required_of={"dx": ("y-1",)})
-    assert its.prior.bounds == {"x": ("|c| < 9", "x*u < 0")}
-    assert its.space.required_of == {"x": ("y_1",)}
-    assert resolve_prior(its, VARIABLES, SYMBOLS) == its
+    config = resolved(
+        bounds={"*": ("|c| < 9",), "dx/dt": ("x*u < 0",)}, known={"y-1": "x"}, required_of={"dx": ("y-1",)}
+    )
+    assert config.prior.bounds == {"x": ("|c| < 9", "x*u < 0")}
+    assert config.space.required_of == {"x": ("y_1",)}
+    assert resolve_prior(config, VARIABLES, SYMBOLS) == config
 
 
 def test_a_known_equation_is_prepared_beside_the_only_one_sought():

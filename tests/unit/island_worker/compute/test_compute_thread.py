@@ -83,14 +83,14 @@ def results(monkeypatch: pytest.MonkeyPatch) -> "queue.Queue[object]":
 
 @pytest.fixture
 def compute(results: "queue.Queue[object]") -> Iterator[ComputeThread]:
-    made = ComputeThread()
-    made.attach(results.put)
+    thread = ComputeThread()
+    thread.attach(results.put)
     values = np.linspace(0.0, 1.0, 5)
     dataset = Dataset(("x",), values[None, :].copy(), (Target("x", "dx/dt", values, 0.0, 1.0),), {"x": "x"})
-    made.load("job", JobConfig(), dataset_to_bytes(dataset))
+    thread.load("job", JobConfig(), dataset_to_bytes(dataset))
     assert results.get(timeout=LIMIT_S) == JobReady("job")
-    yield made
-    made.close()
+    yield thread
+    thread.close()
 
 
 def key(island: int, epoch: int = 0, term: int = 1) -> TaskKey:
@@ -140,7 +140,7 @@ def test_what_breaks_is_said_and_the_thread_goes_on(compute: ComputeThread, resu
 
 def test_what_is_discarded_is_given_up_without_a_word(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     compute.run(task(key(7)))
-    compute.discard(key(7).share)
+    compute.discard(key(7).shard)
     compute.run(task(key(0, term=2)))
     result = results.get(timeout=LIMIT_S)
     assert isinstance(result, Computed)
@@ -149,7 +149,7 @@ def test_what_is_discarded_is_given_up_without_a_word(compute: ComputeThread, re
 
 def test_an_island_stops_where_the_target_was_met(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     compute.run(task(key(7)))
-    compute.stop_at(key(7).share, Position(0, 500, 7), COMMIT_ORDER)
+    compute.stop_at(key(7).shard, Position(0, 500, 7), COMMIT_ORDER)
     result = results.get(timeout=LIMIT_S)
     assert isinstance(result, Computed)
     assert (result.report.generations, result.emigrants) == (500, {})

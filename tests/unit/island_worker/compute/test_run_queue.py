@@ -9,11 +9,11 @@ from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.messages.workers import HitStatement, IslandReport
 from atoll_island_worker.compute.run_queue import RunQueue
 from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
-from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+from atoll_island_worker.session.tasks import ShardKey, Task, TaskKey
 
 LAST = 50
 COMMIT_ORDER = CommitOrder(generations=LAST, stride=10, joining=8)
-SHARE = ShareKey("job", "x", 1)
+SHARD = ShardKey("job", "x", 1)
 
 
 def key(island: int, epoch: int = 0, job: str = "job", variable: str = "x", term: int = 1) -> TaskKey:
@@ -72,8 +72,8 @@ class Fake:
 
 def queue_of(bench: Bench, *keys: TaskKey) -> RunQueue:
     queue = RunQueue(bench.begin, lambda: bench.now)
-    for each in keys:
-        assert queue.add(Task(each, None, is_last=False, commit_order=COMMIT_ORDER)) == []
+    for task_key in keys:
+        assert queue.add(Task(task_key, None, is_last=False, commit_order=COMMIT_ORDER)) == []
     return queue
 
 
@@ -86,11 +86,13 @@ def emptied(queue: RunQueue) -> list[Snapshot | Outcome]:
 
 def reached(outcomes: list[Outcome]) -> dict[tuple[int, int], int | None]:
     """Return by (epoch, island) the generation reported; None where the task was given up."""
-    found: dict[tuple[int, int], int | None] = {}
-    for each in outcomes:
-        assert isinstance(each, Computed | Abandoned)
-        found[each.key.epoch, each.key.island] = each.report.generations if isinstance(each, Computed) else None
-    return found
+    generations: dict[tuple[int, int], int | None] = {}
+    for outcome in outcomes:
+        assert isinstance(outcome, Computed | Abandoned)
+        generations[outcome.key.epoch, outcome.key.island] = (
+            outcome.report.generations if isinstance(outcome, Computed) else None
+        )
+    return generations
 
 
 def test_islands_take_turns_slice_by_slice() -> None:
@@ -169,29 +171,29 @@ def test_a_hit_elsewhere_lets_the_islands_before_it_catch_up() -> None:
     queue = queue_of(bench, key(0), key(3))
     for _ in range(3):
         queue.turn()
-    assert reached(queue.stop_at(SHARE, Position(0, 20, 2), COMMIT_ORDER)) == {(0, 0): 20, (0, 3): 10}
+    assert reached(queue.stop_at(SHARD, Position(0, 20, 2), COMMIT_ORDER)) == {(0, 0): 20, (0, 3): 10}
     queue = queue_of(bench, key(0), key(3))
-    assert queue.stop_at(SHARE, Position(0, 20, 2), COMMIT_ORDER) == []
+    assert queue.stop_at(SHARD, Position(0, 20, 2), COMMIT_ORDER) == []
     assert reached(emptied(queue)) == {(0, 0): 20, (0, 3): 10}
 
 
 def test_the_least_hit_counts_in_whatever_order_hits_become_known() -> None:
     bench = Bench(hits={(0, 30, 0)})
     queue = queue_of(bench, key(0), key(1))
-    queue.stop_at(SHARE, Position(0, 40, 1), COMMIT_ORDER)
-    queue.stop_at(SHARE, Position(0, 50, 0), COMMIT_ORDER)
+    queue.stop_at(SHARD, Position(0, 40, 1), COMMIT_ORDER)
+    queue.stop_at(SHARD, Position(0, 50, 0), COMMIT_ORDER)
     assert reached(emptied(queue)) == {(0, 0): 30, (0, 1): 20}
 
 
 def test_epochs_before_a_hit_are_finished() -> None:
     queue = queue_of(Bench(), key(0), key(1, epoch=1))
-    queue.stop_at(SHARE, Position(1, 10, 3), COMMIT_ORDER)
+    queue.stop_at(SHARD, Position(1, 10, 3), COMMIT_ORDER)
     assert reached(emptied(queue)) == {(0, 0): 50, (1, 1): 10}
 
 
 def test_a_task_that_comes_when_it_is_not_needed_is_given_up() -> None:
     queue = queue_of(Bench())
-    queue.stop_at(SHARE, Position(1, 10, 3), COMMIT_ORDER)
+    queue.stop_at(SHARD, Position(1, 10, 3), COMMIT_ORDER)
     for late in (key(0, epoch=2), key(4, epoch=1)):
         assert queue.add(Task(late, {}, is_last=False, commit_order=COMMIT_ORDER)) == [Abandoned(late)]
     assert queue.is_idle
@@ -199,7 +201,7 @@ def test_a_task_that_comes_when_it_is_not_needed_is_given_up() -> None:
 
 def test_a_hit_of_another_term_or_variable_ends_nothing() -> None:
     queue = queue_of(Bench(), key(0))
-    for other in (ShareKey("job", "y", 1), ShareKey("job", "x", 2), ShareKey("other", "x", 1)):
+    for other in (ShardKey("job", "y", 1), ShardKey("job", "x", 2), ShardKey("other", "x", 1)):
         assert queue.stop_at(other, Position(0, 10, 0), COMMIT_ORDER) == []
     assert reached(emptied(queue)) == {(0, 0): 50}
 
@@ -207,8 +209,8 @@ def test_a_hit_of_another_term_or_variable_ends_nothing() -> None:
 def test_what_is_discarded_is_forgotten_with_its_hits() -> None:
     bench = Bench()
     queue = queue_of(bench, key(0), key(0, variable="y"))
-    queue.stop_at(SHARE, Position(0, 20, 0), COMMIT_ORDER)
-    queue.discard(SHARE)
+    queue.stop_at(SHARD, Position(0, 20, 0), COMMIT_ORDER)
+    queue.discard(SHARD)
     emptied(queue)
     assert {variable for _, variable, *_ in bench.slices} == {"y"}
     queue.add(Task(key(0), None, is_last=False, commit_order=COMMIT_ORDER))
@@ -218,7 +220,7 @@ def test_what_is_discarded_is_forgotten_with_its_hits() -> None:
 @pytest.mark.parametrize(("island", "kind"), [(6, Broken), (7, Rejected)])
 def test_what_goes_wrong_ends_its_task_alone(island: int, kind: type) -> None:
     outcomes = emptied(queue_of(Bench(), key(island), key(0)))
-    assert [type(each) for each in outcomes] == [kind, Computed]
+    assert [type(outcome) for outcome in outcomes] == [kind, Computed]
 
 
 def test_a_slice_may_take_several_turns() -> None:
@@ -227,7 +229,7 @@ def test_a_slice_may_take_several_turns() -> None:
     queue = RunQueue(bench.begin, lambda: bench.now)
     queue.add(Task(key(0), None, is_last=False, commit_order=COMMIT_ORDER.model_copy(update={"stride": 20})))
     queue.turn()
-    queue.stop_at(SHARE, Position(0, 40, 1), COMMIT_ORDER)
+    queue.stop_at(SHARD, Position(0, 40, 1), COMMIT_ORDER)
     assert reached(emptied(queue)) == {(0, 0): 40}
 
 
@@ -235,7 +237,7 @@ def test_a_snapshot_is_taken_before_the_first_slice_and_once() -> None:
     bench = Bench()
     queue = RunQueue(bench.begin, lambda: bench.now)
     queue.add(Task(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True))
-    assert queue.turn() == [Snapshot(key(0, 4), b"state", is_held=False)]
+    assert queue.turn() == [Snapshot(key(0, 4), b"state", is_at_barrier=False)]
     (outcome,) = emptied(queue)
     assert isinstance(outcome, Computed)
     assert len(bench.slices) == 5
@@ -244,15 +246,15 @@ def test_a_snapshot_is_taken_before_the_first_slice_and_once() -> None:
 def test_of_a_held_epoch_there_is_nothing_but_its_snapshot() -> None:
     bench = Bench()
     queue = RunQueue(bench.begin, lambda: bench.now)
-    queue.add(Task(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_held=True))
-    assert emptied(queue) == [Snapshot(key(0, 4), b"state", is_held=True)]
+    queue.add(Task(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_at_barrier=True))
+    assert emptied(queue) == [Snapshot(key(0, 4), b"state", is_at_barrier=True)]
     assert bench.slices == []
 
 
 def test_a_held_epoch_whose_immigrants_are_malformed_is_refused() -> None:
     bench = Bench()
     queue = RunQueue(bench.begin, lambda: bench.now)
-    queue.add(Task(key(7, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_held=True))
+    queue.add(Task(key(7, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_at_barrier=True))
     assert emptied(queue) == [Rejected(key(7, 4), "malformed")]
 
 
@@ -260,4 +262,4 @@ def test_the_tasks_of_a_discarded_job_are_discarded_with_it() -> None:
     queue = queue_of(Bench(), key(0, job="a"), key(1, job="a"), key(0, job="b"))
     queue.turn()
     queue.discard_job("a")
-    assert [each.key.job for each in emptied(queue) if not isinstance(each, Snapshot)] == ["b"]
+    assert [outcome.key.job for outcome in emptied(queue) if not isinstance(outcome, Snapshot)] == ["b"]

@@ -25,7 +25,7 @@ class SentRequests(Requests):
         self.greetings.append(payload)
 
 
-class Made:
+class ConnectionBench:
     """A connection whose greetings are kept."""
 
     def __init__(self, name: str = "w0", grace_s: float = 30.0) -> None:
@@ -44,99 +44,99 @@ def welcome(realm: str = "r", incarnation: int = 1) -> bytes:
 
 
 def test_a_greeting_names_us_and_carries_the_fingerprint_once_there_is_one() -> None:
-    made = Made()
-    first = made.greeting()
+    bench = ConnectionBench()
+    first = bench.greeting()
     assert (first.role, first.name, first.version, first.fingerprint) == ("worker", "w0", VERSION, "")
-    made.connection.kernels_ready("f")
-    second = made.greeting()
+    bench.connection.kernels_ready("f")
+    second = bench.greeting()
     assert (second.fingerprint, second.instance) == ("f", first.instance)
 
 
 def test_every_process_is_another_instance() -> None:
-    assert Made().connection.instance != Made().connection.instance
+    assert ConnectionBench().connection.instance != ConnectionBench().connection.instance
 
 
 def test_a_worker_is_accepted_only_after_a_greeting_with_a_fingerprint() -> None:
-    made = Made()
-    assert made.connection.handle_answer("", welcome()) is None
-    assert not made.connection.is_accepted
-    made.connection.kernels_ready("f")
-    greetings = len(made.requests.greetings)
-    assert made.connection.handle_answer("", welcome()) is None
-    assert len(made.requests.greetings) == greetings + 1
-    assert made.connection.handle_answer("f", welcome()) is None
-    assert len(made.requests.greetings) == greetings + 1
-    assert made.connection.is_accepted
+    bench = ConnectionBench()
+    assert bench.connection.handle_answer("", welcome()) is None
+    assert not bench.connection.is_accepted
+    bench.connection.kernels_ready("f")
+    greetings = len(bench.requests.greetings)
+    assert bench.connection.handle_answer("", welcome()) is None
+    assert len(bench.requests.greetings) == greetings + 1
+    assert bench.connection.handle_answer("f", welcome()) is None
+    assert len(bench.requests.greetings) == greetings + 1
+    assert bench.connection.is_accepted
 
 
 def test_another_incarnation_or_realm_voids_what_is_held() -> None:
-    made = Made()
-    made.connection.handle_answer("", welcome())
-    assert made.connection.handle_answer("", welcome(incarnation=2)) == Reset(2)
-    assert made.connection.handle_answer("", welcome(realm="s")) == Reset(0)
-    assert made.connection.handle_answer("", welcome(realm="r")) == Reset(0)
-    assert made.requests.realm == "r"
+    bench = ConnectionBench()
+    bench.connection.handle_answer("", welcome())
+    assert bench.connection.handle_answer("", welcome(incarnation=2)) == Reset(2)
+    assert bench.connection.handle_answer("", welcome(realm="s")) == Reset(0)
+    assert bench.connection.handle_answer("", welcome(realm="r")) == Reset(0)
+    assert bench.requests.realm == "r"
 
 
 def test_a_late_welcome_of_a_former_coordinator_voids_nothing() -> None:
     """It answers a greeting that was sent before the present coordinator's welcome came."""
-    made = Made()
-    made.connection.handle_answer("", welcome(), 0)
-    assert made.connection.handle_answer("", welcome(incarnation=2), 1) == Reset(2)
-    sent = len(made.requests.greetings)
-    assert made.connection.handle_answer("", welcome(), 1) is None
-    assert made.connection.handle_answer("", welcome(realm="s"), 1) is None
-    assert len(made.requests.greetings) == sent + 2, "what is there now is asked"
-    assert made.connection.handle_answer("", welcome(incarnation=3), 1) == Reset(3)
-    assert made.connection.handle_answer("", welcome(), 3) == Reset(1), "a store of before is in use again"
+    bench = ConnectionBench()
+    bench.connection.handle_answer("", welcome(), 0)
+    assert bench.connection.handle_answer("", welcome(incarnation=2), 1) == Reset(2)
+    sent = len(bench.requests.greetings)
+    assert bench.connection.handle_answer("", welcome(), 1) is None
+    assert bench.connection.handle_answer("", welcome(realm="s"), 1) is None
+    assert len(bench.requests.greetings) == sent + 2, "what is there now is asked"
+    assert bench.connection.handle_answer("", welcome(incarnation=3), 1) == Reset(3)
+    assert bench.connection.handle_answer("", welcome(), 3) == Reset(1), "a store of before is in use again"
 
 
 def test_a_late_welcome_voids_nothing_that_a_later_coordinator_has_placed() -> None:
-    made = Made()
-    made.connection.handle_answer("", welcome(incarnation=2), 0)
-    made.connection.incarnation_heard(4)
-    assert made.connection.handle_answer("", welcome(incarnation=3), 1) is None
-    assert made.connection.handle_answer("", welcome(incarnation=4), 1) == Reset(4)
+    bench = ConnectionBench()
+    bench.connection.handle_answer("", welcome(incarnation=2), 0)
+    bench.connection.incarnation_heard(4)
+    assert bench.connection.handle_answer("", welcome(incarnation=3), 1) is None
+    assert bench.connection.handle_answer("", welcome(incarnation=4), 1) == Reset(4)
 
 
 def test_a_coordinator_that_is_away_for_too_long_ends_the_worker() -> None:
-    made = Made()
-    made.connection.handle_answer("", welcome())
-    made.network.run(2 * WAIT_S)
-    made.connection.check_absence()
-    assert made.connection.exit_code is None
-    made.connection.link_lost()
-    made.network.run(2 * WAIT_S + WAIT_S)
-    made.connection.check_absence()
-    assert made.connection.exit_code is None
-    made.network.run(3 * WAIT_S + 0.1)
-    made.connection.check_absence()
-    assert made.connection.exit_code == UnreachableError.exit_code
-    assert "has not answered for 10 s" in str(made.connection.error)
+    bench = ConnectionBench()
+    bench.connection.handle_answer("", welcome())
+    bench.network.run(2 * WAIT_S)
+    bench.connection.check_absence()
+    assert bench.connection.exit_code is None
+    bench.connection.link_lost()
+    bench.network.run(2 * WAIT_S + WAIT_S)
+    bench.connection.check_absence()
+    assert bench.connection.exit_code is None
+    bench.network.run(3 * WAIT_S + 0.1)
+    bench.connection.check_absence()
+    assert bench.connection.exit_code == UnreachableError.exit_code
+    assert "has not answered for 10 s" in str(bench.connection.error)
 
 
 def test_a_worker_drains_once_and_does_not_wait_for_a_coordinator_that_is_gone() -> None:
-    made = Made()
-    made.connection.handle_answer("", welcome())
-    assert made.connection.drain()
-    assert not made.connection.drain()
-    made.connection.link_lost()
-    made.network.run(ALONE_S + 0.1)
-    made.connection.check_absence()
-    assert made.connection.exit_code == 0
+    bench = ConnectionBench()
+    bench.connection.handle_answer("", welcome())
+    assert bench.connection.drain()
+    assert not bench.connection.drain()
+    bench.connection.link_lost()
+    bench.network.run(ALONE_S + 0.1)
+    bench.connection.check_absence()
+    assert bench.connection.exit_code == 0
 
 
 @pytest.mark.parametrize("grace_s", [0.0, 30.0])
 def test_a_worker_without_a_coordinator_or_without_grace_ends_at_once(grace_s: float) -> None:
-    made = Made(grace_s=grace_s)
+    bench = ConnectionBench(grace_s=grace_s)
     if grace_s == 0.0:
-        made.connection.handle_answer("", welcome())
-    assert not made.connection.drain()
-    assert made.connection.exit_code == 0
+        bench.connection.handle_answer("", welcome())
+    assert not bench.connection.drain()
+    assert bench.connection.exit_code == 0
 
 
 def test_a_refusal_ends_the_worker_in_the_coordinators_words() -> None:
-    connection = Made().connection
+    connection = ConnectionBench().connection
     body = Refusal(protocol=9, version="9", engine=9, sentence="too old, take 9")
     connection.handle_answer("", encode(GreetingAnswer(body=body)))
     assert connection.exit_code == RefusedError.exit_code
@@ -144,6 +144,6 @@ def test_a_refusal_ends_the_worker_in_the_coordinators_words() -> None:
 
 
 def test_an_answer_that_is_not_understood_names_our_version() -> None:
-    connection = Made().connection
+    connection = ConnectionBench().connection
     connection.handle_answer("", b"\x00")
     assert f"Atoll {VERSION} (protocol {PROTOCOL_VERSION})" in str(connection.error)

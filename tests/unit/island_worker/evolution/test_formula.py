@@ -40,14 +40,14 @@ def test_a_formula_goes_to_a_program_and_a_tape_and_back(program):
 def test_a_combination_is_worth_what_it_says(program, coefficients, shift, data):
     node = st.integers(0, len(program) - 1)
     terms = data.draw(st.lists(node, max_size=4, unique=True))
-    found = to_program(combine_terms(from_program(program), terms, coefficients[: len(terms)], shift))
-    found.validate(len(NAMES))
+    combined = to_program(combine_terms(from_program(program), terms, coefficients[: len(terms)], shift))
+    combined.validate(len(NAMES))
     values = node_values(program, INPUTS)
     expected = np.full(INPUTS.shape[1], shift)
     for term, a in zip(terms, coefficients, strict=False):
         if a != 0.0:
             expected = expected + a * values[term]
-    np.testing.assert_allclose(node_values(found, INPUTS)[-1], expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(node_values(combined, INPUTS)[-1], expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -74,26 +74,27 @@ def test_combinations_read_as_a_person_would_write_them(coefficients, shift, exp
 @given(programs())
 def test_reductions_are_sound_and_every_operator_gives_way_to_each_argument_and_to_a_constant(program):
     formula = from_program(program)
-    found = list(reductions(formula))
+    formulas = list(reductions(formula))
     expected = 0
     for node in formula:
         expected += 0 if ARITY[node.code] == 0 else 2 if ARITY[node.code] == 1 or node.left == node.right else 3
         expected += node.code == SUBTRACT
-    assert len(found) == expected
-    for each in found:
-        to_program(each).validate(len(NAMES))
+    assert len(formulas) == expected
+    for reduced in formulas:
+        to_program(reduced).validate(len(NAMES))
 
 
 def test_reductions_of_a_sum_are_its_arguments_and_a_constant_from_the_output_down():
-    found = [to_program(each) for each in reductions(from_program(program_of([X, Y, (ADD, 0, 1)])))]
-    values = [node_values(program, [[3.0], [5.0]])[-1, 0] for program in found]
+    reduced_programs = [to_program(reduced) for reduced in reductions(from_program(program_of([X, Y, (ADD, 0, 1)])))]
+    values = [node_values(program, [[3.0], [5.0]])[-1, 0] for program in reduced_programs]
     assert values == [3.0, 5.0, 1.0]
 
 
 def test_a_reduction_turns_every_use_of_the_node():
     """sin(x) * y + sin(x): without its sine, x * y + x."""
     nodes = [X, Y, (SIN, 0), (MULTIPLY, 2, 1), (ADD, 3, 2), (SUBTRACT, 4, 1)]
-    found = [
-        node_values(to_program(each), [[3.0], [5.0]])[-1, 0] for each in reductions(from_program(program_of(nodes)))
+    values = [
+        node_values(to_program(reduced), [[3.0], [5.0]])[-1, 0]
+        for reduced in reductions(from_program(program_of(nodes)))
     ]
-    assert 3.0 * 5.0 + 3.0 - 5.0 in found
+    assert 3.0 * 5.0 + 3.0 - 5.0 in values

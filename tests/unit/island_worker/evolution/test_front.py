@@ -101,9 +101,9 @@ class Arena:
         is_operator = lists.code[0] > 1
         lists.left[0, is_operator] += room
         lists.right[0, is_operator] += room
-        found = self.offering.offer(lists, np.ones(1), self.counters, (0, 10, 0), looks_beside=True)
-        self.additions += found[0]
-        return found
+        improvements = self.offering.offer(lists, np.ones(1), self.counters, (0, 10, 0), looks_beside=True)
+        self.additions += improvements[0]
+        return improvements
 
     def texts(self):
         return [to_infix(Program.from_bytes(e.program, 2), NAMES) for e in self.front.entries()]
@@ -111,8 +111,8 @@ class Arena:
 
 def test_an_offer_is_refitted_on_all_rows_and_counted():
     arena = Arena(lambda x, y: 3.0 * np.exp(-0.0 * x) + 2.0 * x / (y + 0.7), steps=4)
-    found = arena.offer("x/(y + 0.5)")
-    assert found
+    improvements = arena.offer("x/(y + 0.5)")
+    assert improvements
     assert arena.front.entries()[-1].error < 1e-9
     assert arena.counters.sum() == arena.counters[REFITTING] > 100
 

@@ -53,12 +53,12 @@ def test_a_guess_becomes_one_individual_and_leaves_the_others_alone():
 def test_constants_vary_within_three_octaves_and_keep_their_sign():
     setup = IslandSetup(problem_of(), with_prior("-2*x + 3*y"), 1)
     guess = parse_guesses(setup)[0]
-    given = {node.index: node.constant for node in guess if node.code == CONSTANT}
+    constants = {node.index: node.constant for node in guess if node.code == CONSTANT}
     factors = []
     for number in range(200):
         lists = drawn(setup)
         place(lists, 0, guess, Stream(number))
-        factors += [lists.constants[0, index] / value for index, value in given.items()]
+        factors += [lists.constants[0, index] / value for index, value in constants.items()]
     assert 1 / 8 <= min(factors) < 1 / 6
     assert 6 < max(factors) < 8
 

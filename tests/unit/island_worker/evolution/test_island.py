@@ -121,7 +121,7 @@ def test_an_island_written_and_read_between_epochs_goes_on_with_the_same_bits(pr
     config = config_of(evolution=evolution, preset=preset, predictors=PredictorConfig(rows=8, enabled=is_predicted))
     islands = [Island(PROBLEM, config, number) for number in range(2)]
     for _ in range(3):
-        islands = [Island.from_bytes(each.to_bytes(), PROBLEM, config, k) for k, each in enumerate(islands)]
+        islands = [Island.from_bytes(island.to_bytes(), PROBLEM, config, k) for k, island in enumerate(islands)]
         ended = [advance(island) for island in islands]
         reshuffle(islands, config, "x")
     assert tuple(ended) == run(config, epochs=3).outcomes[-2:]
@@ -133,7 +133,7 @@ NEAR = config_of(evolution=EvolutionConfig(islands=2, population=16, runners_up=
 def test_runners_up_are_part_of_an_island_that_is_written_and_read():
     islands = [Island(PROBLEM, NEAR, number) for number in range(2)]
     for _ in range(3):
-        islands = [Island.from_bytes(each.to_bytes(), PROBLEM, NEAR, k) for k, each in enumerate(islands)]
+        islands = [Island.from_bytes(island.to_bytes(), PROBLEM, NEAR, k) for k, island in enumerate(islands)]
         ended = [advance(island) for island in islands]
         reshuffle(islands, NEAR, "x")
     assert tuple(ended) == run(NEAR, epochs=3).outcomes[-2:]
@@ -165,8 +165,8 @@ def test_nothing_but_an_explicit_target_error_ends_the_search_for_a_noisy_target
 def test_bytes_are_the_same_after_reading_and_writing():
     island = Island(PROBLEM, CONFIG, 0)
     other = Island(PROBLEM, CONFIG, 1)
-    for each in (island, other):
-        advance(each)
+    for one in (island, other):
+        advance(one)
     reshuffle([island, other], CONFIG, "x")
     data = island.to_bytes()
     assert Island.from_bytes(data, PROBLEM, CONFIG, 0).to_bytes() == data
@@ -257,7 +257,7 @@ def test_additions_improve_the_island_s_own_front_in_the_order_they_were_found()
         for outcome in run(epochs=3).outcomes[number::2]:
             for entry in outcome.additions:
                 assert (entry.epoch, entry.island) == (outcome.epoch, number)
-                assert all(entry.error < each.error for each in front if each.complexity <= entry.complexity)
+                assert all(entry.error < earlier.error for earlier in front if earlier.complexity <= entry.complexity)
                 front.append(entry)
             assert outcome.best_error == pytest.approx(min(e.error for e in front) / PROBLEM.target.standard_deviation)
 
@@ -304,13 +304,13 @@ def test_few_rows_switch_predictors_off():
 def test_an_island_that_meets_the_target_stops_there():
     problem = problem_of(truth=lambda x, y: 3.0 * x - x * x - 2.0 * x * y)
     config = config_of(population=64, generations=100, rows=16, budget=BudgetConfig(target_error=1e-9))
-    found = search(problem, config, 20)
-    assert found.has_hit
-    hit = next(outcome for outcome in found.outcomes if outcome.hit)
+    result = search(problem, config, 20)
+    assert result.has_hit
+    hit = next(outcome for outcome in result.outcomes if outcome.hit)
     assert hit.hit.error <= 1e-9
     assert hit.hit.generation == hit.generations
     assert hit.best_error == hit.hit.error
-    assert found.front[-1].error <= 1e-9 * problem.target.standard_deviation
+    assert result.front[-1].error <= 1e-9 * problem.target.standard_deviation
 
 
 def test_no_entry_is_more_complex_than_allowed():

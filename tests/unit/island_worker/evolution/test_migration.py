@@ -35,7 +35,7 @@ def test_every_place_is_left_and_taken_exactly_once(epoch):
 
 def test_each_epoch_variable_and_seed_has_a_reshuffle_of_its_own():
     drawn = [(CONFIG, "x", 0), (CONFIG, "x", 1), (CONFIG, "y", 0), (CONFIG.model_copy(update={"seed": 10}), "x", 0)]
-    assert len({destinations(*each).tobytes() for each in drawn}) == 4
+    assert len({destinations(*arguments).tobytes() for arguments in drawn}) == 4
 
 
 def test_senders_and_receivers_are_two_sides_of_one_thing():
@@ -61,7 +61,7 @@ def test_every_solution_arrives_whole_at_its_slot(island):
 def test_the_order_of_arrival_does_not_matter():
     _, blocks = blocks_for(2)
     backwards = dict(reversed(blocks.items()))
-    for one, two in zip(*(unpack(each, POPULATION, SPACE, ALLOWED) for each in (blocks, backwards)), strict=True):
+    for one, two in zip(*(unpack(arrived, POPULATION, SPACE, ALLOWED) for arrived in (blocks, backwards)), strict=True):
         np.testing.assert_array_equal(one, two)
 
 

@@ -27,8 +27,8 @@ def searched(bounds=(), required=(), truth=lambda x, y: 3.0 * x - 2.0 * x * y):
     while not island.advance(50):
         pass
     outcome = island.outcome()
-    found = [Program.from_bytes(each.program, 2) for each in (*outcome.additions, *outcome.runners_up)]
-    return found, outcome, (x, y, values)
+    programs = [Program.from_bytes(entry.program, 2) for entry in (*outcome.additions, *outcome.runners_up)]
+    return programs, outcome, (x, y, values)
 
 
 def test_a_bound_that_excludes_the_best_constants_is_kept_by_all_that_is_reported():
@@ -36,11 +36,11 @@ def test_a_bound_that_excludes_the_best_constants_is_kept_by_all_that_is_reporte
 
     texts = ("x < 2", "x*y > -1")
     bounds = EquationBounds(tuple(parse_bound(text, NAMES) for text in texts))
-    found, outcome, _ = searched(texts)
-    assert found
-    assert all(bounds.are_kept(program) for program in found)
+    programs, outcome, _ = searched(texts)
+    assert programs
+    assert all(bounds.are_kept(program) for program in programs)
     assert outcome.hit is None
-    assert any(each.is_active for program in found for each in bounds.governed(program))
+    assert any(governed.is_active for program in programs for governed in bounds.governed(program))
     free, unbounded, _ = searched()
     assert unbounded.hit is not None
     assert not all(bounds.are_kept(program) for program in free)
@@ -48,7 +48,7 @@ def test_a_bound_that_excludes_the_best_constants_is_kept_by_all_that_is_reporte
 
 def test_constants_are_fitted_within_their_bounds():
     _, outcome, (x, y, values) = searched(("x*y > -1",))
-    best = {to_infix(Program.from_bytes(each.program, 2), NAMES): each.error for each in outcome.additions}
+    best = {to_infix(Program.from_bytes(entry.program, 2), NAMES): entry.error for entry in outcome.additions}
     a = np.linalg.lstsq(x[:, None], values + x * y, rcond=None)[0][0]  # the best factor of x beside -1 of x*y
     sizes = [error for text, error in best.items() if "1.0*x*y" in text and "**" not in text]
     assert sizes
@@ -56,13 +56,13 @@ def test_constants_are_fitted_within_their_bounds():
 
 
 def test_what_lacks_a_required_variable_stands_on_no_front():
-    found, *_ = searched(required=("y",), truth=lambda x, _: 2.0 * x)
-    assert found
-    assert all(1 in program.left[program.operators == 0] for program in found)
+    programs, *_ = searched(required=("y",), truth=lambda x, _: 2.0 * x)
+    assert programs
+    assert all(1 in program.left[program.operators == 0] for program in programs)
 
 
 @pytest.mark.parametrize("bounds", [("|c| < 100",), ("y > 3", "y < 5")])
 def test_a_bound_that_the_best_constants_keep_changes_nothing(bounds):
-    found, outcome, _ = searched(bounds)
+    programs, outcome, _ = searched(bounds)
     assert outcome.hit is not None
-    assert found
+    assert programs

@@ -40,7 +40,7 @@ def test_a_loss_is_useful_while_some_complexity_it_may_come_to_has_room():
     assert limits[3] == 97.0
     assert limits[20] == 80.0
     assert math.isinf(limits[2])
-    kept.replace(each for each in kept.entries() if each.complexity != 12)
+    kept.replace(member for member in kept.entries() if member.complexity != 12)
     limits = kept.limits(sizes)
     assert np.isinf(limits[2:13]).all()
     assert limits[13] == 87.0

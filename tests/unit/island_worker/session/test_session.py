@@ -58,14 +58,14 @@ from atoll_island_worker.session.events import (
     Tick,
 )
 from atoll_island_worker.session.session import Session
-from atoll_island_worker.session.tasks import ShareKey, TaskKey
+from atoll_island_worker.session.tasks import ShardKey, TaskKey
 
 
 @pytest.fixture
 def session() -> Iterator[Session]:
-    made = Session("me")
-    yield made
-    made.validate()
+    new_session = Session("me")
+    yield new_session
+    new_session.validate()
 
 
 def placed(
@@ -109,8 +109,8 @@ def stopped(task: TaskKey, generations: int) -> Computed:
 
 
 def mail(epoch: int, *blocks: tuple[int, int, bytes], term: int = 1, sender: str = "peer") -> Mailed:
-    made = tuple(Block(source=source, destination=to, data=data) for source, to, data in blocks)
-    return Mailed(sender, Migrants(job="job", variable="x", term=term, epoch=epoch, blocks=made))
+    wire_blocks = tuple(Block(source=source, destination=to, data=data) for source, to, data in blocks)
+    return Mailed(sender, Migrants(job="job", variable="x", term=term, epoch=epoch, blocks=wire_blocks))
 
 
 def finished(island: int, epoch: int, term: int = 1, generation: int = 20) -> Finished:
@@ -128,7 +128,7 @@ def stops(actions: list[object]) -> list[Position]:
 
 def reported(actions: list[object]) -> list[tuple[int, list[int]]]:
     reports = [action.report for action in actions if isinstance(action, SendReport)]
-    return [(each.epoch, [island.island for island in each.islands]) for each in reports]
+    return [(epoch_report.epoch, [island.island for island in epoch_report.islands]) for epoch_report in reports]
 
 
 def tasks(actions: list[object]) -> list[TaskKey]:
@@ -183,7 +183,7 @@ def test_a_higher_term_discards_what_was_computed_and_begins_anew(session: Sessi
     begun(session, "me", "peer")
     actions = session.handle(placed("me", "peer", term=2))
     assert tasks(actions) == [key(0, 0, term=2)]
-    assert actions[1:] == [Discard(ShareKey("job", "x", 1))]
+    assert actions[1:] == [Discard(ShardKey("job", "x", 1))]
 
 
 def test_what_was_computed_under_a_former_term_is_dropped(session: Session) -> None:
@@ -305,7 +305,7 @@ def test_what_comes_after_the_first_slice_that_met_the_target_is_not_begun_or_wa
     session.handle(computed(key(0, 0), {}, 1))
     session.handle(computed(key(2, 0), {}, 1))
     session.handle(Mailed("peer", finished(1, 1, generation=10)))
-    assert [local.state for local in session._shares["job", "x"].islands.values()] == ["waiting", "stopped"]
+    assert [local.state for local in session._shards["job", "x"].islands.values()] == ["waiting", "stopped"]
     assert tasks(list(session.handle(mail(0, (1, 0, b"a"))))) == [key(0, 1)]
     assert reported(list(session.handle(stopped(key(0, 1), 10)))) == [(1, [0])]
 
@@ -384,12 +384,12 @@ def test_reports_can_be_pulled_until_all_islands_have_reported_them(session: Ses
     (answer,) = session.handle(PullAsked("h", question))
     assert isinstance(answer, Respond)
     assert isinstance(answer.body, Reports)
-    assert [each.epoch for each in answer.body.reports] == [0, 1, 2]
+    assert [epoch_report.epoch for epoch_report in answer.body.reports] == [0, 1, 2]
     session.handle(committed(0, 2, 4, reported=2))
     (answer,) = session.handle(PullAsked("h", question))
     assert isinstance(answer, Respond)
     assert isinstance(answer.body, Reports)
-    assert [each.epoch for each in answer.body.reports] == [2]
+    assert [epoch_report.epoch for epoch_report in answer.body.reports] == [2]
 
 
 def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
@@ -404,7 +404,7 @@ def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
     (answer,) = session.handle(PullAsked("h", PullReports(job="job", variable="x", term=1, first=1, last=3)))
     assert isinstance(answer, Respond)
     assert isinstance(answer.body, Reports)
-    assert [each.epoch for each in answer.body.reports] == [1]
+    assert [epoch_report.epoch for epoch_report in answer.body.reports] == [1]
 
 
 def test_a_pull_under_another_term_is_answered_with_ours(session: Session) -> None:
@@ -487,13 +487,13 @@ def test_what_no_pull_can_mend_is_trouble(session: Session) -> None:
     begun(session, "me")
     session.handle(computed(key(0, 0), {0: b"own"}))
     session.handle(Rejected(key(0, 1), "malformed"))
-    assert [each.sentence for each in session.failures()] == ["malformed"]
+    assert [failure.sentence for failure in session.failures()] == ["malformed"]
 
 
 def test_what_broke_is_told_until_it_is_closed(session: Session) -> None:
     begun(session, "me", "peer")
     session.handle(Broken(key(0, 0), "division by a fish"))
-    assert [(each.island, each.sentence) for each in session.failures()] == [(0, "division by a fish")]
+    assert [(failure.island, failure.sentence) for failure in session.failures()] == [(0, "division by a fish")]
     session.handle(CloseJob(job="job"))
     assert session.failures() == ()
 
@@ -516,8 +516,8 @@ def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
 def test_closing_one_variable_keeps_the_others(session: Session) -> None:
     begun(session, "me")
     session.handle(placed("me", variable="y"))
-    assert session.handle(Close(job="job", variable="x", term=1)) == [Discard(ShareKey("job", "x", 1))]
-    assert [each.variable for each in session.holdings()] == ["y"]
+    assert session.handle(Close(job="job", variable="x", term=1)) == [Discard(ShardKey("job", "x", 1))]
+    assert [holding.variable for holding in session.holdings()] == ["y"]
     assert session.wants("job")
 
 
@@ -526,14 +526,14 @@ def test_a_close_of_a_lower_term_that_arrives_late_closes_nothing(session: Sessi
     session.handle(placed("me", term=2))
     assert session.handle(mail(0, (1, 0, b"early"), term=3)) == [FetchPlacements("job")]
     assert session.handle(Close(job="job", variable="x", term=1)) == []
-    assert [each.term for each in session.holdings()] == [2]
+    assert [holding.term for holding in session.holdings()] == [2]
     assert session.handle(mail(0, (1, 0, b"more"), term=3)) == []
-    assert session.handle(Close(job="job", variable="x", term=3)) == [Discard(ShareKey("job", "x", 2))]
+    assert session.handle(Close(job="job", variable="x", term=3)) == [Discard(ShardKey("job", "x", 2))]
 
 
 def test_closing_a_job_forgets_all_of_it(session: Session) -> None:
     begun(session, "me")
-    assert session.handle(CloseJob(job="job")) == [Discard(ShareKey("job", "x", 1)), DiscardJob("job")]
+    assert session.handle(CloseJob(job="job")) == [Discard(ShardKey("job", "x", 1)), DiscardJob("job")]
     assert not session.wants("job")
     assert session.handle(CloseJob(job="job")) == []
     assert session.handle(placed("me")) == []
@@ -542,7 +542,7 @@ def test_closing_a_job_forgets_all_of_it(session: Session) -> None:
 
 def test_a_reset_forgets_everything_also_the_terms(session: Session) -> None:
     begun(session, "me", "peer", term=5)
-    assert session.handle(Reset()) == [Discard(ShareKey("job", "x", 5)), DiscardJob("job")]
+    assert session.handle(Reset()) == [Discard(ShardKey("job", "x", 5)), DiscardJob("job")]
     session.handle(Abandoned(key(0, 0, term=5)))
     assert tasks(begun(session, "me", "peer", term=2)) == [key(0, 0, term=2)]
 
@@ -556,8 +556,8 @@ def pull_states(epoch: int, *islands: int, term: int = 1, offset: int = 0) -> Pu
 
 def states(**of: bytes) -> States:
     """Return whole states, given by island as i0=b"...", i1=b"..."."""
-    given = {int(name[1:]): State.of(data) for name, data in of.items()}
-    return States(pieces=split_states(list(given), 0, given.__getitem__))
+    by_island = {int(name[1:]): State.of(data) for name, data in of.items()}
+    return States(pieces=split_states(list(by_island), 0, by_island.__getitem__))
 
 
 def to_the_first_checkpoint(session: Session) -> list[object]:
@@ -572,7 +572,7 @@ def test_snapshots_are_wanted_at_checkpoints_only(session: Session) -> None:
     actions = begun(session, "me")
     wanted = []
     for epoch in range(5):
-        (action,) = [each for each in actions if isinstance(each, RunTask)]
+        (action,) = [action for action in actions if isinstance(action, RunTask)]
         wanted.append(action.task.takes_snapshot)
         actions = list(session.handle(computed(key(0, epoch), {0: b"own"})))
     assert wanted == [False, False, True, False, True]
@@ -580,10 +580,10 @@ def test_snapshots_are_wanted_at_checkpoints_only(session: Session) -> None:
 
 def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durable(session: Session) -> None:
     to_the_first_checkpoint(session)
-    assert session.handle(Snapshot(key(0, 2), b"state 0", is_held=False)) == []
+    assert session.handle(Snapshot(key(0, 2), b"state 0", is_at_barrier=False)) == []
     assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
     assert session.holdings()[0].snapshots == ()
-    assert session.handle(Snapshot(key(1, 2), b"state 1", is_held=False)) == [SendHeartbeat()]
+    assert session.handle(Snapshot(key(1, 2), b"state 1", is_at_barrier=False)) == [SendHeartbeat()]
     assert session.holdings()[0].snapshots == (2,)
     answer = Respond("h", states(i0=b"state 0", i1=b"state 1"))
     assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [answer]
@@ -599,18 +599,18 @@ def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durab
 def test_a_snapshot_of_a_former_term_is_dropped(session: Session) -> None:
     to_the_first_checkpoint(session)
     session.handle(placed("me", "me", term=2))
-    assert session.handle(Snapshot(key(0, 2), b"state", is_held=False)) == []
+    assert session.handle(Snapshot(key(0, 2), b"state", is_at_barrier=False)) == []
 
 
-def test_held_islands_take_a_snapshot_and_wait_for_another_placement(session: Session) -> None:
+def test_islands_at_a_barrier_take_a_snapshot_and_wait_for_another_placement(session: Session) -> None:
     begun(session, "me")
     session.handle(computed(key(0, 0), {0: b"own"}))
     session.handle(computed(key(0, 1), {0: b"own"}))
     session.handle(committed(2, 3, 3, holds=True))
     actions = session.handle(computed(key(0, 2), {0: b"own"}))
-    (action,) = [each for each in actions if isinstance(each, RunTask)]
-    assert (action.task.key, action.task.takes_snapshot, action.task.is_held) == (key(0, 3), True, True)
-    assert session.handle(Snapshot(key(0, 3), b"state", is_held=True)) == [SendHeartbeat()]
+    (action,) = [action for action in actions if isinstance(action, RunTask)]
+    assert (action.task.key, action.task.takes_snapshot, action.task.is_at_barrier) == (key(0, 3), True, True)
+    assert session.handle(Snapshot(key(0, 3), b"state", is_at_barrier=True)) == [SendHeartbeat()]
     assert tasks(session.handle(committed(3, 3, 3, holds=True))) == []
     assert session.state() == "waiting"
     actions = session.handle(placed("me", term=2, epoch=3))
@@ -625,7 +625,7 @@ def test_a_hit_ends_held_islands(session: Session) -> None:
     session.handle(committed(2, 3, 3, holds=True))
     session.handle(mail(2, (1, 0, b"in")))
     session.handle(computed(key(0, 2), {1: b"out"}, 1))
-    session.handle(Snapshot(key(0, 3), b"state", is_held=True))
+    session.handle(Snapshot(key(0, 3), b"state", is_at_barrier=True))
     session.handle(Mailed("peer", finished(1, 2)))
     assert session.state() == "ready"
 
@@ -638,7 +638,9 @@ def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Sessio
     actions = session.handle(StatesCame(asked, states(i0=b"zero")))
     assert tasks(actions) == [key(0, 6, term=5)]
     assert FetchStates(pull_states(6, 2, term=5)) in actions
-    (action,) = [each for each in session.handle(StatesCame(asked, states(i2=b"two"))) if isinstance(each, RunTask)]
+    (action,) = [
+        action for action in session.handle(StatesCame(asked, states(i2=b"two"))) if isinstance(action, RunTask)
+    ]
     assert (action.task.key, action.task.state, action.task.blocks) == (key(2, 6, term=5), b"two", None)
 
 
@@ -691,7 +693,7 @@ def test_a_reset_keeps_what_the_new_incarnation_has_placed_already(session: Sess
     assert session.handle(Reset(incarnation=1)) == []
     assert session.jobs() == ("job",)
     assert tasks(list(session.handle(placed("me", "peer", term=5)))) == []
-    assert session.handle(Reset(incarnation=2)) == [Discard(ShareKey("job", "x", 5)), DiscardJob("job")]
+    assert session.handle(Reset(incarnation=2)) == [Discard(ShardKey("job", "x", 5)), DiscardJob("job")]
     assert session.jobs() == ()
 
 

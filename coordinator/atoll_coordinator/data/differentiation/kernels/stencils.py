@@ -144,9 +144,9 @@ def best_stencil_into(
         for width in range(1, widths):
             change = 0.0
             for near in range(max(row - 2, 0), min(row + 3, rows)):
-                each = abs(slopes[near, width] - slopes[near, width - 1])
-                if not each <= change:
-                    change = each
+                step = abs(slopes[near, width] - slopes[near, width - 1])
+                if not step <= change:
+                    change = step
             estimate = change + noise[row] * gains[row, width]
             if estimate < uncertainty[row]:
                 uncertainty[row] = estimate

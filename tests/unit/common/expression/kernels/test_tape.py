@@ -25,7 +25,7 @@ from atoll_core.expression.operators import (
     SUBTRACT,
     VARIABLE,
 )
-from atoll_island_worker.evolution.kernels.rows import padded_rows
+from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.structures import empty_work
 from tests.oracles.evaluate import apply, evaluate
 from tests.oracles.gradient import derivative

@@ -29,11 +29,11 @@ def noisy(rows=200, noise=0.05):
 def test_every_row_is_recorded_as_it_was_measured():
     """Of clean data the search sees fewer rows."""
     columns = oscillator(100, start=1900.0)
-    its = recorded(columns)
-    (trajectory,) = its.trajectories
-    assert (its.states, its.state_symbols, its.velocity_symbols) == (("x", "y"), ("x", "y"), ())
-    assert (its.inputs, its.input_symbols, its.order) == ((), (), 1)
-    assert trajectory.times + its.offset == pytest.approx(columns["t"], abs=1e-9)
+    recording = recorded(columns)
+    (trajectory,) = recording.trajectories
+    assert (recording.states, recording.state_symbols, recording.velocity_symbols) == (("x", "y"), ("x", "y"), ())
+    assert (recording.inputs, recording.input_symbols, recording.order) == ((), (), 1)
+    assert trajectory.times + recording.offset == pytest.approx(columns["t"], abs=1e-9)
     assert trajectory.measured.tolist() == [columns["x"].tolist(), columns["y"].tolist()]
     assert trajectory.smoothed.tolist() == trajectory.measured.tolist()
     assert trajectory.slopes[:, 4:-4] == pytest.approx(np.array([columns["y"], -columns["x"]])[:, 4:-4], abs=1e-9)
@@ -44,22 +44,34 @@ def test_every_row_is_recorded_as_it_was_measured():
 def test_arrays_are_in_c_order():
     columns = noisy(50)
     columns["u"] = columns["t"] ** 2
-    for its in recorded(columns, (0, 20), inputs=("u", "t")).trajectories:
-        for array in (its.times, its.measured, its.smoothed, its.slopes, its.inputs, its.input_slopes):
+    for trajectory in recorded(columns, (0, 20), inputs=("u", "t")).trajectories:
+        for array in (
+            trajectory.times,
+            trajectory.measured,
+            trajectory.smoothed,
+            trajectory.slopes,
+            trajectory.inputs,
+            trajectory.input_slopes,
+        ):
             assert array.flags.c_contiguous
 
 
 def test_how_clean_states_were_smoothed():
-    for its in recorded(oscillator(100)).smoothing:
-        assert (its.method, its.span, its.degree, its.outliers) == ("interpolation", None, None, 0)
-        assert 0 <= its.uncertain_rows <= 8
-        assert 0.0 <= its.relative_noise < 1e-12
+    for smoothing in recorded(oscillator(100)).smoothing:
+        assert (smoothing.method, smoothing.span, smoothing.degree, smoothing.outliers) == (
+            "interpolation",
+            None,
+            None,
+            0,
+        )
+        assert 0 <= smoothing.uncertain_rows <= 8
+        assert 0.0 <= smoothing.relative_noise < 1e-12
 
 
 def test_how_noisy_states_were_smoothed():
     columns = noisy()
-    its = recorded(columns)
-    for name, smoothing, smoothed in zip("xy", its.smoothing, its.trajectories[0].smoothed, strict=True):
+    recording = recorded(columns)
+    for name, smoothing, smoothed in zip("xy", recording.smoothing, recording.trajectories[0].smoothed, strict=True):
         assert (smoothing.state, smoothing.method) == (name, "loess")
         assert smoothing.noise == pytest.approx(0.05, rel=0.15)
         assert smoothing.relative_noise == pytest.approx(smoothing.noise / np.std(columns[name]))
@@ -70,36 +82,36 @@ def test_how_noisy_states_were_smoothed():
 
 
 def test_the_paper_preset_records_parabolas():
-    assert {its.degree for its in recorded(noisy(), preset="paper").smoothing} == {2}
+    assert {smoothing.degree for smoothing in recorded(noisy(), preset="paper").smoothing} == {2}
 
 
 def test_the_search_sees_what_is_recorded():
     preparation = prepared(noisy(100), starts=(0, 40), preset="paper")
     recording, dataset = preparation.recording, preparation.dataset
-    smoothed = np.concatenate([its.smoothed for its in recording.trajectories], axis=1)
-    slopes = np.concatenate([its.slopes for its in recording.trajectories], axis=1)
+    smoothed = np.concatenate([trajectory.smoothed for trajectory in recording.trajectories], axis=1)
+    slopes = np.concatenate([trajectory.slopes for trajectory in recording.trajectories], axis=1)
     assert dataset.inputs.tolist() == smoothed.tolist()
     assert [target.values.tolist() for target in dataset.targets] == slopes.tolist()
 
 
 def test_trajectories_are_called_by_their_number():
-    assert [its.name for its in recorded(oscillator(60), (0, 20, 35)).trajectories] == ["1", "2", "3"]
+    assert [trajectory.name for trajectory in recorded(oscillator(60), (0, 20, 35)).trajectories] == ["1", "2", "3"]
 
 
 def test_trajectories_are_called_by_their_value():
     columns = oscillator(60)
     columns["run"] = np.repeat([7.0, -3.0, 0.5, 7.0, 1e300, 7.0], 10)
-    its = recorded(columns, trajectory="run")
-    assert [each.name for each in its.trajectories] == ["7", "-3", "0.5", "7b", "1e+300", "7c"]
-    assert {len(each.times) for each in its.trajectories} == {10}
+    recording = recorded(columns, trajectory="run")
+    assert [trajectory.name for trajectory in recording.trajectories] == ["7", "-3", "0.5", "7b", "1e+300", "7c"]
+    assert {len(trajectory.times) for trajectory in recording.trajectories} == {10}
 
 
 def test_inputs_are_recorded_with_their_slopes():
     columns = oscillator(100, start=5.0)
     columns["u v"] = columns["t"] ** 2
-    its = recorded(columns, inputs=("u v", "t"))
-    (trajectory,) = its.trajectories
-    assert (its.inputs, its.input_symbols) == (("u v", "t"), ("u_v", "t"))
+    recording = recorded(columns, inputs=("u v", "t"))
+    (trajectory,) = recording.trajectories
+    assert (recording.inputs, recording.input_symbols) == (("u v", "t"), ("u_v", "t"))
     assert trajectory.inputs.tolist() == [columns["u v"].tolist(), columns["t"].tolist()]
     assert trajectory.input_slopes[0] == pytest.approx(2 * columns["t"])
     assert trajectory.input_slopes[1].tolist() == [1.0] * 100
@@ -108,19 +120,19 @@ def test_inputs_are_recorded_with_their_slopes():
 def test_order_two_names_its_velocities():
     columns = oscillator(100)
     columns["x_dot"] = columns.pop("y")
-    its = recorded(columns, states=("x",), order=2)
-    assert (its.order, its.state_symbols, its.velocity_symbols) == (2, ("x",), ("x_dot",))
-    assert its.trajectories[0].slopes[0, 4:-4] == pytest.approx(columns["x_dot"][4:-4], abs=1e-9)
+    recording = recorded(columns, states=("x",), order=2)
+    assert (recording.order, recording.state_symbols, recording.velocity_symbols) == (2, ("x",), ("x_dot",))
+    assert recording.trajectories[0].slopes[0, 4:-4] == pytest.approx(columns["x_dot"][4:-4], abs=1e-9)
 
 
 def test_angles_are_recorded_unwrapped_and_in_radians():
     columns = oscillator(100)
     columns["y"] = np.degrees(3 * columns["t"]) % 360
     columns["u"] = (2 * columns["t"]) % (2 * math.pi)
-    its = recorded(columns, inputs=("u",), angles=(Angle(column="y", degrees=True), Angle(column="u")))
-    assert its.trajectories[0].measured[1] == pytest.approx(3 * columns["t"])
-    assert its.trajectories[0].inputs[0] == pytest.approx(2 * columns["t"])
-    assert its.trajectories[0].input_slopes[0] == pytest.approx(np.full(100, 2.0))
+    recording = recorded(columns, inputs=("u",), angles=(Angle(column="y", degrees=True), Angle(column="u")))
+    assert recording.trajectories[0].measured[1] == pytest.approx(3 * columns["t"])
+    assert recording.trajectories[0].inputs[0] == pytest.approx(2 * columns["t"])
+    assert recording.trajectories[0].input_slopes[0] == pytest.approx(np.full(100, 2.0))
 
 
 def test_equations_that_are_not_sought_leave_their_states_in_the_recording():

@@ -27,33 +27,33 @@ def waves(rows=200, noise=0.0, seed=0, uneven=False, scale=1.0, offset=0.0):
 @pytest.mark.parametrize("order", [1, 2])
 def test_data_without_noise_are_interpolated(order, uneven):
     signals, *truths = waves(uneven=uneven)
-    its = estimate_derivatives(signals, Differentiation(order))
+    estimate = estimate_derivatives(signals, Differentiation(order))
     inner = mark_ends([200, 200]) == 0
-    assert its.is_interpolated
-    assert its.target_noise == 0.0
-    assert its.values.tolist() == [value for signal in signals for value in signal.values]
-    errors = np.abs(its.derivative - truths[order - 1])[inner]
+    assert estimate.is_interpolated
+    assert estimate.target_noise == 0.0
+    assert estimate.values.tolist() == [value for signal in signals for value in signal.values]
+    errors = np.abs(estimate.derivative - truths[order - 1])[inner]
     assert errors.max() < 1e-9
-    assert errors.mean() < its.uncertainty[inner].mean()
+    assert errors.mean() < estimate.uncertainty[inner].mean()
 
 
 @pytest.mark.parametrize("noise", [0.003, 0.03, 0.3])
 def test_noisy_data_are_smoothed(noise):
     signals, truth, _ = waves(noise=noise)
-    its = estimate_derivatives(signals, Differentiation())
-    assert not its.is_interpolated
-    assert its.target_noise == pytest.approx(noise / np.std(truth), rel=0.2)
-    error = np.abs(its.derivative - truth).mean()
-    assert 0.4 * its.uncertainty.mean() < error < 3 * its.uncertainty.mean()
+    estimate = estimate_derivatives(signals, Differentiation())
+    assert not estimate.is_interpolated
+    assert estimate.target_noise == pytest.approx(noise / np.std(truth), rel=0.2)
+    error = np.abs(estimate.derivative - truth).mean()
+    assert 0.4 * estimate.uncertainty.mean() < error < 3 * estimate.uncertainty.mean()
 
 
 def test_rounding_to_six_digits_counts_as_little_noise_and_shows_in_the_uncertainty():
     signals, truth, _ = waves()
     rounded = [Signal(signal.times, np.round(signal.values, 6)) for signal in signals]
-    its = estimate_derivatives(rounded, Differentiation())
+    estimate = estimate_derivatives(rounded, Differentiation())
     inner = mark_ends([200, 200]) == 0
-    error = np.abs(its.derivative - truth)[inner].mean()
-    assert error < 2 * its.uncertainty[inner].mean() < 1e-3
+    error = np.abs(estimate.derivative - truth)[inner].mean()
+    assert error < 2 * estimate.uncertainty[inner].mean() < 1e-3
 
 
 def test_the_paper_preset_smooths_always():
@@ -63,21 +63,21 @@ def test_the_paper_preset_smooths_always():
 
 def test_the_second_derivative_of_noisy_data_is_smoothed():
     signals, first, second = waves(noise=0.01)
-    its = estimate_derivatives(signals, Differentiation(2))
-    assert np.std(its.velocity - first) < 0.1
-    assert np.std(its.derivative - second) < 0.4
+    estimate = estimate_derivatives(signals, Differentiation(2))
+    assert np.std(estimate.velocity - first) < 0.1
+    assert np.std(estimate.derivative - second) < 0.4
 
 
 def test_a_jump_that_the_sampling_does_not_resolve_is_uncertain_where_it_is():
     times = np.arange(200) * 0.1
     signals = [Signal(times, np.sin(times) + np.tanh(40 * (times - 10.03)))]
-    its = estimate_derivatives(signals, Differentiation())
+    estimate = estimate_derivatives(signals, Differentiation())
     truth = np.cos(times) + 40 / np.cosh(np.clip(40 * (times - 10.03), -300, 300)) ** 2
-    wrong = np.flatnonzero(np.abs(its.derivative - truth) > 1e-3)
-    assert its.is_interpolated
+    wrong = np.flatnonzero(np.abs(estimate.derivative - truth) > 1e-3)
+    assert estimate.is_interpolated
     assert len(wrong)
-    assert (its.uncertainty[wrong] > 1e-4).all()
-    assert its.uncertainty[20] < 1e-6
+    assert (estimate.uncertainty[wrong] > 1e-4).all()
+    assert estimate.uncertainty[20] < 1e-6
 
 
 @settings(max_examples=25, deadline=None)
@@ -91,11 +91,11 @@ def test_scale_and_offset_of_the_values_change_nothing_else(exponent, offset, no
     scale = 10.0**exponent
     plain, _, _ = waves(60, noise, uneven=uneven)
     moved, _, _ = waves(60, noise, uneven=uneven, scale=scale, offset=offset * scale)
-    its, others = estimate_derivatives(plain, Differentiation()), estimate_derivatives(moved, Differentiation())
+    estimate, others = estimate_derivatives(plain, Differentiation()), estimate_derivatives(moved, Differentiation())
     inner = mark_ends([60, 60]) == 0
-    assert its.is_interpolated == others.is_interpolated
-    tolerance = 3e-9 if its.is_interpolated else 1e-6
-    assert others.derivative[inner] / scale == pytest.approx(its.derivative[inner], abs=tolerance)
+    assert estimate.is_interpolated == others.is_interpolated
+    tolerance = 3e-9 if estimate.is_interpolated else 1e-6
+    assert others.derivative[inner] / scale == pytest.approx(estimate.derivative[inner], abs=tolerance)
 
 
 def test_ends_of_short_trajectories_are_not_left_out():
@@ -108,18 +108,18 @@ def test_ends_of_short_trajectories_are_not_left_out():
 @pytest.mark.parametrize("rows", [5, 6, 8, 15, 16])
 def test_short_trajectories_have_derivatives(rows):
     times = np.arange(rows) * 0.01
-    its = estimate_derivatives([Signal(times, np.exp(times))], Differentiation())
-    assert its.derivative == pytest.approx(np.exp(times), rel=1e-4)
-    assert np.isfinite(its.uncertainty).all()
+    estimate = estimate_derivatives([Signal(times, np.exp(times))], Differentiation())
+    assert estimate.derivative == pytest.approx(np.exp(times), rel=1e-4)
+    assert np.isfinite(estimate.uncertainty).all()
 
 
 def test_quantised_data_are_not_free_of_noise():
     signals, truth, _ = waves()
-    steps = [Signal(each.times, np.round(each.values / 0.002) * 0.002) for each in signals]
-    its = estimate_derivatives(steps, Differentiation(), least_noise=0.002 / np.sqrt(12.0))
-    assert not its.is_interpolated
-    assert its.noise >= 0.002 / np.sqrt(12.0)
-    assert np.abs(its.derivative - truth).mean() < 3.0 * its.uncertainty.mean()
+    steps = [Signal(signal.times, np.round(signal.values / 0.002) * 0.002) for signal in signals]
+    estimate = estimate_derivatives(steps, Differentiation(), least_noise=0.002 / np.sqrt(12.0))
+    assert not estimate.is_interpolated
+    assert estimate.noise >= 0.002 / np.sqrt(12.0)
+    assert np.abs(estimate.derivative - truth).mean() < 3.0 * estimate.uncertainty.mean()
 
 
 def test_slow_data_in_steps_are_not_known_better_than_to_the_step():

@@ -28,9 +28,9 @@ def test_a_smooth_input_is_interpolated_to_the_fourth_order():
 
 def test_a_switched_input_does_not_overshoot():
     times = [steps(60), steps(40, 1)]
-    values = [np.where(each % 2.0 < 1.0, 0.0, 5.0) for each in times]
-    for its, part, slopes in zip(times, values, estimate_input_slopes(times, values), strict=True):
-        curve = CubicHermiteSpline(its, part, slopes)(np.linspace(its[0], its[-1], 2000))
+    values = [np.where(part_times % 2.0 < 1.0, 0.0, 5.0) for part_times in times]
+    for part_times, part, slopes in zip(times, values, estimate_input_slopes(times, values), strict=True):
+        curve = CubicHermiteSpline(part_times, part, slopes)(np.linspace(part_times[0], part_times[-1], 2000))
         assert -1e-12 < curve.min() <= curve.max() < 5.0 + 1e-12
 
 

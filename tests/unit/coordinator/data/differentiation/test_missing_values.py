@@ -49,10 +49,10 @@ def test_many_rows_are_filled_as_one_after_another_to_the_bit(pairs, share):
         times, values = np.cumsum(rng.uniform(0.1, 1.0, rows)), np.round(rng.normal(size=rows), 1)
         is_known = rng.random(rows) < share
         values[~is_known] = math.nan
-        for found, expected in zip(
+        for filled, expected in zip(
             fill(times, values, is_known, pairs), oracle.fill(times, values, is_known, pairs), strict=True
         ):
-            assert found.tobytes() == expected.tobytes()
+            assert filled.tobytes() == expected.tobytes()
 
 
 def test_a_million_rows_take_no_longer_than_each_of_them():
@@ -71,61 +71,61 @@ def test_a_signal_without_holes_stays_as_it_is():
 
 
 def test_without_noise_a_missing_value_has_a_derivative_from_its_neighbours():
-    its = estimate_derivatives([signal_without([20, 61, 62])], Differentiation())
-    assert its.is_interpolated
-    assert its.is_known.all()
-    assert its.values[[20, 61, 62]] == pytest.approx(np.sin(TIMES[[20, 61, 62]]), abs=1e-9)
-    errors = np.abs(its.derivative - np.cos(TIMES))[5:-5]
+    estimate = estimate_derivatives([signal_without([20, 61, 62])], Differentiation())
+    assert estimate.is_interpolated
+    assert estimate.is_known.all()
+    assert estimate.values[[20, 61, 62]] == pytest.approx(np.sin(TIMES[[20, 61, 62]]), abs=1e-9)
+    errors = np.abs(estimate.derivative - np.cos(TIMES))[5:-5]
     assert errors.max() < 1e-8
-    assert (errors <= its.uncertainty[5:-5] + 1e-12).mean() > 0.9
+    assert (errors <= estimate.uncertainty[5:-5] + 1e-12).mean() > 0.9
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_beyond_its_own_rows_a_state_is_not_known(noise):
-    its = estimate_derivatives([signal_without([*range(10), *range(100, ROWS)], noise)], Differentiation())
-    assert its.is_interpolated is (noise == 0.0)
-    assert not its.is_known[:8].any()
-    assert its.is_known[10:100].all()
-    assert not its.is_known[104:].any()
-    assert np.isfinite(its.values).all()
-    assert its.values[0] == its.values[np.flatnonzero(its.is_known)[0]]
-    assert its.derivative[0] == its.velocity[0] == 0.0
+    estimate = estimate_derivatives([signal_without([*range(10), *range(100, ROWS)], noise)], Differentiation())
+    assert estimate.is_interpolated is (noise == 0.0)
+    assert not estimate.is_known[:8].any()
+    assert estimate.is_known[10:100].all()
+    assert not estimate.is_known[104:].any()
+    assert np.isfinite(estimate.values).all()
+    assert estimate.values[0] == estimate.values[np.flatnonzero(estimate.is_known)[0]]
+    assert estimate.derivative[0] == estimate.velocity[0] == 0.0
 
 
 def test_with_noise_holes_are_smoothed_over_and_long_ones_are_not_known():
     missing = [15, 33, 34, *range(50, 85)]
-    its = estimate_derivatives([signal_without(missing, 0.02), signal_without([], 0.02, 1)], Differentiation())
+    estimate = estimate_derivatives([signal_without(missing, 0.02), signal_without([], 0.02, 1)], Differentiation())
     truth = np.tile(np.cos(TIMES), 2)
-    assert its.is_known[[15, 33, 34]].all()
-    assert not its.is_known[62:72].any()
-    known = its.is_known & np.tile((TIMES > 0.5) & (TIMES < 5.5), 2)
-    errors = np.abs(its.derivative - truth)[known]
-    assert errors.mean() < 2.0 * its.total_uncertainty[known].mean()
-    assert its.noise == pytest.approx(0.02, rel=0.25)
+    assert estimate.is_known[[15, 33, 34]].all()
+    assert not estimate.is_known[62:72].any()
+    known = estimate.is_known & np.tile((TIMES > 0.5) & (TIMES < 5.5), 2)
+    errors = np.abs(estimate.derivative - truth)[known]
+    assert errors.mean() < 2.0 * estimate.total_uncertainty[known].mean()
+    assert estimate.noise == pytest.approx(0.02, rel=0.25)
 
 
 def test_missing_values_change_no_other_number_by_what_stands_in_for_them():
     signal = signal_without([15, 33, 34], 0.02)
-    its = estimate_derivatives([signal], Differentiation())
+    estimate = estimate_derivatives([signal], Differentiation())
     moved = type(signal)(TIMES, np.where(signal.is_measured > 0.0, signal.values, 7.0), None, None, signal.is_measured)
     other = estimate_derivatives([moved], Differentiation())
-    assert other.derivative == pytest.approx(its.derivative, abs=1e-9)
-    assert other.noise == pytest.approx(its.noise)
-    assert other.has_heavy_tails == its.has_heavy_tails
-    assert smooth(moved, its.smoother).gains[0] == pytest.approx(smooth(signal, its.smoother).gains[0])
+    assert other.derivative == pytest.approx(estimate.derivative, abs=1e-9)
+    assert other.noise == pytest.approx(estimate.noise)
+    assert other.has_heavy_tails == estimate.has_heavy_tails
+    assert smooth(moved, estimate.smoother).gains[0] == pytest.approx(smooth(signal, estimate.smoother).gains[0])
 
 
 def test_missing_values_are_no_outliers():
-    its = estimate_derivatives([signal_without([15, 33, 34], 0.02)], Differentiation(robust=True))
-    assert not its.outliers
+    estimate = estimate_derivatives([signal_without([15, 33, 34], 0.02)], Differentiation(robust=True))
+    assert not estimate.outliers
 
 
 def test_a_trajectory_with_too_few_values_is_not_known_and_decides_nothing():
     few = signal_without([*range(3, ROWS)], 0.02)
     alone = estimate_derivatives([signal_without([], 0.02, 1)], Differentiation())
-    its = estimate_derivatives([few, signal_without([], 0.02, 1)], Differentiation())
-    assert not its.is_known[:ROWS].any()
-    assert np.isfinite(its.values).all()
-    assert its.smoother == alone.smoother
-    assert its.noise == alone.noise
-    assert its.derivative[ROWS:].tolist() == alone.derivative.tolist()
+    estimate = estimate_derivatives([few, signal_without([], 0.02, 1)], Differentiation())
+    assert not estimate.is_known[:ROWS].any()
+    assert np.isfinite(estimate.values).all()
+    assert estimate.smoother == alone.smoother
+    assert estimate.noise == alone.noise
+    assert estimate.derivative[ROWS:].tolist() == alone.derivative.tolist()

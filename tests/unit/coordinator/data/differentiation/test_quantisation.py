@@ -29,11 +29,11 @@ NOISE = 0.3 * np.random.default_rng(0).standard_normal(300)
     ],
 )
 def test_steps_are_found(values, kind, step):
-    its = find_quantisation([values[:100], np.append(values[100:], math.nan)])
-    assert its.step == pytest.approx(step, rel=1e-3)
+    quantisation = find_quantisation([values[:100], np.append(values[100:], math.nan)])
+    assert quantisation.step == pytest.approx(step, rel=1e-3)
     if kind in ("steps", "single precision"):
-        assert its.kind == kind
-    assert its.error <= its.step / math.sqrt(12.0) * (1.0 + 1e-12)
+        assert quantisation.kind == kind
+    assert quantisation.error <= quantisation.step / math.sqrt(12.0) * (1.0 + 1e-12)
 
 
 @pytest.mark.parametrize("values", [CURVE, CURVE + NOISE, np.arange(7.0), 0.0 * CURVE, np.sin(TIMES) * 1e-12])
@@ -63,9 +63,9 @@ def signal_of(values):
 )
 def test_even_steps_of_a_smooth_curve_are_no_rounding(values):
     signals = [signal_of(values)]
-    found = find_quantisation([values])
-    assert found is not None
-    assert is_refuted(found, signals)
+    quantisation = find_quantisation([values])
+    assert quantisation is not None
+    assert is_refuted(quantisation, signals)
     estimate = estimate_derivatives(signals, Differentiation())
     assert estimate.target_noise == 0.0
 
@@ -73,8 +73,8 @@ def test_even_steps_of_a_smooth_curve_are_no_rounding(values):
 @pytest.mark.parametrize("scale", [0.05, 0.3, 1.0, 10.0, 300.0])
 def test_rounding_is_not_refuted_however_slowly_or_fast_a_state_moves(scale):
     values = np.round(scale * CURVE)
-    found = find_quantisation([values])
-    assert found is None or not is_refuted(found, [signal_of(values)])
+    quantisation = find_quantisation([values])
+    assert quantisation is None or not is_refuted(quantisation, [signal_of(values)])
 
 
 def test_no_step_is_seen_in_random_numbers():
@@ -86,5 +86,5 @@ def test_the_error_is_that_of_rounding():
     draw = np.random.default_rng(2)
     exact = draw.uniform(1.0, 1000.0, 2000)
     rounded = np.array([float(f"{value:.4g}") for value in exact])
-    its = find_quantisation([rounded])
-    assert its.error == pytest.approx(float(np.sqrt(np.mean((rounded - exact) ** 2))), rel=0.1)
+    quantisation = find_quantisation([rounded])
+    assert quantisation.error == pytest.approx(float(np.sqrt(np.mean((rounded - exact) ** 2))), rel=0.1)

@@ -24,16 +24,16 @@ def waves(noise=0.05, share=0.0, size=10.0, rows=200, seed=0):
     return signals, wrong
 
 
-def slope_error(its, rows=200):
+def slope_error(estimate, rows=200):
     truth = np.concatenate([np.cos(0.05 * np.arange(rows) + phase) for phase in (0.0, 1.0)])
-    return float(np.sqrt(np.mean((its.derivative - truth) ** 2)))
+    return float(np.sqrt(np.mean((estimate.derivative - truth) ** 2)))
 
 
 @pytest.mark.parametrize("share", [0.05, 0.15])
 def test_outliers_are_found_and_good_rows_keep_their_weight(share):
     signals, wrong = waves(share=share)
-    its = fit_robustly(signals, DEGREES)
-    for signal, is_off in zip(its.signals, wrong, strict=True):
+    fit = fit_robustly(signals, DEGREES)
+    for signal, is_off in zip(fit.signals, wrong, strict=True):
         assert (signal.weights[is_off] == 0.0).all()
         assert (signal.weights[~is_off] > 0.0).mean() > 0.98
         assert np.median(signal.weights[~is_off]) > 0.8
@@ -47,7 +47,7 @@ def test_outliers_hardly_matter_when_smoothing_is_robust():
     assert robust.noise == pytest.approx(0.05, rel=0.15)
     assert plain.noise > 0.1
     assert robust.standard_deviation == pytest.approx(clean.standard_deviation, rel=0.05)
-    assert robust.outliers == int(sum(each.sum() for each in waves(share=0.08)[1]))
+    assert robust.outliers == int(sum(is_off.sum() for is_off in waves(share=0.08)[1]))
 
 
 def test_without_outliers_robust_smoothing_is_the_ordinary_one():
@@ -66,19 +66,19 @@ def test_data_without_noise_keep_their_outliers_away():
     signals, _ = waves(noise=0.0)
     values = signals[0].values.copy()
     values[[20, 50, 90, 120]] += 0.5
-    its = estimate_derivatives([Signal(signals[0].times, values), signals[1]], Differentiation(robust=True))
-    assert its.outliers is not None
-    assert its.outliers >= 4
-    assert its.robustness_weights is not None
-    assert its.robustness_weights[[20, 50, 90, 120]].tolist() == [0.0] * 4
-    assert slope_error(its) < 0.01
+    estimate = estimate_derivatives([Signal(signals[0].times, values), signals[1]], Differentiation(robust=True))
+    assert estimate.outliers is not None
+    assert estimate.outliers >= 4
+    assert estimate.robustness_weights is not None
+    assert estimate.robustness_weights[[20, 50, 90, 120]].tolist() == [0.0] * 4
+    assert slope_error(estimate) < 0.01
 
 
 def test_another_signal_is_weighed_by_the_same_measure():
     signals, _ = waves(share=0.05)
     others, wrong = waves(share=0.05, seed=1)
-    its = fit_robustly(signals, DEGREES)
-    again = weigh_by(its, others[0])
+    fit = fit_robustly(signals, DEGREES)
+    again = weigh_by(fit, others[0])
     assert (again.weights[wrong[0]] == 0.0).all()
     assert (again.weights[~wrong[0]] > 0.0).mean() > 0.98
 

@@ -29,8 +29,8 @@ def circling(rows: int, seed: int, correlation: float) -> FloatArray:
     random, step = np.random.default_rng(seed), 0.05
     normal = random.standard_normal((2, rows))
     normal[1] = correlation * normal[0] + np.sqrt(1.0 - correlation**2) * normal[1]
-    found = [np.array([1.0, 0.0])]
+    states = [np.array([1.0, 0.0])]
     for row in range(rows - 1):
-        x, y = found[-1]
-        found.append(found[-1] + step * np.array([y - 0.1 * x, -x - 0.1 * y]) + 0.2 * np.sqrt(step) * normal[:, row])
-    return np.array(found).T
+        x, y = states[-1]
+        states.append(states[-1] + step * np.array([y - 0.1 * x, -x - 0.1 * y]) + 0.2 * np.sqrt(step) * normal[:, row])
+    return np.array(states).T

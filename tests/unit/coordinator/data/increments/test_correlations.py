@@ -15,13 +15,13 @@ def pairs_of(steps: Steps) -> list[tuple[int, int]]:
 def carried(rows: int, seed: int) -> FloatArray:
     """Return two states of which one carries the noise of the other: within a step of 0.1 they move together."""
     random = np.random.default_rng(seed)
-    found, small = [np.zeros(2)], 0.01
+    states, small = [np.zeros(2)], 0.01
     for normal in 0.5 * np.sqrt(small) * random.standard_normal((rows, 10, 2)):
-        x, y = found[-1]
+        x, y = states[-1]
         for one, other in normal.tolist():
             x, y = x + small * (4.0 * y - x) + one, y - small * y + other
-        found.append(np.array([x, y]))
-    return np.array(found).T
+        states.append(np.array([x, y]))
+    return np.array(states).T
 
 
 def test_noise_that_is_carried_over_by_the_drift_is_no_correlation() -> None:
@@ -31,9 +31,9 @@ def test_noise_that_is_carried_over_by_the_drift_is_no_correlation() -> None:
     assert pairs_of(steps) == []
 
 
-@pytest.mark.parametrize(("correlation", "found"), [(0.0, []), (0.2, [(0, 1)]), (-0.2, [(0, 1)])])
-def test_correlated_noises_are_seen(correlation: float, found: list[tuple[int, int]]) -> None:
-    assert pairs_of(steps_of(circling(3000, 3, correlation), 0.05)) == found
+@pytest.mark.parametrize(("correlation", "pairs"), [(0.0, []), (0.2, [(0, 1)]), (-0.2, [(0, 1)])])
+def test_correlated_noises_are_seen(correlation: float, pairs: list[tuple[int, int]]) -> None:
+    assert pairs_of(steps_of(circling(3000, 3, correlation), 0.05)) == pairs
 
 
 def test_a_correlation_that_has_either_sign_by_turns_is_seen() -> None:

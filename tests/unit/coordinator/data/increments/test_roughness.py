@@ -42,7 +42,7 @@ def test_a_state_that_follows_a_noisy_one_is_told_from_one_with_noise_of_its_own
     noisy = np.cumsum(0.5 * spread * random.standard_normal(len(fine)))
     once = np.cumsum(noisy) * (fine[1] - fine[0])
     twice = np.cumsum(once) * (fine[1] - fine[0])
-    states = np.array([np.interp(times, fine, its) for its in (noisy, once, twice, np.sin(fine))])
+    states = np.array([np.interp(times, fine, path) for path in (noisy, once, twice, np.sin(fine))])
     steps = uneven_steps_of(states, times)
     assert [is_driven(steps, state) for state in range(4)] == [False, True, True, False]
     assert abs(noise_rate(steps, 0) / (0.455 * 0.25) - 1.0) < 0.3

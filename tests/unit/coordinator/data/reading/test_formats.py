@@ -195,8 +195,8 @@ def check(
     assert " ".join(table.names) == names
     factor = {"": 1.0, "min": 60.0, "h": 1.0}[unit]
     expected = [T * factor, X, Y] if len(table.names) == 3 else [X, Y]
-    for found, meant in zip(table.columns, expected, strict=True):
-        assert np.allclose(found, meant, rtol=10.0**-digits, atol=10.0**-digits)
+    for column, meant in zip(table.columns, expected, strict=True):
+        assert np.allclose(column, meant, rtol=10.0**-digits, atol=10.0**-digits)
     if units is not None:
         assert table.units == units
     if unit:
@@ -243,9 +243,9 @@ def test_files_that_are_read_differently_are_told_apart(tmp_path: Path) -> None:
 def test_a_row_of_units_below_a_header_of_dates(tmp_path: Path) -> None:
     rows = "".join(f"2021-03-0{day};{day}.5;{2 * day}.25\n" for day in range(1, 6))
     (tmp_path / "a.csv").write_text(f"time;S;I\nd;-;mg/L\n{rows}", "utf-8")
-    found = read_table([tmp_path / "a.csv"], DataConfig())
-    assert found.column("S").tolist() == [1.5, 2.5, 3.5, 4.5, 5.5]
-    assert found.units[found.names.index("I")] == "mg/L"
+    table = read_table([tmp_path / "a.csv"], DataConfig())
+    assert table.column("S").tolist() == [1.5, 2.5, 3.5, 4.5, 5.5]
+    assert table.units[table.names.index("I")] == "mg/L"
 
 
 def test_groups_with_times_of_their_own_are_refused_unless_options_choose(tmp_path: Path) -> None:

@@ -28,8 +28,8 @@ def test_fields_of_structures_are_arrays_and_what_holds_no_numbers_is_empty() ->
         "cell": np.array([{}], dtype=object),
         "k": 2.0,
     }
-    found = flat(values)
-    assert {name: array.shape for name, array in found.items()} == {
+    arrays = flat(values)
+    assert {name: array.shape for name, array in arrays.items()} == {
         "x": (3,),
         "run.x": (3,),
         "t": (3,),

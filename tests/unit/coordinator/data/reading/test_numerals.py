@@ -13,7 +13,7 @@ def numbers(separator=",", **columns):
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "expected"),
     [
         ("1,234.5|6", [1234.5, 6.0]),
         ("1,234,567|1.5", [1234567.0, 1.5]),
@@ -28,13 +28,13 @@ def numbers(separator=",", **columns):
         ("1.00000D+00|9.5d-1|.5D0", [1.0, 0.95, 0.5]),
     ],
 )
-def test_a_column_tells_how_it_is_written(text, found):
-    assert numbers("\t", x=text)[0]["x"] == found
+def test_a_column_tells_how_it_is_written(text, expected):
+    assert numbers("\t", x=text)[0]["x"] == expected
 
 
-@pytest.mark.parametrize(("separator", "found"), [(",", 1234.0), (";", 1.234)])
-def test_what_separates_cells_decides_where_nothing_else_does(separator, found):
-    assert numbers(separator, x="1,234|2,345")[0]["x"][0] == found
+@pytest.mark.parametrize(("separator", "expected"), [(",", 1234.0), (";", 1.234)])
+def test_what_separates_cells_decides_where_nothing_else_does(separator, expected):
+    assert numbers(separator, x="1,234|2,345")[0]["x"][0] == expected
 
 
 def test_other_columns_decide_before_that():

@@ -52,10 +52,10 @@ def test_what_belongs_to_no_equation_is_refused(order, text, words):
 
 
 def test_everything_for_one_equation_comes_together_in_the_order_of_the_equations():
-    given = {"dv_x": 1, "x'": 2, "v-x": 3}
-    assert list(sides().several("--guess", given).items()) == [("x", (2,)), ("v-x", (1, 3))]
+    by_side = {"dv_x": 1, "x'": 2, "v-x": 3}
+    assert list(sides().several("--guess", by_side).items()) == [("x", (2,)), ("v-x", (1, 3))]
     with pytest.raises(UsageError, match="--allow names the equation of 'v-x' twice"):
-        sides().single("--allow", given)
+        sides().single("--allow", by_side)
 
 
 def test_variables_are_named_by_column_or_symbol():

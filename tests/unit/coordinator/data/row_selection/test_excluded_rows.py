@@ -15,10 +15,13 @@ def estimate(rows, span=None, weights=None):
     return StateEstimate(values, values, values, values, values, 0.1, 1.0, smoother, robustness_weights=weights)
 
 
-def excluded(times, its, uncertain, searched=None):
+def excluded(times, state_estimate, uncertain, searched=None):
     rows = sum(map(len, times))
     searched = frozenset(range(rows) if searched is None else searched)
-    return [(each.trajectory, each.row, each.reason) for each in explain_excluded_rows(times, its, uncertain, searched)]
+    return [
+        (excluded_row.trajectory, excluded_row.row, excluded_row.reason)
+        for excluded_row in explain_excluded_rows(times, state_estimate, uncertain, searched)
+    ]
 
 
 def test_rows_near_ends_have_their_neighbours_on_one_side():
@@ -56,9 +59,9 @@ def test_outliers_are_told_from_uncertain_rows_around_them():
 
 
 def test_the_ends_of_clean_states_are_left_out_whatever_their_uncertainty():
-    its = excluded([np.arange(30.0)], estimate(30), [15])
+    left_out = excluded([np.arange(30.0)], estimate(30), [15])
     rows = [*range(END_ROWS), *range(30 - END_ROWS, 30)]
-    assert its == [*((0, row, "end") for row in rows[:END_ROWS]), (0, 15, "jump"),
+    assert left_out == [*((0, row, "end") for row in rows[:END_ROWS]), (0, 15, "jump"),
                    *((0, row, "end") for row in rows[END_ROWS:])]  # fmt: skip
 
 

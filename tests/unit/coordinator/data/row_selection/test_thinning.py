@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from atoll_coordinator.data.row_selection.rows import SelectedRows
+from atoll_coordinator.data.row_selection.selected_rows import SelectedRows
 from atoll_coordinator.data.row_selection.thinning import thin_searched_rows
 
 
@@ -11,8 +11,8 @@ def selection(rows: list[int]) -> SelectedRows:
 
 
 def test_few_rows_stay() -> None:
-    its = selection(list(range(100)))
-    assert thin_searched_rows(its, [np.arange(100.0)], 100) is its
+    few = selection(list(range(100)))
+    assert thin_searched_rows(few, [np.arange(100.0)], 100) is few
 
 
 def test_many_rows_become_about_as_many_as_are_allowed_first_and_last_among_them() -> None:

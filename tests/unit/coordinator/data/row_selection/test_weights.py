@@ -29,8 +29,8 @@ def prepared(columns, weights="w", **options):
 
 
 def slope_errors(preparation):
-    its = preparation.recording.trajectories[0]
-    return float(np.std(its.slopes[0] - oscillator(ROWS)["y"]))
+    trajectory = preparation.recording.trajectories[0]
+    return float(np.std(trajectory.slopes[0] - oscillator(ROWS)["y"]))
 
 
 def test_weights_improve_what_is_smoothed():
@@ -40,17 +40,17 @@ def test_weights_improve_what_is_smoothed():
 
 
 def test_the_noise_is_that_of_a_row_of_mean_weight():
-    its = prepared(noisy()).recording
-    weights = its.trajectories[0].weights
+    recording = prepared(noisy()).recording
+    weights = recording.trajectories[0].weights
     assert weights.mean() == pytest.approx(1.0)
-    for smoothing in its.smoothing:
+    for smoothing in recording.smoothing:
         assert smoothing.method == "loess"
         assert smoothing.noise / np.sqrt(weights.max()) == pytest.approx(0.1 * BAD_NOISE, rel=0.15)
 
 
 def test_robust_smoothing_knows_that_a_row_of_little_weight_may_be_far_off():
-    its = prepared(noisy(), robust=True).recording
-    assert sum(smoothing.outliers for smoothing in its.smoothing) <= 6
+    recording = prepared(noisy(), robust=True).recording
+    assert sum(smoothing.outliers for smoothing in recording.smoothing) <= 6
     columns = noisy()
     columns["x"][100] += 1.5 * BAD_NOISE
     columns["x"][102] += 1.5 * BAD_NOISE
@@ -64,20 +64,20 @@ def test_rows_without_weight_are_as_if_they_had_not_been_measured():
     columns["w"] = np.where(np.arange(100) % 4 == 2, 0.0, 2.0)
     columns["x"][2] = np.nan
     columns["y"][6] = 1e6
-    its = prepared(columns)
+    preparation = prepared(columns)
     left = {name: values[columns["w"] > 0.0] for name, values in columns.items() if name != "w"}
     other = prepared(left, None)
-    assert its.dataset.digest == other.dataset.digest
-    assert its.recording.trajectories[0].weights is None
-    assert its.dataset.warnings[0] == "25 of 100 rows have no weight and are left out."
+    assert preparation.dataset.digest == other.dataset.digest
+    assert preparation.recording.trajectories[0].weights is None
+    assert preparation.dataset.warnings[0] == "25 of 100 rows have no weight and are left out."
 
 
 def test_equal_weights_change_nothing():
     columns = oscillator(100)
     alike = prepared(columns, None)
-    its = prepared(columns | {"w": np.full(100, 0.3)})
-    assert its.dataset.digest == alike.dataset.digest
-    assert {smoothing.method for smoothing in its.recording.smoothing} == {"interpolation"}
+    preparation = prepared(columns | {"w": np.full(100, 0.3)})
+    assert preparation.dataset.digest == alike.dataset.digest
+    assert {smoothing.method for smoothing in preparation.recording.smoothing} == {"interpolation"}
 
 
 def test_the_factor_of_weights_does_not_matter():
@@ -91,10 +91,10 @@ def test_many_rows_are_thinned_with_their_weights():
     columns = oscillator(rows)
     noise = np.where(np.arange(rows) % 2 == 0, 0.5, 0.05)
     drawn = np.random.default_rng(1).standard_normal((2, rows))
-    columns |= {name: columns[name] + noise * each for name, each in zip("xy", drawn, strict=True)}
-    its = prepared(columns | {"w": 1.0 / noise**2}).recording
-    weights = its.trajectories[0].weights
-    assert its.smoothing[0].noise / np.sqrt(weights.max()) == pytest.approx(0.05, rel=0.1)
+    columns |= {name: columns[name] + noise * normal for name, normal in zip("xy", drawn, strict=True)}
+    recording = prepared(columns | {"w": 1.0 / noise**2}).recording
+    weights = recording.trajectories[0].weights
+    assert recording.smoothing[0].noise / np.sqrt(weights.max()) == pytest.approx(0.05, rel=0.1)
 
 
 def test_labels_of_little_weight_are_left_out_of_the_search():
@@ -102,10 +102,10 @@ def test_labels_of_little_weight_are_left_out_of_the_search():
     columns = {"x": rng.uniform(1.0, 2.0, 50), "w": np.ones(50)}
     columns["y"] = 3.0 * columns["x"]
     columns["w"][:5] = [0.03, 0.05, 0.03, 0.0, 1.0]
-    its = prepared(columns, target="y")
-    assert its.dataset.inputs.shape == (1, 47)
-    assert its.weights.shape == (47,)
-    assert its.dataset.warnings == (
+    preparation = prepared(columns, target="y")
+    assert preparation.dataset.inputs.shape == (1, 47)
+    assert preparation.weights.shape == (47,)
+    assert preparation.dataset.warnings == (
         "1 of 50 rows have no weight and are left out.",
         "2 of 49 rows have little weight and are left out of the search.",
     )
@@ -124,14 +124,14 @@ def test_normalized_weights_are_one_on_average():
     assert normalize_weights(np.full(5, 0.1)) is None
 
 
-@pytest.mark.parametrize(("value", "found"), [(-1.0, "-1"), (np.nan, "an empty cell or NaN"), (np.inf, "inf")])
-def test_wrong_weights_are_refused_in_one_sentence(value, found):
+@pytest.mark.parametrize(("value", "reason"), [(-1.0, "-1"), (np.nan, "an empty cell or NaN"), (np.inf, "inf")])
+def test_wrong_weights_are_refused_in_one_sentence(value, reason):
     columns = noisy()
     columns["w"][2] = value
     with pytest.raises(DataError) as refusal:
         prepared(columns)
     assert str(refusal.value) == (
-        f"the weights 'w' hold {found} in row 3 (line 4 of a.csv); a weight is a number from 0 (a row that is not "
+        f"the weights 'w' hold {reason} in row 3 (line 4 of a.csv); a weight is a number from 0 (a row that is not "
         "used) up, such as 1/variance"
     )
 

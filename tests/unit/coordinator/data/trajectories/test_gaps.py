@@ -18,8 +18,8 @@ def without(columns, *ranges):
 
 
 def split(columns, span=20, starts=(0,), **options):
-    its = measurements_of(table_of(columns, starts), DataConfig(**options))
-    return its, split_at_gaps(its, span)
+    measurements = measurements_of(table_of(columns, starts), DataConfig(**options))
+    return measurements, split_at_gaps(measurements, span)
 
 
 def noisy(columns, noise=0.05):
@@ -48,20 +48,20 @@ def test_times_drawn_at_random_have_no_gaps():
 
 
 def test_even_times_are_left_alone():
-    its, whole = split(oscillator(60))
-    assert whole is its
+    measurements, whole = split(oscillator(60))
+    assert whole is measurements
 
 
 def test_a_trajectory_is_split_and_its_parts_are_named():
     columns = without(oscillator(200), (50, 80), (120, 160))
-    its, pieces = split(columns, starts=(0, 10))
+    measurements, pieces = split(columns, starts=(0, 10))
     assert pieces.trajectories is not None
     assert pieces.ranges == ((0, 10), (10, 50), (50, 90), (90, 130))
     assert pieces.trajectories.names == ("1", "2", "2b", "2c")
-    assert [len(each) for each in pieces.trajectories.times] == [10, 40, 40, 40]
+    assert [len(times) for times in pieces.trajectories.times] == [10, 40, 40, 40]
     assert (
         np.concatenate(pieces.trajectories.states["x"]).tolist()
-        == np.concatenate(its.trajectories.states["x"]).tolist()
+        == np.concatenate(measurements.trajectories.states["x"]).tolist()
     )
     sentence = "2 gaps in the times are longer than what is smoothed at a time; trajectories are split there: 2 into "
     assert pieces.warnings[-1] == sentence + "2, 2b, 2c."
@@ -78,8 +78,8 @@ def test_short_pieces_are_left_out():
 def test_bursts_too_short_to_be_differentiated_are_bridged():
     columns = without(oscillator(400), *((first + 3, first + 33) for first in range(0, 330, 33)))
     columns = {name: values[:32] for name, values in columns.items()}
-    its, whole = split(columns)
-    assert whole.ranges == its.ranges
+    measurements, whole = split(columns)
+    assert whole.ranges == measurements.ranges
     assert whole.warnings[-1].startswith("10 gaps in the times are bridged although long, because the pieces")
 
 
@@ -94,11 +94,14 @@ def test_a_recording_has_the_pieces_as_trajectories():
     """Dropped rows may leave a gap: nothing is measured for a while."""
     columns = noisy(oscillator(300))
     columns["x"][100:220] = columns["y"][100:220] = math.nan
-    its = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop"))).recording
-    assert its is not None
-    assert [(each.name, len(each.times)) for each in its.trajectories] == [("1", 100), ("1b", 80)]
-    assert its.trajectories[1].times[0] - its.trajectories[0].times[-1] == pytest.approx(12.1)
-    assert [each.measured.shape for each in its.trajectories] == [(2, 100), (2, 80)]
+    recording = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop"))).recording
+    assert recording is not None
+    assert [(trajectory.name, len(trajectory.times)) for trajectory in recording.trajectories] == [
+        ("1", 100),
+        ("1b", 80),
+    ]
+    assert recording.trajectories[1].times[0] - recording.trajectories[0].times[-1] == pytest.approx(12.1)
+    assert [trajectory.measured.shape for trajectory in recording.trajectories] == [(2, 100), (2, 80)]
 
 
 def test_derivatives_do_not_reach_across_a_long_gap():
@@ -106,11 +109,11 @@ def test_derivatives_do_not_reach_across_a_long_gap():
     columns = without(oscillator(300), (100, 200))
     moved = {name: np.where(np.arange(200) < 100, values, values + 7.0) for name, values in columns.items()}
     slopes = []
-    for each in (columns, moved):
-        each["t"] = columns["t"]
-        its = prepare(table_of(each), JobConfig()).recording
-        assert its is not None
-        slopes.append(np.concatenate([part.slopes for part in its.trajectories], axis=1))
+    for measured in (columns, moved):
+        measured["t"] = columns["t"]
+        recording = prepare(table_of(measured), JobConfig()).recording
+        assert recording is not None
+        slopes.append(np.concatenate([part.slopes for part in recording.trajectories], axis=1))
     assert slopes[1] == pytest.approx(slopes[0], abs=1e-9)
 
 
@@ -125,8 +128,8 @@ def test_thirty_percent_of_the_rows_may_be_missing():
     for noise in (0.0, 0.05):
         columns = noisy(oscillator(400), noise)
         columns["x"][np.random.default_rng(1).uniform(size=400) < 0.3] = math.nan
-        its = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop")))
-        assert its.recording is not None
-        assert len(its.recording.trajectories) == 1
-        error = np.abs(its.dataset.targets[0].values - its.dataset.inputs[1])
+        preparation = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop")))
+        assert preparation.recording is not None
+        assert len(preparation.recording.trajectories) == 1
+        error = np.abs(preparation.dataset.targets[0].values - preparation.dataset.inputs[1])
         assert error.mean() < (1e-7 if noise == 0.0 else 0.06)

@@ -36,8 +36,8 @@ def prepared(columns, preset="default", **options):
     ],
 )
 def test_trajectories_are_chosen_by_number_or_by_value(holdout, expected):
-    its = measurements_of(table_of(three()), DataConfig(trajectory="run", holdout=holdout))
-    assert its.held_out == expected
+    measurements = measurements_of(table_of(three()), DataConfig(trajectory="run", holdout=holdout))
+    assert measurements.held_out == expected
 
 
 @pytest.mark.parametrize(
@@ -96,57 +96,57 @@ def test_what_is_held_out_changes_nothing_for_the_search(noise, robust, preset):
     both = prepared(columns, preset, holdout=1, robust=robust).dataset
     alone = prepared({name: values[:120] for name, values in columns.items()}, preset, robust=robust).dataset
     assert np.abs(both.inputs - alone.inputs).max() < 1e-9
-    for its, other in zip(both.targets, alone.targets, strict=True):
-        assert its.values == pytest.approx(other.values, abs=1e-9)
-        assert its.uncertainty == pytest.approx(other.uncertainty, rel=1e-6, abs=1e-14)
+    for target, other in zip(both.targets, alone.targets, strict=True):
+        assert target.values == pytest.approx(other.values, abs=1e-9)
+        assert target.uncertainty == pytest.approx(other.uncertainty, rel=1e-6, abs=1e-14)
 
 
 def test_held_out_trajectories_are_smoothed_and_recorded():
-    its = prepared(three(), holdout="run=7")
-    assert its.recording is not None
-    assert [(each.name, each.held_out) for each in its.recording.trajectories] == [
+    preparation = prepared(three(), holdout="run=7")
+    assert preparation.recording is not None
+    assert [(trajectory.name, trajectory.held_out) for trajectory in preparation.recording.trajectories] == [
         ("4", False),
         ("7", True),
         ("2.5", False),
     ]
-    held_out = its.recording.trajectories[1]
+    held_out = preparation.recording.trajectories[1]
     assert np.std(held_out.smoothed[0] - oscillator(60)["x"]) < 0.04
     assert np.std(held_out.slopes[0] - oscillator(60)["y"]) < 0.2
 
 
 def test_held_out_rows_have_the_same_targets():
-    its = prepared(three(), holdout="run=7", only=("y",))
-    assert its.held_out is not None
-    assert its.held_out.names == its.dataset.names
-    (target,), (seen,) = its.held_out.targets, its.dataset.targets
+    preparation = prepared(three(), holdout="run=7", only=("y",))
+    assert preparation.held_out is not None
+    assert preparation.held_out.names == preparation.dataset.names
+    (target,), (seen,) = preparation.held_out.targets, preparation.dataset.targets
     assert (target.variable, target.lhs) == ("y", "dy/dt")
     assert (target.uncertainty, target.standard_deviation, target.noise) == (
         seen.uncertainty,
         seen.standard_deviation,
         seen.noise,
     )
-    assert 50 <= its.held_out.inputs.shape[1] == len(target.values) <= 60
-    assert np.abs(target.values + its.held_out.inputs[0]).mean() < 0.2
+    assert 50 <= preparation.held_out.inputs.shape[1] == len(target.values) <= 60
+    assert np.abs(target.values + preparation.held_out.inputs[0]).mean() < 0.2
 
 
 def test_held_out_rows_of_clean_data_are_as_certain_as_the_others():
     columns = three(0.0)
     columns["x"][60:120] += np.tanh(1e4 * (columns["t"][60:120] - 3.03))
-    its = prepared(columns, holdout="run=7")
-    assert its.held_out is not None
-    assert 20 < its.held_out.inputs.shape[1] < 50
-    slopes = its.held_out.targets[0].values
-    assert np.abs(slopes - its.held_out.inputs[1]).max() < 0.01
+    preparation = prepared(columns, holdout="run=7")
+    assert preparation.held_out is not None
+    assert 20 < preparation.held_out.inputs.shape[1] < 50
+    slopes = preparation.held_out.targets[0].values
+    assert np.abs(slopes - preparation.held_out.inputs[1]).max() < 0.01
 
 
 def test_given_derivatives_may_be_held_out():
     columns = three() | {"dx": three()["y"], "dy": -three()["x"]}
-    its = prepared(columns, states=("x", "y"), derivatives=("dx", "dy"), holdout=1)
-    assert its.recording is None
-    assert its.held_out is not None
-    assert (its.dataset.inputs.shape, its.held_out.inputs.shape) == ((2, 120), (2, 60))
-    assert its.held_out.targets[0].values.tolist() == columns["dx"][120:].tolist()
-    assert its.held_out.targets[0].standard_deviation == its.dataset.targets[0].standard_deviation
+    preparation = prepared(columns, states=("x", "y"), derivatives=("dx", "dy"), holdout=1)
+    assert preparation.recording is None
+    assert preparation.held_out is not None
+    assert (preparation.dataset.inputs.shape, preparation.held_out.inputs.shape) == ((2, 120), (2, 60))
+    assert preparation.held_out.targets[0].values.tolist() == columns["dx"][120:].tolist()
+    assert preparation.held_out.targets[0].standard_deviation == preparation.dataset.targets[0].standard_deviation
 
 
 def test_nothing_is_held_out_unless_told():
@@ -163,6 +163,6 @@ def test_a_state_that_varies_only_where_it_is_held_out_is_constant():
 def test_missing_rows_of_a_held_out_trajectory_are_dropped_too():
     columns = three()
     columns["x"][125] = columns["y"][125] = math.nan
-    its = prepared(columns, holdout=1, missing="drop")
-    assert its.recording is not None
-    assert [len(each.times) for each in its.recording.trajectories] == [60, 60, 59]
+    preparation = prepared(columns, holdout=1, missing="drop")
+    assert preparation.recording is not None
+    assert [len(trajectory.times) for trajectory in preparation.recording.trajectories] == [60, 60, 59]

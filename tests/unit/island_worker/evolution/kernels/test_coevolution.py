@@ -11,8 +11,8 @@ from atoll_core.expression.kernels.tape import functions_address
 from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, renew_trainer, use_best_predictor
 from atoll_island_worker.evolution.kernels.coevolution import most_disputed, train
 from atoll_island_worker.evolution.kernels.generation import COEVOLUTION, PARTS
+from atoll_island_worker.evolution.kernels.measured_rows import gather, padded_rows
 from atoll_island_worker.evolution.kernels.predictors import judge, judge_all, predictor_generation
-from atoll_island_worker.evolution.kernels.rows import gather, padded_rows
 from atoll_island_worker.evolution.structures import Coevolving, Fit, empty_rows, empty_scratch
 from tests.oracles import coevolution as oracle
 from tests.oracles import variation
@@ -68,7 +68,7 @@ class Arena:
 
     def qualities(self):
         losses, relative = self.coevolution.losses, bool(self.relative)
-        return [oracle.quality(losses, chosen, relative) for chosen in self.coevolution.predictors]
+        return [oracle.quality(losses, rows, relative) for rows in self.coevolution.predictors]
 
 
 @pytest.mark.parametrize("loss", [0, 1])
@@ -104,10 +104,10 @@ def test_predictors_are_judged_by_their_definition(seed, relative):
 def test_a_trainer_that_is_not_finite_is_left_out():
     arena = Arena().begin()
     arena.coevolution.losses[2, 5], arena.coevolution.exact[2] = math.nan, math.inf
-    chosen = arena.coevolution.predictors[0]
-    assert judge(arena.coevolution, 0, chosen) == pytest.approx(oracle.quality(arena.coevolution.losses, chosen))
+    rows = arena.coevolution.predictors[0]
+    assert judge(arena.coevolution, 0, rows) == pytest.approx(oracle.quality(arena.coevolution.losses, rows))
     arena.coevolution.exact[:] = math.inf
-    assert judge(arena.coevolution, 0, chosen) == math.inf
+    assert judge(arena.coevolution, 0, rows) == math.inf
 
 
 def test_the_present_predictor_stays_when_others_are_only_as_good():
@@ -122,28 +122,28 @@ def test_the_present_predictor_stays_when_others_are_only_as_good():
 @given(st.integers(0, 2**32 - 1))
 def test_predictors_only_get_better_and_a_change_of_the_measuring_rows_is_told(seed):
     arena = Arena(seed=seed).begin()
-    its = arena.coevolution
+    coevolution = arena.coevolution
     for clock in range(1, 30):
-        quality, measuring = its.quality.copy(), its.predictors[its.best[0]].copy()
+        quality, measuring = coevolution.quality.copy(), coevolution.predictors[coevolution.best[0]].copy()
         changed = arena.step()
-        assert (its.quality <= quality).all()
-        assert its.quality == pytest.approx(arena.qualities(), rel=1e-9, abs=1e-12)
-        assert its.quality[its.best[0]] == its.quality.min()
-        assert bool(changed) == bool((its.predictors[its.best[0]] != measuring).any())
-        assert ((its.predictors >= 0) & (its.predictors < ROWS)).all()
-        assert its.clock[0] == clock
+        assert (coevolution.quality <= quality).all()
+        assert coevolution.quality == pytest.approx(arena.qualities(), rel=1e-9, abs=1e-12)
+        assert coevolution.quality[coevolution.best[0]] == coevolution.quality.min()
+        assert bool(changed) == bool((coevolution.predictors[coevolution.best[0]] != measuring).any())
+        assert ((coevolution.predictors >= 0) & (coevolution.predictors < ROWS)).all()
+        assert coevolution.clock[0] == clock
 
 
 @pytest.mark.parametrize("relative", [0, 1])
 def test_the_most_disputed_individual_is_the_one_predictors_disagree_on(relative):
     arena = Arena(relative=relative).begin()
-    found = most_disputed(
+    individual = most_disputed(
         arena.lists, arena.coevolution, arena.every, arena.scratch.spare, PLAIN, relative, arena.scratch,
         arena.counters,
     )  # fmt: skip
     losses = [oracle.losses(arena.lists, p, arena.every, PLAIN) for p in range(POPULATION)]
-    spread = [oracle.disagreement(each, arena.coevolution.predictors, bool(relative)) for each in losses]
-    assert found == int(np.argmax(spread))
+    spread = [oracle.disagreement(row_losses, arena.coevolution.predictors, bool(relative)) for row_losses in losses]
+    assert individual == int(np.argmax(spread))
     assert arena.counters[COEVOLUTION] == TRAINERS * ROWS + POPULATION * PREDICTORS * SAMPLE
 
 
@@ -173,8 +173,8 @@ def test_renewal_replaces_the_oldest_trainer_in_turn_with_its_whole_scaling():
         assert oldest == turn
         assert arena.coevolution.born[oldest] == arena.coevolution.clock[0]
         assert kept == [variation.nodes_of(arena.coevolution.trainers, t) for t in range(TRAINERS) if t != oldest]
-        chosen = variation.nodes_of(arena.coevolution.trainers, oldest)
-        source = [variation.nodes_of(arena.lists, p) for p in range(POPULATION)].index(chosen)
+        nodes = variation.nodes_of(arena.coevolution.trainers, oldest)
+        source = [variation.nodes_of(arena.lists, p) for p in range(POPULATION)].index(nodes)
         np.testing.assert_array_equal(arena.coevolution.trainers.scale[oldest], arena.lists.scale[source])
     assert arena.coevolution.quality == pytest.approx(arena.qualities(), rel=1e-9)
 
@@ -213,7 +213,7 @@ def test_without_effort_predictors_never_move():
 def test_the_population_is_measured_on_the_best_predictor_s_rows():
     arena = Arena().begin()
     arena.evolve(30, 0.5, renewal=4)
-    chosen = arena.coevolution.predictors[arena.coevolution.best[0]]
+    rows = arena.coevolution.predictors[arena.coevolution.best[0]]
     for p in range(POPULATION):
-        expected = oracle.predicted(oracle.losses(arena.lists, p, arena.every, PLAIN), chosen)
+        expected = oracle.predicted(oracle.losses(arena.lists, p, arena.every, PLAIN), rows)
         assert arena.fitness[p] == pytest.approx(expected, rel=1e-12)

@@ -30,7 +30,7 @@ from atoll_island_worker.evolution.kernels.fit import (
     measure_tape,
     residual_of,
 )
-from atoll_island_worker.evolution.kernels.rows import product
+from atoll_island_worker.evolution.kernels.measured_rows import product
 from atoll_island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, empty_work
 from tests.oracles import fitting as oracle
 from tests.oracles.programs import program_of
@@ -362,7 +362,7 @@ def test_padding_never_counts(length, options):
     """Whatever finite numbers stand beyond the last row, every bit of the fit is the same."""
     nodes = [X, 0.7, (MULTIPLY, 0, 1), (COS, 2), Y, (SQRT, 4), (MULTIPLY, 3, 5), 0.4, (ADD, 4, 7), (ADD, 6, 8)]
     inputs, target = random_inputs(15, length), np.random.default_rng(16).normal(size=length)
-    found = []
+    fits = []
     for beyond in (None, 2.5, 0.01):
         rows = rows_of(inputs, target)
         assert rows.mask.tolist() == [[1.0] * length + [0.0] * (rows.mask.shape[1] - length)]
@@ -371,8 +371,8 @@ def test_padding_never_counts(length, options):
         tape, count = tape_of(program_of(nodes))
         work, scale, result = empty_work(SPACE, length), np.zeros(1 + MOST_TERMS), np.zeros(2)
         used = fit(tape, count, rows, options, 100, 6, math.inf, work, scale, result)
-        found.append((used, tape.constants[:count].tolist(), scale.tolist(), result.tolist()))
-    assert found[0] == found[1] == found[2]
+        fits.append((used, tape.constants[:count].tolist(), scale.tolist(), result.tolist()))
+    assert fits[0] == fits[1] == fits[2]
 
 
 def test_the_count_of_point_evaluations_is_the_documented_one():

@@ -18,7 +18,7 @@ from atoll_island_worker.evolution.kernels.generation import (
     measure_all,
     residual_of_list,
 )
-from atoll_island_worker.evolution.kernels.rows import padded_rows
+from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.kernels.variation import cross, mutate
 from atoll_island_worker.evolution.structures import Coevolving, Fit, empty_lists, empty_scratch
 from tests.oracles import fitting

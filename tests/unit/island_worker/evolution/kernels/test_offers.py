@@ -9,16 +9,16 @@ from atoll_core.expression.operators import MULTIPLY, VARIABLE
 from atoll_core.expression.simplification import complexity
 from atoll_island_worker.evolution.formula import from_book, from_tape, to_program
 from atoll_island_worker.evolution.kernels.generation import PARTS, REFITTING
+from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.kernels.offers import (
     SIMPLE,
     canonical,
     choose_near,
     choose_offers,
     refit,
-    refit_chosen,
+    refit_offers,
     structure_hash,
 )
-from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.kernels.tape import compile_tape
 from atoll_island_worker.evolution.structures import MOST_TERMS, Fit, empty_scratch, empty_tape
 from tests.oracles import fitting
@@ -41,17 +41,17 @@ class Arena:
         self.fitness = np.random.default_rng(4).uniform(4.0, 6.0, POPULATION) - 0.15 * size
 
     def choose(self):
-        chosen = np.zeros(len(self.offered), np.int64)
-        count = choose_offers(self.lists, self.fitness, self.scratch, self.offered, self.losses, chosen)
-        return chosen[:count].tolist()
+        offers = np.zeros(len(self.offered), np.int64)
+        count = choose_offers(self.lists, self.fitness, self.scratch, self.offered, self.losses, offers)
+        return offers[:count].tolist()
 
     def choose_near(self, most, known):
         """Return the individuals chosen for the front, and those beside it."""
-        chosen = np.zeros(len(self.offered) + POPULATION, np.int64)
-        count = choose_offers(self.lists, self.fitness, self.scratch, self.offered, self.losses, chosen)
+        offers = np.zeros(len(self.offered) + POPULATION, np.int64)
+        count = choose_offers(self.lists, self.fitness, self.scratch, self.offered, self.losses, offers)
         order = np.argsort(self.fitness, kind="stable")
-        number = choose_near(self.lists, self.fitness, order, most, self.scratch, known, chosen, count)
-        return chosen[:count].tolist(), chosen[count:number].tolist()
+        number = choose_near(self.lists, self.fitness, order, most, self.scratch, known, offers, count)
+        return offers[:count].tolist(), offers[count:number].tolist()
 
     def hash(self, p):
         return int(structure_hash(self.scratch.canonical, canonical(self.lists, p, self.scratch)))
@@ -78,17 +78,17 @@ def test_chosen_are_the_best_of_each_size_that_no_smaller_one_equals():
 
 def test_the_same_structure_is_offered_again_only_when_its_loss_has_halved():
     arena = Arena()
-    chosen = arena.choose()
+    offers = arena.choose()
     assert arena.choose() == []
-    arena.fitness[chosen[-1]] *= 0.6
+    arena.fitness[offers[-1]] *= 0.6
     assert arena.choose() == []
-    arena.fitness[chosen[-1]] *= 0.6
-    assert arena.choose() == [chosen[-1]]
+    arena.fitness[offers[-1]] *= 0.6
+    assert arena.choose() == [offers[-1]]
 
 
 def near_by_definition(arena, offered, most, known):
     """Return who is next best of each size, by fitness, fitnesses and structures being new."""
-    chosen, structures = [], {arena.hash(p) for p in offered} | set(known)
+    near, structures = [], {arena.hash(p) for p in offered} | set(known)
     taken, fitnesses = {}, {}
     for p in np.argsort(arena.fitness, kind="stable").tolist():
         size = arena.size(p)
@@ -99,8 +99,8 @@ def near_by_definition(arena, offered, most, known):
         taken[size] = taken.get(size, 0) + 1
         if arena.hash(p) not in structures:
             structures.add(arena.hash(p))
-            chosen.append(p)
-    return chosen
+            near.append(p)
+    return near
 
 
 @pytest.mark.parametrize("most", [1, 2, 5])
@@ -166,7 +166,7 @@ def test_refits_are_counted_and_leave_a_quarter_of_the_rows_for_each_constant():
 
 
 class Offers:
-    """What `refit_chosen` finds in a population on 40 rows."""
+    """What `refit_offers` finds in a population on 40 rows."""
 
     def __init__(self, options=FITTED, lists=None, target=None):
         inputs = np.random.default_rng(6).uniform(0.5, 2.0, (2, 40))
@@ -184,11 +184,11 @@ class Offers:
     def refit(self, least=None, slack=math.inf):
         """Return how many programs improve on `least`, as if none had been offered before."""
         least = np.full(self.sizes, math.inf) if least is None else least
-        chosen, none = np.zeros(self.sizes, np.int64), np.zeros(self.sizes, np.uint64)
+        offers, none = np.zeros(self.sizes, np.int64), np.zeros(self.sizes, np.uint64)
         unknown = np.full(self.sizes, math.inf)
-        number = choose_offers(self.lists, self.fitness, self.scratch, none, unknown, chosen)
-        return refit_chosen(
-            self.lists, chosen, number, self.rows, self.options, 4, self.scratch, least, slack, self.book, self.counters
+        number = choose_offers(self.lists, self.fitness, self.scratch, none, unknown, offers)
+        return refit_offers(
+            self.lists, offers, number, self.rows, self.options, 4, self.scratch, least, slack, self.book, self.counters
         )
 
     def loss(self, k, shift, coefficients):

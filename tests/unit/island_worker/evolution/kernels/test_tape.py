@@ -31,9 +31,9 @@ def compiled(program):
 
 def assert_same_bits(one, other, row):
     inputs = np.array(row)[:, None]
-    found, expected = (node_values(program, inputs)[-1] for program in (one, other))
-    np.testing.assert_array_equal(found, expected)
-    assert np.signbit(found) == np.signbit(expected) or np.isnan(found)
+    actual, expected = (node_values(program, inputs)[-1] for program in (one, other))
+    np.testing.assert_array_equal(actual, expected)
+    assert np.signbit(actual) == np.signbit(expected) or np.isnan(actual)
 
 
 def marked(lists, p, words):
@@ -154,6 +154,6 @@ def test_zeros_of_different_sign_are_different_constants():
 
 def test_constants_are_folded_through_and_through():
     nodes = [2.0, 3.0, (ADD, 0, 1), (MULTIPLY, 2, 2), X, (SUBTRACT, 4, 3)]
-    found = canonical(program_of(nodes))
-    assert len(found) == 3
-    assert 25.0 in found.constants
+    tape = canonical(program_of(nodes))
+    assert len(tape) == 3
+    assert 25.0 in tape.constants

@@ -136,9 +136,9 @@ def test_where_no_row_is_trusted_all_are():
 
 
 def bins_of(times, values, weights, bins):
-    its = np.empty(bins), np.empty(bins), np.empty(bins)
-    thin_into(*its, times, values, weights)
-    return its
+    thinned = np.empty(bins), np.empty(bins), np.empty(bins)
+    thin_into(*thinned, times, values, weights)
+    return thinned
 
 
 @pytest.mark.parametrize(("rows", "bins"), [(20, 5), (23, 5), (7, 7), (9, 2)])

@@ -56,7 +56,7 @@ def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], 
     if not paper:
         interpolated = [estimate for estimate in estimates if estimate.is_interpolated]
         smoothed = [estimate for estimate in estimates if not estimate.is_interpolated]
-        ends = mark_ends([len(each) for each in times]) if interpolated else np.zeros(measurements.row_count)
+        ends = mark_ends([len(part) for part in times]) if interpolated else np.zeros(measurements.row_count)
         inner = [row for row in searched if ends[row] == 0.0]
         certain = _certain_interpolated(interpolated, inner)
         selected = _certain_smoothed(smoothed, certain)

@@ -1,4 +1,4 @@
-"""Shares: the states of an island follow the table, and nothing else."""
+"""Shards: the states of an island follow the table, and nothing else."""
 
 import pytest
 
@@ -6,11 +6,11 @@ from atoll_core.errors import LocalProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.workers import Placement
 from atoll_island_worker.session.local_island import ISLAND_TRANSITIONS, LocalIsland
-from atoll_island_worker.session.share import Share
+from atoll_island_worker.session.shard import Shard
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 
-STEPS = ("restore", "begin", "emigrate", "complete", "end", "reject", "hold")
+STEPS = ("restore", "begin", "emigrate", "complete", "end", "reject", "reach barrier")
 
 
 @pytest.mark.parametrize("state", list(ISLAND_TRANSITIONS))
@@ -37,19 +37,19 @@ def test_a_share_has_the_islands_that_the_placement_gives_its_worker() -> None:
         interval=16,
         commit_order=COMMIT_ORDER,
     )
-    share = Share(placement, "a")
-    assert list(share.islands) == [0, 2]
-    assert share.stop_epoch == 4
-    assert (share.holding().islands, share.holding().reported, share.holding().term) == (2, 0, 2)
-    share.validate()
+    shard = Shard(placement, "a")
+    assert list(shard.islands) == [0, 2]
+    assert shard.stop_epoch == 4
+    assert (shard.holding().islands, shard.holding().reported, shard.holding().term) == (2, 0, 2)
+    shard.validate()
 
 
 def test_an_inconsistent_share_is_noticed() -> None:
     placement = Placement(
         incarnation=1, term=1, job="j", variable="x", workers=("a",), epochs=5, interval=16, commit_order=COMMIT_ORDER
     )
-    share = Share(placement, "a")
-    share.islands[0].epoch = 3
-    share.islands[0].needs = frozenset({0})
+    shard = Shard(placement, "a")
+    shard.islands[0].epoch = 3
+    shard.islands[0].needs = frozenset({0})
     with pytest.raises(LocalProtocolError, match="without its immigrants"):
-        share.validate()
+        shard.validate()

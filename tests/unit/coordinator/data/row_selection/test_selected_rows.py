@@ -8,7 +8,7 @@ import pytest
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.smoothing import Smoother
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.row_selection.rows import FAR_OUT, select_rows
+from atoll_coordinator.data.row_selection.selected_rows import FAR_OUT, select_rows
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.data.trajectories.trajectories import Trajectories
 
@@ -48,10 +48,10 @@ def selected(estimates, lengths=None, held_out=None, paper=False):
 
 
 def test_uncertain_rows_of_any_state_are_left_out():
-    its = selected([smoothed(with_peaks(50, 0, 49)), smoothed(with_peaks(50, 0, 20, level=7.0))])
-    assert its.searched == [row for row in range(50) if row not in (0, 20, 49)]
-    assert [*map(len, its.uncertain)] == [2, 2]
-    assert its.warnings == (
+    selection = selected([smoothed(with_peaks(50, 0, 49)), smoothed(with_peaks(50, 0, 20, level=7.0))])
+    assert selection.searched == [row for row in range(50) if row not in (0, 20, 49)]
+    assert [*map(len, selection.uncertain)] == [2, 2]
+    assert selection.warnings == (
         "3 of 50 rows have doubtful derivatives (at ends and jumps) and are left out of the search.",
     )
 
@@ -70,29 +70,29 @@ def test_most_rows_are_kept_whatever_their_uncertainty():
 
 
 def test_the_paper_keeps_all():
-    its = selected([smoothed(with_peaks(50, 0, 49)), interpolated(with_peaks(50, 3))], paper=True)
-    assert its.searched == list(range(50))
-    assert (its.uncertain, its.warnings) == ((frozenset(), frozenset()), ())
+    selection = selected([smoothed(with_peaks(50, 0, 49)), interpolated(with_peaks(50, 3))], paper=True)
+    assert selection.searched == list(range(50))
+    assert (selection.uncertain, selection.warnings) == ((frozenset(), frozenset()), ())
 
 
 def test_held_out_rows_are_held_to_the_limits_of_the_others():
     uncertainty = with_peaks(80, 5, 60, 70)
     uncertainty[75] = 4.0
     uncertainty[30] = 4.0
-    its = selected([smoothed(uncertainty)], [40, 40], held_out=(False, True))
-    assert its.searched == [row for row in range(40) if row != 5]
-    assert its.held_out == [row for row in range(40, 80) if row not in (60, 70)]
-    assert [*map(len, its.uncertain)] == [1]
+    selection = selected([smoothed(uncertainty)], [40, 40], held_out=(False, True))
+    assert selection.searched == [row for row in range(40) if row != 5]
+    assert selection.held_out == [row for row in range(40, 80) if row not in (60, 70)]
+    assert [*map(len, selection.uncertain)] == [1]
 
 
 def test_held_out_rows_at_the_ends_of_clean_trajectories_are_left_out():
-    its = selected([interpolated(np.full(80, 1e-9))], [40, 40], held_out=(True, False))
-    assert its.searched == list(range(44, 76))
-    assert its.held_out == list(range(4, 36))
+    selection = selected([interpolated(np.full(80, 1e-9))], [40, 40], held_out=(True, False))
+    assert selection.searched == list(range(44, 76))
+    assert selection.held_out == list(range(4, 36))
 
 
 def test_clean_and_noisy_states_share_their_rows():
-    its = selected([interpolated(with_peaks(60, 10, level=1e-6, size=1e4)), smoothed(with_peaks(60, 30))])
-    assert its.searched == [row for row in range(4, 56) if row not in (10, 30)]
-    assert [*map(len, its.uncertain)] == [1, 1]
-    assert len(its.warnings) == 3
+    selection = selected([interpolated(with_peaks(60, 10, level=1e-6, size=1e4)), smoothed(with_peaks(60, 30))])
+    assert selection.searched == [row for row in range(4, 56) if row not in (10, 30)]
+    assert [*map(len, selection.uncertain)] == [1, 1]
+    assert len(selection.warnings) == 3

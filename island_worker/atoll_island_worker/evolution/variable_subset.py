@@ -11,14 +11,14 @@ from atoll_core.expression.program import Program
 from atoll_core.search.pareto import FrontEntry
 
 
-def narrow(problem: Problem, columns: Sequence[int]) -> Problem:
+def select_variables(problem: Problem, columns: Sequence[int]) -> Problem:
     """Return `problem` over the variables of these indices only."""
     inputs = np.ascontiguousarray(problem.inputs[list(columns)])
     return Problem(tuple(problem.names[column] for column in columns), inputs, problem.target)
 
 
-def widen(entry: FrontEntry, columns: Sequence[int]) -> FrontEntry:
-    """Return a front member of a problem narrowed to `columns` as one of the whole problem."""
+def restore_variables(entry: FrontEntry, columns: Sequence[int]) -> FrontEntry:
+    """Return a front member of a problem over `columns` as one of the whole problem."""
     program = Program.from_bytes(entry.program, len(columns))
     left = program.left.copy()
     is_variable = program.operators == VARIABLE

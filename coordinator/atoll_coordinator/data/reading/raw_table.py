@@ -1,4 +1,4 @@
-"""What is read from one file, before cells are numbers: `Rows`. Pure."""
+"""What is read from one file, before cells are numbers: `RawTable`. Pure."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -20,7 +20,7 @@ _FORM_OF_DATES: Final = re.compile(
 
 
 @dataclass(frozen=True)
-class Rows:
+class RawTable:
     """Cells of one file as text: `columns[i]` are the cells under `headers[i]`; `lines` their line numbers, or 0.
 
     `units` are those that a row of their own or the format gives, "" where there is none; `starts` are the rows at
@@ -37,13 +37,13 @@ class Rows:
     separator: str = ""
 
 
-def rows_of_records(
+def table_of_records(
     file: str,
     headers: Sequence[str],
     records: Iterable[tuple[int, list[str]]],
     remarks: tuple[str, ...],
     has_row_names: bool = False,
-) -> Rows:
+) -> RawTable:
     """Return the rows of line numbers and cells; blank records become starts of trajectories.
 
     `has_row_names` says whether rows may begin with a name for which the header has no cell.
@@ -65,11 +65,11 @@ def rows_of_records(
         headers, kept = _one_cell_more(headers, kept, has_row_names)
     for line, record in zip(lines, kept, strict=True):
         if len(record) != len(headers):
-            found = f"{len(record)} {'cell' if len(record) == 1 else 'cells'}"
-            raise DataError(f"line {line} of {file} has {found} where the header has {len(headers)}; correct it")
+            count = f"{len(record)} {'cell' if len(record) == 1 else 'cells'}"
+            raise DataError(f"line {line} of {file} has {count} where the header has {len(headers)}; correct it")
     columns = [list(column) for column in zip(*kept, strict=True)] or [[] for _ in headers]
     starts = sorted({start for start in starts if start < max(len(lines), 1)})
-    return take_units(Rows(tuple(headers), columns, lines, starts, remarks))
+    return take_units(RawTable(tuple(headers), columns, lines, starts, remarks))
 
 
 def _one_cell_more(
@@ -81,20 +81,20 @@ def _one_cell_more(
     return (["", *headers] if has_row_names else headers), records
 
 
-def take_units(rows: Rows) -> Rows:
+def take_units(raw: RawTable) -> RawTable:
     """Return `rows` without a first row that holds units in place of numbers; these become the units."""
-    if len(rows.lines) < 2 or not is_units_row([column[0] for column in rows.columns], rows.headers):
-        return rows
-    if not any(is_numeral(column[1]) for column in rows.columns):
-        return rows
-    place = f"line {rows.lines[0]}" if rows.lines[0] else "the first row"
+    if len(raw.lines) < 2 or not is_units_row([column[0] for column in raw.columns], raw.headers):
+        return raw
+    if not any(is_numeral(column[1]) for column in raw.columns):
+        return raw
+    place = f"line {raw.lines[0]}" if raw.lines[0] else "the first row"
     return replace(
-        rows,
-        columns=[column[1:] for column in rows.columns],
-        lines=rows.lines[1:],
-        starts=sorted({max(start - 1, 0) for start in rows.starts}),
-        remarks=(*rows.remarks, f"units in {place}"),
-        units=tuple(plain_unit(column[0]) for column in rows.columns),
+        raw,
+        columns=[column[1:] for column in raw.columns],
+        lines=raw.lines[1:],
+        starts=sorted({max(start - 1, 0) for start in raw.starts}),
+        remarks=(*raw.remarks, f"units in {place}"),
+        units=tuple(plain_unit(column[0]) for column in raw.columns),
     )
 
 
@@ -118,11 +118,11 @@ def plain_unit(cell: str) -> str:
 
 def with_breaks(
     headers: Sequence[str], columns: list[list[str]], remarks: tuple[str, ...], units: Sequence[str] = ()
-) -> Rows:
+) -> RawTable:
     """Return the rows of a format without lines; those that are missing in every column separate trajectories."""
     count = len(columns[0]) if columns else 0
     blank = [all(is_missing(cell) for cell in row) for row in zip(*columns, strict=True)]
     kept = [row for row in range(count) if not blank[row]]
     starts = [0] + [place for place, (row, after) in enumerate(pairwise(kept), start=1) if after != row + 1]
     taken = columns if len(kept) == count else [[column[row] for row in kept] for column in columns]
-    return Rows(tuple(headers), taken, [0] * len(kept), starts, remarks, tuple(units))
+    return RawTable(tuple(headers), taken, [0] * len(kept), starts, remarks, tuple(units))

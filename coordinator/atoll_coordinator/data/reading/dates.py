@@ -1,4 +1,4 @@
-"""Dates and clock times -> instants, in whole nanoseconds; instants -> times in one unit. Pure.
+"""Dates and clock times -> whole nanoseconds; these -> times in one unit. Pure.
 
 A date is counted from 1970-01-01, a clock time from midnight, both without leap seconds. ISO dates, dates with names of
 months, and local ones are read; whether ``03/04/2020`` begins with the day is told by the other dates of the column.
@@ -59,8 +59,8 @@ _Match = re.Match[str]
 
 
 @dataclass(frozen=True)
-class Instants:
-    """Instants of the rows of a column, in nanoseconds, None where missing.
+class Dates:
+    """Dates or clock times of the rows of a column, in nanoseconds, None where missing.
 
     `form` is how they are written; `has_date` says whether they are counted from 1970-01-01, else from midnight;
     `has_clock` whether any of them has a clock time; `is_utc` whether zones were given, and taken off.
@@ -80,7 +80,7 @@ def split_origin(unit: str) -> tuple[str, str]:
     return (unit, "") if match is None or known is None else (known, match["origin"].strip())
 
 
-def is_instant(cell: str) -> bool:
+def is_date(cell: str) -> bool:
     """Tell whether `cell` has the form of a date or a clock time."""
     text = on_one_line(cell)
     return is_clock(text) or _form(text) is not None
@@ -99,8 +99,8 @@ def _form(text: str) -> tuple[str, re.Pattern[str]] | None:
     return None
 
 
-def read_instants(column: str, cells: Sequence[str], starts: Sequence[int], where: Callable[[int], str]) -> Instants:
-    """Return the instants in the cells of a column, of which the first one that is there has the form of an instant.
+def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], where: Callable[[int], str]) -> Dates:
+    """Return the dates in the cells of a column, whose first cell that is there has the form of a date or clock time.
 
     Args:
         column: what messages call it, such as ``column 't' of a.csv``.
@@ -113,28 +113,28 @@ def read_instants(column: str, cells: Sequence[str], starts: Sequence[int], wher
     """
     texts = ["" if is_missing(cell) else on_one_line(cell) for cell in cells]
     first = next(text for text in texts if text)
-    found = ("clock time", _CLOCK_FORM) if is_clock(first) else _form(first)
-    assert found is not None
-    form, pattern = found
+    first_form = ("clock time", _CLOCK_FORM) if is_clock(first) else _form(first)
+    assert first_form is not None
+    form, pattern = first_form
     matches = [pattern.fullmatch(text) if text else None for text in texts]
     for row, (text, match) in enumerate(zip(texts, matches, strict=True)):
         if text and match is None:
             raise DataError(f"{column} holds '{text}' in {where(row)}, which is not written as '{first}' is")
     if pattern is _CLOCK_FORM:
         _check_hours(column, matches)
-        clocks = _each(matches, _clock, column, where)
-        return Instants(_past_midnight(clocks, starts), "clock times", has_date=False)
+        clocks = _read_matches(matches, _clock, column, where)
+        return Dates(_past_midnight(clocks, starts), "clock times", has_date=False)
     zones = {match["zone"] is not None for match in matches if match is not None}
     if len(zones) > 1:
         raise DataError(f"{column} gives a time zone in some rows only; give it in all or in none")
     if not form:
         form = _order(column, matches, starts)
-    values = _each(matches, lambda match: _date(match, form), column, where)
+    values = _read_matches(matches, lambda match: _date(match, form), column, where)
     has_clock = any(match is not None and match["hour"] is not None for match in matches)
-    return Instants(tuple(values), f"dates {form}", has_date=True, has_clock=has_clock, is_utc=zones == {True})
+    return Dates(tuple(values), f"dates {form}", has_date=True, has_clock=has_clock, is_utc=zones == {True})
 
 
-def _each(
+def _read_matches(
     matches: Sequence[_Match | None], read: Callable[[_Match], int], column: str, where: Callable[[int], str]
 ) -> list[int | None]:
     values: list[int | None] = []
@@ -253,8 +253,8 @@ def _past_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple
     return tuple(counted)
 
 
-def with_clock(dates: Instants, clocks: Instants) -> Instants:
-    """Return the instants of a column of dates and one of clock times."""
+def with_clock(dates: Dates, clocks: Dates) -> Dates:
+    """Return a column of dates and one of clock times as one."""
     day = NANOSECONDS["d"]
     values = tuple(
         None if date is None or clock is None else date + clock % day
@@ -263,49 +263,49 @@ def with_clock(dates: Instants, clocks: Instants) -> Instants:
     return replace(dates, nanoseconds=values, has_clock=True, form=f"{dates.form} and clock times")
 
 
-def of_array(values: npt.NDArray[np.datetime64]) -> Instants:
-    """Return the instants of an array of dates (N,)."""
+def dates_of_array(values: npt.NDArray[np.datetime64]) -> Dates:
+    """Return the dates of an array (N,)."""
     days = values.astype("M8[D]")
     rest = (values - days).astype("m8[ns]").astype(np.int64).tolist()
     whole = days.astype(np.int64).tolist()
     missing = np.isnat(values).tolist()
-    found = [
+    nanoseconds = [
         None if is_missing else date * NANOSECONDS["d"] + part
         for date, part, is_missing in zip(whole, rest, missing, strict=True)
     ]
-    return Instants(tuple(found), "dates", has_date=True, has_clock=any(rest))
+    return Dates(tuple(nanoseconds), "dates", has_date=True, has_clock=any(rest))
 
 
-def times_of(columns: Sequence[Instants], starts: Iterable[int], unit: str | None) -> tuple[FloatArray, str, str]:
+def times_of(columns: Sequence[Dates], starts: Iterable[int], unit: str | None) -> tuple[FloatArray, str, str]:
     """Return the times (N,) of one column in the files that are read together, their unit, and a remark.
 
     Args:
-        columns: its instants in each file, of one kind.
+        columns: the dates in each file, of one kind.
         starts: rows at which trajectories begin, counted over all files.
         unit: in which times are wanted; None: the longest of days, hours, minutes and seconds of which a usual step
             between rows has at least one.
 
     Raises:
-        DataError: there is not one instant, or `unit` is none in which instants are counted.
+        DataError: there is not one date, or `unit` is none in which dates are counted.
     """
     if unit is not None and unit not in _CALLED:
         raise DataError(f"dates are counted in {', '.join(NANOSECONDS)}, but '{unit}' is wanted; choose one of these")
-    values = [value for each in columns for value in each.nanoseconds]
+    values = [value for column in columns for value in column.nanoseconds]
     present = [value for value in values if value is not None]
     if not present:
         raise DataError("a column of dates holds none; correct it")
     first = columns[0]
     origin = present[0] if first.has_date else 0
-    chosen = _unit(values, set(starts)) if unit is None else unit
-    length = NANOSECONDS[_CALLED[chosen]]
+    time_unit = _unit(values, set(starts)) if unit is None else unit
+    length = NANOSECONDS[_CALLED[time_unit]]
     times = [float("nan") if value is None else (value - origin) / length for value in values]
-    remark = f"{first.form}, in {chosen} since {origin_of(columns, chosen).since}"
-    return np.array(times, dtype=np.float64), chosen, remark
+    remark = f"{first.form}, in {time_unit} since {origin_of(columns, time_unit).since}"
+    return np.array(times, dtype=np.float64), time_unit, remark
 
 
-def origin_of(columns: Sequence[Instants], unit: str) -> Origin:
+def origin_of(columns: Sequence[Dates], unit: str) -> Origin:
     """Return the origin of what `times_of` returns in `unit`."""
-    first = next(value for each in columns for value in each.nanoseconds if value is not None)
+    first = next(value for column in columns for value in column.nanoseconds if value is not None)
     since = _written(first, columns[0]) if columns[0].has_date else MIDNIGHT
     return Origin(since, NANOSECONDS[_CALLED[unit]] / NANOSECONDS["s"])
 
@@ -313,17 +313,19 @@ def origin_of(columns: Sequence[Instants], unit: str) -> Origin:
 def _unit(values: Sequence[int | None], starts: set[int]) -> str:
     runs = accumulate(row in starts for row in range(len(values)))
     present = [(run, value) for run, value in zip(runs, values, strict=True) if value is not None]
-    steps = sorted(abs(other - one) for (run, one), (its, other) in pairwise(present) if run == its and one != other)
+    steps = sorted(
+        abs(other - one) for (run, one), (next_run, other) in pairwise(present) if run == next_run and one != other
+    )
     usual = steps[len(steps) // 2] if steps else 0
     return next((unit for unit, length in NANOSECONDS.items() if length <= usual), "s")
 
 
-def _written(origin: int, its: Instants) -> str:
+def _written(origin: int, column: Dates) -> str:
     days, rest = divmod(origin, NANOSECONDS["d"])
     date = datetime.date.fromordinal(days + _EPOCH).isoformat()
-    if not its.has_clock:
+    if not column.has_clock:
         return date
     seconds, part = divmod(rest, NANOSECONDS["s"])
     clock = f"{seconds // 3600:02}:{seconds // 60 % 60:02}:{seconds % 60:02}"
     fraction = f".{part:09}".rstrip("0") if part else ""
-    return f"{date} {clock}{fraction}{' UTC' if its.is_utc else ''}"
+    return f"{date} {clock}{fraction}{' UTC' if column.is_utc else ''}"

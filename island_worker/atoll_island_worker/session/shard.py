@@ -1,4 +1,4 @@
-"""A worker's share of one archipelago under one term: its islands, their mail, and what is kept for pulls. Pure.
+"""A shard: the islands of an archipelago that one worker computes under one term, their mail, and their buffers. Pure.
 
 An island waits for exactly the senders that the reshuffle names, blocks are filed by (epoch, destination, source), and
 the immigrants are handed over together: so the order in which mail arrives cannot matter. A term that begins at a
@@ -30,13 +30,13 @@ from atoll_island_worker.session.events import Computed, Snapshot
 from atoll_island_worker.session.local_island import PULL_AFTER_S, LocalIsland
 from atoll_island_worker.session.retransmit_buffer import RetransmitBuffer
 from atoll_island_worker.session.state_transfer import StateTransfer
-from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+from atoll_island_worker.session.tasks import ShardKey, Task, TaskKey
 
 MOST_AHEAD: Final = 1024
 """Mail is filed of epochs at most so far beyond the last one that may begin here."""
 
 
-class Share:
+class Shard:
     """The islands of one archipelago that this worker computes under one term."""
 
     def __init__(self, placement: Placement, worker: str) -> None:
@@ -55,9 +55,9 @@ class Share:
         self._others = tuple(dict.fromkeys(name for name in placement.workers if name != worker))
 
     @property
-    def key(self) -> ShareKey:
+    def key(self) -> ShardKey:
         """Archipelago and term."""
-        return ShareKey(self.placement.job, self.placement.variable, self.placement.term)
+        return ShardKey(self.placement.job, self.placement.variable, self.placement.term)
 
     @property
     def stop(self) -> Position | None:
@@ -71,7 +71,7 @@ class Share:
         return self.placement.epochs - 1 if self.stop is None else self.stop.epoch
 
     def holding(self) -> Holding:
-        """Return what the heartbeat says of this share."""
+        """Return what the heartbeat says of this shard."""
         placed = self.placement
         return Holding(
             job=placed.job,
@@ -91,7 +91,9 @@ class Share:
 
     def runnable(self) -> Iterator[LocalIsland]:
         """Yield the islands that may begin an epoch now, or take a snapshot: ready, and within the schedule."""
-        return (each for each in self.islands.values() if each.state == "ready" and each.epoch <= self.schedule.last)
+        return (
+            local for local in self.islands.values() if local.state == "ready" and local.epoch <= self.schedule.last
+        )
 
     def begin(self, island: int) -> Task:
         """Return the task of an island that is ready."""
@@ -110,14 +112,14 @@ class Share:
             self.placement.commit_order,
             state,
             takes_snapshot=local.epoch in (self.schedule.next, self.schedule.last),
-            is_held=local.epoch > self.schedule.limit,
+            is_at_barrier=local.epoch > self.schedule.limit,
         )
 
     def file_snapshot(self, taken: Snapshot) -> bool:
         """File the snapshot of an island; return whether those of all islands here are there now."""
         local = self.islands[taken.key.island]
-        if taken.is_held:
-            local.step("hold")
+        if taken.is_at_barrier:
+            local.step("reach barrier")
             self._inbox.pop((local.epoch - 1, local.index), None)
             self._end_late_islands()
         if taken.key.epoch <= self.commit:
@@ -179,7 +181,7 @@ class Share:
         return True
 
     def deliver(self, sender: str, body: Migrants | Finished) -> None:
-        """File mail of this share's term.
+        """File mail of this shard's term.
 
         Raises:
             RemoteProtocolError: The placement does not give the sender that island, or ours that destination, or the
@@ -304,7 +306,7 @@ class Share:
     def _deliver(self, epoch: int, block: Block) -> None:
         """File one block, once; one that is no longer needed is dropped."""
         local = self.islands[block.destination]
-        was_handed_over = local.state in ("restoring", "computing", "held") or local.epoch == self.placement.epoch
+        was_handed_over = local.state in ("restoring", "computing", "at barrier") or local.epoch == self.placement.epoch
         is_late = epoch < local.epoch - 1 or (epoch == local.epoch - 1 and was_handed_over)
         if is_late or local.state == "stopped":
             self.duplicates += 1
@@ -321,7 +323,7 @@ class Share:
     def _end_late_islands(self) -> None:
         """Stop the islands of whose next epoch nothing is needed."""
         for local in self.islands.values():
-            if local.state in ("restoring", "ready", "waiting", "held") and not self._is_needed(local):
+            if local.state in ("restoring", "ready", "waiting", "at barrier") and not self._is_needed(local):
                 local.step("end")
 
     def _is_needed(self, local: LocalIsland) -> bool:
@@ -332,7 +334,7 @@ class Share:
 
     def _is_settled(self, epoch: int) -> bool:
         there = self._buffer.reporters(epoch)
-        return all(each.index in there or each.state == "stopped" for each in self.islands.values())
+        return all(local.index in there or local.state == "stopped" for local in self.islands.values())
 
     def _check_owner(self, sender: str, island: int) -> None:
         workers = self.placement.workers
@@ -360,4 +362,4 @@ class Share:
 
 def _require(condition: bool, sentence: str) -> None:
     if not condition:
-        raise LocalProtocolError(f"a share of an archipelago is inconsistent: {sentence}")
+        raise LocalProtocolError(f"a shard of an archipelago is inconsistent: {sentence}")

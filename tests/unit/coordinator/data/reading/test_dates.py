@@ -5,14 +5,14 @@ import datetime
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.reading.instants import NANOSECONDS, of_array, read_instants, times_of, with_clock
+from atoll_coordinator.data.reading.dates import NANOSECONDS, dates_of_array, read_dates, times_of, with_clock
 from atoll_core.errors import DataError
 
 S, H, D = (NANOSECONDS[unit] for unit in ("s", "h", "d"))
 
 
-def instants(*cells, starts=(0,)):
-    return read_instants("column 't' of a.csv", cells, starts, lambda row: f"line {row + 2}")
+def dates_of(*cells, starts=(0,)):
+    return read_dates("column 't' of a.csv", cells, starts, lambda row: f"line {row + 2}")
 
 
 def since_1970(*date):
@@ -39,7 +39,7 @@ def since_1970(*date):
     ],
 )
 def test_a_date_is_read(cell, date):
-    assert instants(cell).nanoseconds == (since_1970(*date),)
+    assert dates_of(cell).nanoseconds == (since_1970(*date),)
 
 
 @pytest.mark.parametrize(
@@ -47,11 +47,11 @@ def test_a_date_is_read(cell, date):
     [("7:05", 25500), ("00:00:01,25", 1.25), ("12:00:00 AM", 0), ("36:00:00", 129600), ("1 days 00:00:02", 86402)],
 )
 def test_a_clock_time_is_read(cell, seconds):
-    assert instants(cell).nanoseconds == (round(seconds * S),)
+    assert dates_of(cell).nanoseconds == (round(seconds * S),)
 
 
 def test_a_fraction_keeps_its_nanoseconds():
-    assert instants("2020-01-01T00:00:00.123456789").nanoseconds == (since_1970(2020, 1, 1) + 123456789,)
+    assert dates_of("2020-01-01T00:00:00.123456789").nanoseconds == (since_1970(2020, 1, 1) + 123456789,)
 
 
 @pytest.mark.parametrize(
@@ -65,26 +65,26 @@ def test_a_fraction_keeps_its_nanoseconds():
     ],
 )
 def test_the_other_dates_tell_day_from_month(cells, form):
-    assert instants(*cells).form == form
+    assert dates_of(*cells).form == form
 
 
 def test_day_and_month_do_not_matter_where_all_are_of_one_day():
-    found = instants("03/01/2021 06:00", "03/01/2021 06:30")
-    assert found.form == "dates day/month/year (or month/day/year: all are of one day)"
-    assert times_of([found], (0,), None)[0].tolist() == [0.0, 30.0]
+    dates = dates_of("03/01/2021 06:00", "03/01/2021 06:30")
+    assert dates.form == "dates day/month/year (or month/day/year: all are of one day)"
+    assert times_of([dates], (0,), None)[0].tolist() == [0.0, 30.0]
 
 
 def test_each_trajectory_ascends_by_itself():
-    assert instants("10/01/2020", "01/02/2020", "10/01/2020", "01/02/2020", starts=(0, 2)).form.startswith("dates day")
+    assert dates_of("10/01/2020", "01/02/2020", "10/01/2020", "01/02/2020", starts=(0, 2)).form.startswith("dates day")
 
 
 def test_a_clock_goes_on_past_midnight_within_a_trajectory():
-    found = instants("23:00", "01:00", "23:00", "02:00", "04:00", starts=(0, 4))
-    assert found.nanoseconds == (23 * H, 25 * H, 47 * H, 50 * H, 4 * H)
+    dates = dates_of("23:00", "01:00", "23:00", "02:00", "04:00", starts=(0, 4))
+    assert dates.nanoseconds == (23 * H, 25 * H, 47 * H, 50 * H, 4 * H)
 
 
-def test_missing_instants_stay_missing():
-    times, _, _ = times_of([instants("2020-01-01", "", "NA", "2020-01-04")], (0,), None)
+def test_missing_dates_stay_missing():
+    times, _, _ = times_of([dates_of("2020-01-01", "", "NA", "2020-01-04")], (0,), None)
     assert np.isnan(times).tolist() == [False, True, True, False]
     assert times[3] == 3.0
 
@@ -100,40 +100,40 @@ def test_missing_instants_stay_missing():
     ],
 )
 def test_the_unit_is_the_longest_that_a_usual_step_has(cells, unit, step):
-    times, its, remark = times_of([instants(*cells)], (0,), None)
-    assert (its, times[1] - times[0], times[0]) == (unit, step, 0.0)
+    times, time_unit, remark = times_of([dates_of(*cells)], (0,), None)
+    assert (time_unit, times[1] - times[0], times[0]) == (unit, step, 0.0)
     assert remark.endswith(f"in {unit} since {'2020-01-01' if cells[0] == '2020-01-01' else '2020-01-01 00:00:00'}")
 
 
 def test_steps_from_one_trajectory_to_the_next_do_not_count():
-    days = instants("2020-01-01 00:00", "2021-01-01 00:00", "2021-01-01 01:00", starts=(0, 1))
+    days = dates_of("2020-01-01 00:00", "2021-01-01 00:00", "2021-01-01 01:00", starts=(0, 1))
     assert times_of([days], (0, 1), None)[1] == "h"
 
 
 def test_files_read_together_have_one_unit_and_one_beginning():
     times, unit, _ = times_of(
-        [instants("2020-01-01", "2020-01-02"), instants("2020-01-05", "2020-01-06")], (0, 2), None
+        [dates_of("2020-01-01", "2020-01-02"), dates_of("2020-01-05", "2020-01-06")], (0, 2), None
     )
     assert (times.tolist(), unit) == ([0.0, 1.0, 4.0, 5.0], "d")
 
 
 def test_a_unit_may_be_asked_for():
-    assert times_of([instants("2020-01-01", "2020-01-02")], (0,), "h")[0].tolist() == [0.0, 24.0]
-    assert times_of([instants("2020-01-01", "2020-01-02")], (0,), "hours")[1] == "hours"
+    assert times_of([dates_of("2020-01-01", "2020-01-02")], (0,), "h")[0].tolist() == [0.0, 24.0]
+    assert times_of([dates_of("2020-01-01", "2020-01-02")], (0,), "hours")[1] == "hours"
     with pytest.raises(DataError, match="counted in d, h, min, s, but 'fortnights' is wanted"):
-        times_of([instants("2020-01-01", "2020-01-02")], (0,), "fortnights")
+        times_of([dates_of("2020-01-01", "2020-01-02")], (0,), "fortnights")
 
 
 def test_a_column_of_dates_and_one_of_clock_times_are_one():
-    found = with_clock(instants("2020-01-01", "2020-01-02"), instants("23:00", "01:00"))
-    assert [value - since_1970(2020, 1, 1) for value in found.nanoseconds] == [23 * H, 25 * H]
+    dates = with_clock(dates_of("2020-01-01", "2020-01-02"), dates_of("23:00", "01:00"))
+    assert [value - since_1970(2020, 1, 1) for value in dates.nanoseconds] == [23 * H, 25 * H]
 
 
-def test_arrays_of_dates_are_instants():
-    found = of_array(np.array(["1969-12-31T23:00", "NaT", "2020-02-29T07:05:06.5"], dtype="M8[ms]"))
-    assert found.nanoseconds == (-H, None, since_1970(2020, 2, 29, 7, 5, 6) + S // 2)
+def test_arrays_of_dates_are_read():
+    dates = dates_of_array(np.array(["1969-12-31T23:00", "NaT", "2020-02-29T07:05:06.5"], dtype="M8[ms]"))
+    assert dates.nanoseconds == (-H, None, since_1970(2020, 2, 29, 7, 5, 6) + S // 2)
 
 
 def test_only_missing_dates_are_refused():
     with pytest.raises(DataError, match="holds none"):
-        times_of([of_array(np.array(["NaT"], dtype="M8[s]"))], (0,), None)
+        times_of([dates_of_array(np.array(["NaT"], dtype="M8[s]"))], (0,), None)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from atoll_coordinator.data.reading.cells import is_missing
-from atoll_coordinator.data.reading.instants import Instants, is_clock, is_instant, read_instants, with_clock
+from atoll_coordinator.data.reading.dates import Dates, is_clock, is_date, read_dates, with_clock
 from atoll_coordinator.data.roles.options import named_columns
-from atoll_coordinator.data.roles.roles import TIME_NAMES
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 
 _NEW_NAMES: Final = ("time", "t")
@@ -17,14 +17,14 @@ _Kind = Literal["clock", "date", "both"]
 
 
 @dataclass(frozen=True)
-class Times:
-    """Columns of instants by their name in the file.
+class DateColumns:
+    """Columns of dates and clock times by their name in the file.
 
     `renamed` is the one that nobody has named, and what it is called so that it is found to be the time; `absorbed` is
     a column of dates, or of clock times, that has become part of another one.
     """
 
-    values: Mapping[str, Instants]
+    values: Mapping[str, Dates]
     renamed: tuple[str, str] | None = None
     absorbed: str | None = None
 
@@ -34,15 +34,15 @@ class Times:
         return () if self.renamed is None else (f"column '{self.renamed[0]}' is the {self.renamed[1]}",)
 
 
-def read_times(
+def read_date_columns(
     file: str,
     texts: Mapping[str, Sequence[str]],
     names: Sequence[str],
     starts: Sequence[int],
     config: DataConfig,
     where: Callable[[int], str],
-) -> Times:
-    """Return the columns of instants among the columns of text of one file.
+) -> DateColumns:
+    """Return the columns of dates and clock times among the columns of text of one file.
 
     Args:
         file: its name, for messages.
@@ -58,37 +58,40 @@ def read_times(
     kinds = {name: kind for name, cells in texts.items() if (kind := _kind(cells)) is not None}
     needed = named_columns(config)
     free = [name for name in kinds if name not in needed]
-    found = config.time if config.time in kinds else _candidate(kinds, free, names, texts, config)
-    wanted = [name for name in kinds if name in needed or name == found]
-    other = None if found is None else _other_half(found, kinds, [name for name in free if name != found])
+    time_column = config.time if config.time in kinds else _candidate(kinds, free, names, texts, config)
+    wanted = [name for name in kinds if name in needed or name == time_column]
+    other = (
+        None if time_column is None else _other_half(time_column, kinds, [name for name in free if name != time_column])
+    )
     values = {
-        name: read_instants(f"column '{name}' of {file}", texts[name], starts, where)
+        name: read_dates(f"column '{name}' of {file}", texts[name], starts, where)
         for name in (*wanted, *([] if other is None else [other]))
     }
-    if found is not None and other is not None:
-        halves = values.pop(other), values[found]
-        values[found] = with_clock(*(halves if kinds[other] == "date" else halves[::-1]))
+    if time_column is not None and other is not None:
+        halves = values.pop(other), values[time_column]
+        values[time_column] = with_clock(*(halves if kinds[other] == "date" else halves[::-1]))
     new = next((name for name in _NEW_NAMES if name not in names), None)
-    is_new = found is not None and found not in (config.time, *TIME_NAMES) and new is not None
-    return Times(values, (found, new) if is_new and found and new else None, other)
+    is_new = time_column is not None and time_column not in (config.time, *TIME_NAMES) and new is not None
+    return DateColumns(values, (time_column, new) if is_new and time_column and new else None, other)
 
 
 def compact_dates(columns: Mapping[str, Sequence[str]], config: DataConfig) -> dict[str, list[str]]:
     """Return dates without marks, as ``20210331``, as year-month-day: of columns called so, or that are the time."""
     called = {
-        name: its for name, its in columns.items() if name in (config.time, *TIME_NAMES) or name.lower() == "date"
+        name: cells for name, cells in columns.items() if name in (config.time, *TIME_NAMES) or name.lower() == "date"
     }
     return {
-        name: [_COMPACT.sub(r"\1-\2-\3", cell.strip()) for cell in its]
-        for name, its in called.items()
-        if not all(map(is_missing, its)) and all(is_missing(cell) or _COMPACT.fullmatch(cell.strip()) for cell in its)
+        name: [_COMPACT.sub(r"\1-\2-\3", cell.strip()) for cell in cells]
+        for name, cells in called.items()
+        if not all(map(is_missing, cells))
+        and all(is_missing(cell) or _COMPACT.fullmatch(cell.strip()) for cell in cells)
     }
 
 
 def _kind(cells: Sequence[str]) -> _Kind | None:
     """Return what the first cell that is there has the form of."""
     first = next((cell for cell in cells if not is_missing(cell)), "")
-    if not is_instant(first):
+    if not is_date(first):
         return None
     if is_clock(first):
         return "clock"
@@ -114,8 +117,8 @@ def _candidate(
     return clocks[0] if is_pair else None
 
 
-def _other_half(found: str, kinds: Mapping[str, _Kind], others: Sequence[str]) -> str | None:
+def _other_half(time_column: str, kinds: Mapping[str, _Kind], others: Sequence[str]) -> str | None:
     """Return the only column of dates that goes with clock times, or the reverse."""
-    lacking = {"clock": "date", "date": "clock", "both": None}[kinds[found]]
+    lacking = {"clock": "date", "date": "clock", "both": None}[kinds[time_column]]
     fitting = [name for name in others if kinds[name] == lacking]
     return fitting[0] if len(fitting) == 1 else None
