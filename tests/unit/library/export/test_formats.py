@@ -172,7 +172,7 @@ TROUGHS = {"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"}
 def test_each_state_has_errors_of_its_own_size(
     equations: dict[str, str], start: dict[str, float], until: float
 ) -> None:
-    found = model(equations, start).result
+    found = model(equations, start).result.as_dict()
     found["simulation"]["trajectories"][0]["times"] = np.linspace(0.0, until, 9).tolist()
     its = Model(found)
     expected = its.simulate(has_bands=False).x
