@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from atoll.data.dataset import FloatArray
 
 from atoll.analysis.conserved import _Derivatives, _null_space, _reduced, conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import continuation, special_points
 from atoll.analysis.flow import Flow
 from atoll.analysis.nullclines import nullclines
 from atoll.analysis.varied import Varied
-from atoll.data.dataset import FloatArray
 from atoll.model.vector_field import VectorField
 from tests.unit.library.analysis.systems import COMPETITION, LORENZ, box, flow
 
