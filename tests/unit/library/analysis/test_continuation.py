@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from atoll.data.dataset import FloatArray
 
 from atoll.analysis.conserved import _Derivatives, _null_space, _reduced, conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import continuation, special_points
@@ -12,6 +11,7 @@ from atoll.analysis.flow import Flow
 from atoll.analysis.nullclines import nullclines
 from atoll.analysis.varied import Varied
 from atoll.model.vector_field import VectorField
+from atoll_core.data.dataset import FloatArray
 from tests.unit.library.analysis.systems import COMPETITION, LORENZ, box, flow
 
 
