@@ -33,7 +33,9 @@ def test_a_wheel_installs_no_name_that_does_not_begin_with_atoll() -> None:
         "atoll_island_worker",
     }
     others = [name for name in packaged if not name.endswith((".py", "py.typed"))]
-    assert others == ["atoll/report/page.css", "atoll/report/pictures.css"], "only code and styles are installed"
+    styles = ["atoll/report/page.css", "atoll/report/pictures.css"]
+    schema = "atoll_coordinator/result/result.schema.json"
+    assert others == [*styles, schema], "only code, styles and the schema of results are installed"
 
 
 def test_a_source_distribution_holds_what_the_wheel_is_built_from() -> None:
