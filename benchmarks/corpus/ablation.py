@@ -158,7 +158,7 @@ def record_refinings(folder: str) -> None:
         del seconds
         kept = Recorded(prepared.preparation, prepared.config, pools)
         Path(folder, f"{job}.pickle").write_bytes(pickle.dumps(kept))
-        self._post(refinement_failed(job, "it was only recorded"))
+        self._post(refinement_failed(job, "it was only recorded", ""))
 
     TaskRunner.refine = refine  # type: ignore[method-assign]
 

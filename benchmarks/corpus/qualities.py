@@ -107,7 +107,7 @@ def _in_digits(values: FloatArray, digits: int) -> FloatArray:
 
 
 def _deviations(clean: Sequence[FloatArray]) -> FloatArray:
-    return np.concatenate(clean).std(axis=0)
+    return np.asarray(np.concatenate(clean).std(axis=0))
 
 
 def _noise(clean: list[FloatArray], size: float, rng: np.random.Generator) -> list[FloatArray]:

@@ -56,8 +56,9 @@ def load(folder: Path, name: str) -> Flow:
     """Return the flow that was written as ``NAME.npz``; raises DataError."""
     try:
         with np.load(folder / f"{name}.npz") as file:
-            texts = tuple(tuple(str(each) for each in file[key]) for key in ("states", "equations"))
-            arrays = [np.ascontiguousarray(file[key]) for key in ("times", "train", "test", "test_rates")]
-            return Flow(name, *texts, *arrays, float(file["lyapunov"]))
+            states, equations = (tuple(map(str, file[key])) for key in ("states", "equations"))
+            times, *values = (np.ascontiguousarray(file[key]) for key in ("times", "train", "test", "test_rates"))
+            train, test, rates = values
+            return Flow(name, states, equations, times, train, test, rates, float(file["lyapunov"]))
     except (OSError, KeyError, ValueError) as error:
         raise DataError(f"{folder / name}.npz is no flow; write it with python -m benchmarks.dysts make") from error

@@ -13,7 +13,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from statistics import mean
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -23,6 +23,7 @@ from atoll.experiments.space import Request
 from atoll.experiments.suggestions import suggest
 from atoll.experiments.systems import equations_of, fit_equations
 from atoll_coordinator.model.criteria import constant_nats_of, system_length
+from atoll_coordinator.result.result import Result
 from benchmarks.experiments.results import Course, FloatArray, result_of
 from benchmarks.harness.command_line import option, program, seeds_of
 from benchmarks.harness.systems import RUNS, SYSTEMS, solutions
@@ -46,7 +47,7 @@ def trajectory(start: Sequence[float], times: FloatArray) -> FloatArray:
     return np.asarray(found.y.T)
 
 
-def length(found: Mapping[str, Any]) -> float:
+def length(found: Result) -> float:
     """Return the description length of the equations of a result, fitted to its data; infinite if they cannot be."""
     measured = measured_of(found)
     fitted = fit_equations(measured, equations_of(found))
@@ -65,7 +66,7 @@ def lead(courses: Sequence[Course], errors: Sequence[float]) -> float:
 def needed(seed: int, bounds: Bounds | None, *, is_random: bool, is_blind: bool) -> tuple[int, list[str]]:
     """Return how many further trajectories it took, and each with the lead that it gave."""
     rng = np.random.default_rng([31, seed])
-    times = np.arange(ROWS) * 0.1
+    times = np.arange(ROWS, dtype=np.float64) * 0.1
     clean = solutions(SYSTEM, [times] * RUNS, rng)
     errors = NOISE * np.concatenate(clean).std(axis=0)
     courses: list[Course] = [(times, each + errors * rng.standard_normal(each.shape)) for each in clean]

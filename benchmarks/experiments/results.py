@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.result.result import Result
 from atoll_core.expression.text.parsing import from_infix
 
 FloatArray = npt.NDArray[np.float64]
@@ -18,7 +19,7 @@ def result_of(
     courses: Sequence[Course],
     errors: Sequence[float],
     starts: Sequence[Sequence[float]] = (),
-) -> dict[str, Any]:
+) -> Result:
     """Return the result that shows these equations (right-hand sides by state), measured with errors of known size.
 
     `starts` are initial states that fits begin with; the measured ones unless given.
@@ -28,7 +29,7 @@ def result_of(
         {"name": str(number), "start": dict(zip(states, map(float, start), strict=True))}
         for number, start in enumerate(starts, start=1)
     ]
-    return {
+    content = {
         "schema": 1,
         "equations": [_equation(name, text, states) for name, text in equations.items()],
         "symbols": {name: name for name in states},
@@ -40,6 +41,7 @@ def result_of(
         },
         "data": {"trajectories": [_trajectory(number, *each, states) for number, each in enumerate(courses, start=1)]},
     }
+    return Result.of(content)
 
 
 def _equation(name: str, text: str, states: Sequence[str]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ RUNNING = 0.02
 
 def grid(rows: int, step: float) -> FloatArray:
     """Return `rows` times from 0 on, `step` apart."""
-    return step * np.arange(rows)
+    return step * np.arange(rows, dtype=np.float64)
 
 
 def turning(rows_a_period: float, rows: int = 200) -> Columns:

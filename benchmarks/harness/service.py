@@ -195,11 +195,11 @@ class Machines:
     program: str = TIED_COORDINATOR
 
     def __post_init__(self) -> None:
-        self.workers: Final = tuple(f"w{number}" for number in range(self.number))
+        self.workers = tuple(f"w{number}" for number in range(self.number))
         self._networks = {name: _Network(at) for at, name in enumerate(self.workers)} if self.has_networks else {}
         self._processes: dict[str, subprocess.Popen[str]] = {}
         self._port = _free_port()
-        self.address: Final = f"tcp/127.0.0.1:{self._port}"
+        self.address = f"tcp/127.0.0.1:{self._port}"
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -29,7 +29,8 @@ from atoll_island_worker.evolution.kernels.random import below
 from atoll_island_worker.evolution.kernels.variation import copy_list, cross, mutate
 from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import Lists, Space, empty_lists
-from benchmarks.peers.strogatz import LABEL, PUBLISHED
+from benchmarks.peers.strogatz import PUBLISHED
+from benchmarks.peers.strogatz_files import LABEL
 
 CORPUS: Final = Path(__file__).parent / "data" / "corpus.npz"
 SIZE: Final = 1000

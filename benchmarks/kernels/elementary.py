@@ -51,7 +51,7 @@ def ranges(points: int) -> dict[str, dict[str, tuple[Floats, ...]]]:
         return 10.0 ** uniform(low, high)
 
     patterns = bit_patterns(points, 4)
-    turns = {
+    turns: dict[str, tuple[Floats, ...]] = {
         "|x| <= 1": (uniform(-1.0, 1.0),),
         "|x| <= 1e5": (uniform(-1e5, 1e5),),
         "next to n pi/2, |x| <= 1e5": (near_quarter_turns(points // 3),),

@@ -59,7 +59,7 @@ def _error(lists: Lists, p: int, count: int, rows: Rows, room: Room) -> float:
     room.work.terms[0] = count - 1
     residual_of(_ONE, rows, room.work, lists.scale[p])
     errors(rows, room.work, room.result)
-    return room.result[0]
+    return room.result[0]  # type: ignore[no-any-return]
 
 
 @kernel

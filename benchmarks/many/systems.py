@@ -67,7 +67,7 @@ def sampled(system: System, seed: int, percent: float = 0.0) -> tuple[Sampled, F
     """
     generator = np.random.default_rng(np.random.SeedSequence([seed, *system.name.encode()]))
     right_sides, count = rates_of(system), len(system.states)
-    times = system.step * np.arange(system.points)
+    times = system.step * np.arange(system.points, dtype=np.float64)
 
     def field(_: float, values: FloatArray) -> FloatArray:
         found = right_sides(values)
@@ -118,7 +118,7 @@ def lorenz96(states: int) -> System:
 
 def _repressilator() -> System:
     """Return three genes in a ring, each with its messenger (Elowitz & Leibler 2000)."""
-    equations = {}
+    equations: dict[str, str] = {}
     for place in range(3):
         m, p, repressor = f"m{place + 1}", f"p{place + 1}", f"p{(place - 1) % 3 + 1}"
         equations |= {m: f"0.2 + 50/(1 + {repressor}^2) - {m}", p: f"2*{m} - 2*{p}"}
@@ -148,7 +148,7 @@ def _sir() -> System:
 
 def _pendulums(count: int) -> System:
     """Return pendulums in a row, neighbours coupled by springs, in air."""
-    equations = {}
+    equations: dict[str, str] = {}
     for place in range(count):
         its = f"a{place + 1}"
         near = [f"a{other + 1}" for other in (place - 1, place + 1) if 0 <= other < count]

@@ -240,7 +240,7 @@ def fuzz_sessions(messages: list[Overheard], number: int, mutator: Mutator, scor
 def calm() -> dict[str, Any]:
     """Return the result of the run that nobody disturbs."""
     world = World(workers=2, seed=0, expected=2)
-    result = world.run(CONFIG)
+    result: dict[str, Any] = world.run(CONFIG)
     world.close()
     return result
 

@@ -17,13 +17,14 @@ import time
 import traceback
 from argparse import Namespace
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from atoll.terminal.output import note, say
 from atoll.text.render import render_text
@@ -31,6 +32,7 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import LawsByGroup, Pool, Pools, Refinement
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.result.result import Result
 from atoll_coordinator.service.background.tasks import (
     PreparationFailed,
     Refiner,
@@ -88,7 +90,7 @@ def column(draw: np.random.Generator, times: FloatArray, others: Sequence[FloatA
     """Return a column made of structure: a constant, a ramp, a period, steps, ties, another column, or noise."""
     rows, phases = len(times), np.arange(len(times))
     period = int(draw.integers(2, 21))
-    kinds = [
+    kinds: list[Callable[[], ArrayLike]] = [
         lambda: np.full(rows, float(draw.choice([0.0, 1.0, -7.5]))),
         lambda: draw.integers(-5, 6) * phases + float(draw.integers(0, 3)),
         lambda: np.cos(2.0 * np.pi * phases / period),
@@ -244,11 +246,9 @@ def played(seed: int) -> tuple[End, str]:
         VariableOutcome(name, pool.front, 1, refined=refinement.equations.get(name)) for name, pool in pools.items()
     ]
     preparation = prepared.preparation
-    result = build_result(
-        "drawn", prepared.config, preparation, outcomes, Account("done", 1.0, 1.0), refinement
-    ).as_dict()
-    render_text(json.loads(json.dumps(result, allow_nan=False)))
-    broken = [warning for warning in result["warnings"] if "broke (" in warning]
+    result = build_result("drawn", prepared.config, preparation, outcomes, Account("done", 1.0, 1.0), refinement)
+    render_text(Result.load(json.loads(json.dumps(result.as_dict(), allow_nan=False))))
+    broken = [warning for warning in result.warnings if "broke (" in warning]
     return ("broke", broken[0]) if broken else ("done", "")
 
 

@@ -69,7 +69,8 @@ class Beside:
 
     def ratio(self, what: str) -> float:
         """Return ours over theirs of one of the times of `Took`."""
-        return max(getattr(self.ours, what), _LEAST_S) / max(getattr(self.theirs, what), _LEAST_S)
+        ours, theirs = (max(float(getattr(each, what)), _LEAST_S) for each in (self.ours, self.theirs))
+        return ours / theirs
 
 
 def program_of(revision: str) -> Path:

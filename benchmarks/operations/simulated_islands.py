@@ -252,7 +252,7 @@ def main(options: Namespace) -> int:
         workers = []
         for number in range(options.first, options.first + options.workers):
             bus: Any = CountedBus(stack.enter_context(open_client(options.connect, CONNECT_LIMIT_S)), books)
-            compute = PacedCompute(samples, options.period, pacer, books)
+            compute: Any = PacedCompute(samples, options.period, pacer, books)
             workers.append(Worker(bus, compute, f"s{number:04}", WAIT_S, grace_s=0.0))
         threads = [threading.Thread(target=worker.run, name=worker.name, daemon=True) for worker in workers]
         for thread in threads:

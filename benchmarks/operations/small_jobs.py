@@ -143,7 +143,7 @@ def _of_many(system: str, path: Path) -> None:
 def _of_process(process: str, path: Path) -> None:
     its = PROCESSES[process]
     paths = simulate(its, 1, STEPS)
-    times = its.step * np.arange(paths[0].shape[1])
+    times = its.step * np.arange(paths[0].shape[1], dtype=np.float64)
     write_csv(path, Sampled(its.names, (times,) * len(paths), tuple(each.T for each in paths)))
 
 
@@ -154,7 +154,7 @@ def _of_case(case: str, path: Path) -> None:
 def _of_times(lengths: Sequence[int], is_even: bool, path: Path) -> None:
     """Write trajectories of Lotka and Volterra's system with so many rows, at times that are even or drawn."""
     draw, system = np.random.default_rng(4), SYSTEMS["lotka_volterra"]
-    even = [0.1 * np.arange(rows) for rows in lengths]
+    even = [0.1 * np.arange(rows, dtype=np.float64) for rows in lengths]
     times = even if is_even else [np.sort(draw.uniform(0.0, each[-1], len(each))) for each in even]
     write_csv(path, Sampled(system.states, tuple(times), tuple(solutions(system, times, draw))))
 

@@ -261,7 +261,7 @@ def equation_problem(system: str, variable: str, seed: int, is_near: bool = Fals
 def _sampled(system: str, seed: int, is_near: bool) -> Sampled:
     if not is_near or system not in NEAR:
         return trajectories(system, STEP, seed)
-    its, rng, times = replace(SYSTEMS[system], draw=NEAR[system]), np.random.default_rng(seed), np.arange(100) * STEP
+    its, rng, times = replace(SYSTEMS[system], draw=NEAR[system]), np.random.default_rng(seed), np.arange(100.0) * STEP
     return Sampled(its.states, (times,) * RUNS, tuple(drawn(its, rng, times) for _ in range(RUNS)))
 
 

@@ -4,6 +4,7 @@
 same paths are then treated as well.
 """
 
+import json
 import sys
 import time
 from argparse import Namespace
@@ -47,8 +48,8 @@ def _chosen(case: str, seed: int, substeps: int) -> list[Judged]:
     outcomes = [VariableOutcome(name, (), 0, refined=refinement.equations.get(name))
                 for name in preparation.dataset.variables]  # fmt: skip
     account = Account("done", 0.0, 0.0)
-    result = build_result(f"{case} {seed}", config, preparation, outcomes, account, refinement).as_dict()
-    return _said(case, seed, paths, result["equations"], time.process_time() - began)
+    result = build_result(f"{case} {seed}", config, preparation, outcomes, account, refinement)
+    return _said(case, seed, paths, json.loads(result.to_json())["equations"], time.process_time() - began)
 
 
 def _config(seed: int) -> JobConfig:
@@ -68,7 +69,7 @@ def _said(
 
 
 def _rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for case, equation in dict.fromkeys((each.case, each.equation) for each in judged):
         its = [each for each in judged if (each.case, each.equation) == (case, equation)]
         intervals = [is_covered for each in its for is_covered in each.is_covered]
@@ -81,7 +82,7 @@ def _rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
 
 
 def _peer_rows(estimates: Sequence[Estimate]) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for case, equation in dict.fromkeys((each.case, each.equation) for each in estimates):
         for method in METHODS:
             its = [e for e in estimates if (e.case, e.equation, e.method) == (case, equation, method)]

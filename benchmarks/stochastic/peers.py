@@ -11,7 +11,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -47,7 +47,8 @@ def estimate(python: str, case: str, seed: int) -> list[Estimate]:
     columns = dict(zip(process.names, states, strict=True))
     with TemporaryDirectory() as folder:
         given, made = Path(folder) / "paths.npz", Path(folder) / "made.npz"
-        np.savez(given, step=np.array(process.step), **{f"path{number}": path for number, path in enumerate(paths)})
+        arrays: dict[str, Any] = {f"path{number}": path for number, path in enumerate(paths)}
+        np.savez(given, step=np.array(process.step), **arrays)
         program = Path(__file__).with_name("peer_program.py")
         words = [python, str(program), str(given), str(made), json.dumps(process.names)]
         done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S, check=False)

@@ -121,5 +121,5 @@ def _path(process: Process, rows: int, random: np.random.Generator, substeps: in
 
 def table(process: Process, paths: Sequence[FloatArray]) -> Table:
     """Return the table that a file with these paths would be read as."""
-    times = tuple(process.step * np.arange(path.shape[1]) for path in paths)
+    times = tuple(process.step * np.arange(path.shape[1], dtype=np.float64) for path in paths)
     return table_of(Sampled(process.names, times, tuple(path.T for path in paths)))

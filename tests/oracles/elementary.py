@@ -154,7 +154,9 @@ def multiplications(name: str) -> tuple[int, int, int]:
     """Return the packed, scalar and fused multiplications in the machine code of a loop; zeros with the JIT off."""
     inspect = getattr(LOOPS[name], "inspect_asm", dict)
     code = "\n".join(inspect().values())
-    return tuple(len(re.findall(kind, code)) for kind in (r"\bv?mulpd\b", r"\bv?mulsd\b", r"\bvf\w+[sp]d\b"))
+    kinds = (r"\bv?mulpd\b", r"\bv?mulsd\b", r"\bvf\w+[sp]d\b")
+    packed, scalar, fused = (len(re.findall(kind, code)) for kind in kinds)
+    return packed, scalar, fused
 
 
 def main() -> None:

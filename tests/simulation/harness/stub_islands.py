@@ -61,7 +61,7 @@ class Shuffle:
     def of(cls, config: JobConfig, variable: str, epoch: int) -> "Shuffle":
         islands = config.evolution.islands
         order = Stream(stream_key(config.seed, variable, -1, epoch, "stub-shuffle")).permutation(islands * SLOTS)
-        return cls({divmod(place, SLOTS): divmod(come_from, SLOTS) for place, come_from in enumerate(order)})  # type: ignore[misc]
+        return cls({divmod(place, SLOTS): divmod(come_from, SLOTS) for place, come_from in enumerate(order)})
 
     def blocks_from(self, island: int, state: bytes) -> dict[int, bytes]:
         """Return what an island sends, by destination: (slot, hash) pairs in slot order."""
