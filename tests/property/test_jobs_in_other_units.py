@@ -23,6 +23,7 @@ from atoll.report.trajectories import trajectories
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.result.result import Result
 from atoll_coordinator.service.background.tasks import JobPrepared, prepare_job, prepare_table, refine, refine_job
 from atoll_core.config import PRESETS, DataConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset, FloatArray, Problem, Target
@@ -190,7 +191,7 @@ def test_what_is_asked_of_a_result_is_the_same(units: Units) -> None:
         np.testing.assert_allclose(slopes, [0.55, -0.55], rtol=1e-6)
 
 
-def decay(size: float, clock: float) -> dict[str, Any]:
+def decay(size: float, clock: float) -> Result:
     """Return a result of x' = -0.5 x with noise of a hundredth and a rival that saturates."""
     times = np.linspace(0.0, 2.0, 12)
     x = size * (2.0 * np.exp(-0.5 * times) + 0.01 * np.random.default_rng(2).standard_normal(12))
@@ -200,7 +201,7 @@ def decay(size: float, clock: float) -> dict[str, Any]:
         {"expression": text, "complexity": 3 + 4 * place, "nats": 4.0 * place, "origin": "front", "selected": not place}
         for place, text in enumerate(texts)
     ]
-    return found
+    return Result.of(found)
 
 
 @pytest.mark.parametrize(("size", "clock"), [(1e12, 1e-6), (2.0**-40, 2.0**20)])
@@ -238,7 +239,7 @@ def test_pictures_of_a_report_are_the_same() -> None:
         (part,) = found["simulation"]["trajectories"]
         part |= {name: scaled(part[name], factor) for name in ("times", "values", "lower", "upper", "measured")}
         found["noise"] = scaled(found["noise"], factor)
-        text = "".join(map(to_text, trajectories(Findings(found, None))))
+        text = "".join(map(to_text, trajectories(Findings(Result.of(found), None))))
         pages.append(re.findall(r"<(?:polyline|polygon|path|circle)(?! class=\"grid)[^>]*>", text))
     assert len(pages[0]) > 4
     assert pages[1] == pages[2] == pages[0]
