@@ -128,6 +128,12 @@ def test_lengths_of_structures_are_sums_over_nodes_and_further_uses():
     assert nats("sin(cos(x))") == pytest.approx(common + 2 * prices.function + prices.nested)
 
 
+def test_algebra_on_a_function_does_not_pay_for_nesting():
+    common, function = SETTINGS.criterion.common, SETTINGS.criterion.function
+    assert nats("x + sin(y)") == pytest.approx(3 * common + function)
+    assert nats("x + y*sin(y)") == pytest.approx(5 * common + function)  # y twice
+
+
 def test_a_program_costs_its_nodes_and_each_further_use():
     assert program_length(parsed("x + y")) == pytest.approx(3 * math.log(8.0))
     assert program_length(parsed("x + x*y")) == pytest.approx(4 * math.log(8.0) + SETTINGS.criterion.common)
@@ -151,8 +157,8 @@ def test_the_least_variance_is_that_of_the_target_and_never_zero():
         return RegressionCriterion.of(Target("x", "dx/dt", np.zeros(7), uncertainty, deviation)).least_variance
 
     assert least(0.1, 5.0) == pytest.approx(0.25)
-    assert least(0.0, 5.0) == pytest.approx((5.0 * SMALLEST_UNCERTAINTY) ** 2)
-    assert least(0.0, 1e-149) > 0.0
+    assert least(0.0, 5.0) == pytest.approx((5.0 * SMALLEST_UNCERTAINTY) ** 2, abs=0.0)
+    assert least(0.0, 1e-149) == 1e-290
     assert RegressionCriterion.of(Target("x", "dx/dt", np.zeros(7), 0.1, 5.0)).rows == 7
 
 

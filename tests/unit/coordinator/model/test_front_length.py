@@ -1,6 +1,7 @@
 """Selection by description length."""
 
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -40,7 +41,8 @@ def test_errors_below_the_floor_earn_nothing():
 
 
 def test_an_exact_equation_has_a_finite_length():
-    assert math.isfinite(front_length(entry(3, 0.0), 100, 0.0, 0.0, 0))
+    expected = 50.0 * math.log(sys.float_info.min) + 3 * math.log(8.0)
+    assert front_length(entry(3, 0.0), 100, 0.0, 0.0, 0) == pytest.approx(expected)
 
 
 def test_a_better_error_is_worth_nodes_only_when_it_is_much_better():

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.analysis.conserved import conserved_quantities, is_volume_preserving
+from atoll.analysis.conserved import _Derivatives, _null_space, _reduced, conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import continuation, special_points
 from atoll.analysis.flow import Flow
 from atoll.analysis.nullclines import nullclines
 from atoll.analysis.varied import Varied
+from atoll.data.dataset import FloatArray
 from atoll.model.vector_field import VectorField
 from tests.unit.library.analysis.systems import COMPETITION, LORENZ, box, flow
 
@@ -84,8 +85,10 @@ def test_an_angle_is_what_the_model_has_a_sine_of() -> None:
         ({"x": "-x"}, [(0.0, 1e-3)]),
         ({"x": "-x"}, [(1000.0, 1000.0001)]),
         ({"x": "y", "y": "-x - 0.1*y**3"}, [(0.0, 1e-10), (0.0, 1e-10)]),
+        ({"x": "y", "y": "-x - 0.1*y**3"}, [(-1e-10, 0.0), (-1e-10, 0.0)]),
         ({"x": "y", "y": "-sin(x) - 0.00001*y"}, [(0.0, 1e-5), (0.0, 1e-5)]),
         ({"x": "0.3*y - x", "y": "x*y - 2.0*y"}, [(1000.0, 1000.001), (1000.0, 1000.001)]),
+        ({"x": "0.3*y - x", "y": "x*y - 2.0*y"}, [(-1000.001, -1000.0), (-1000.001, -1000.0)]),
         (
             {"s": "0.1*p - 2.0*s*i", "i": "2.0*s*i - 0.5*i", "p": "0.5*i - 0.12*p"},
             [(0.0, 1.0), (0.0, 1.0), (0.0, 1e-3)],
@@ -119,6 +122,7 @@ ABOVE = ((0.1, 2.0), (0.1, 2.0))
         ({"x": "y", "y": "0.0"}, WIDE, ["y"]),
         ({"s": "-2.0*s*i", "i": "2.0*s*i - 0.7*i", "r": "0.7*i"}, (*ABOVE, (0.1, 2.0)), ["s + i + r"]),
         ({"s": "-2.0*s*i", "i": "2.0*s*i - 0.7*i"}, ABOVE, ["s + i - 0.35*log(s)"]),
+        ({"s": "-2.0*s*i", "i": "2.0*s*i - 0.7*i"}, ((0.0, 2.0), (0.0, 2.0)), ["s + i - 0.35*log(s)"]),
         ({"s": "-2.0*s*i", "i": "2.0*s*i - 0.7*i"}, ((-0.1, 2.0), (0.1, 2.0)), []),  # log(s) is none there
         (
             {"x": "2.0*y*z", "y": "-3.0*x*z", "z": "x*y"},  # Euler's top
@@ -139,10 +143,52 @@ ABOVE = ((0.1, 2.0), (0.1, 2.0))
             ["-0.5*x**2 - 0.15*y**2 - 0.5*u**2 - 0.5*v**2 + cos(x - 2*y)"],
         ),
         ({"x": "log(-1.0 - x**2)", "y": "x"}, WIDE, []),  # no rates at all
+        ({"x": "y", "y": "-y", "z": "0.0"}, (*WIDE, (-2.0, 2.0)), ["x + y", "z"]),
+        ({"x": "y", "y": "-sin(x) - sin(1.1*x)"}, WIDE, ["-0.5*y**2 + cos(x) + 0.9090909091*cos(1.1*x)"]),
+        ({"x": "y", "y": "-sin(x) - 2.0*cos(x)"}, WIDE, ["0.25*y**2 - 0.5*cos(x) + sin(x)"]),
+        ({"x": "y", "y": "-x - 1e-7*x**3"}, WIDE, ["x**2 + y**2 + 5e-08*x**4"]),  # in all digits
     ],
 )
 def test_laws_of_the_literature_are_hinted_as_they_are_written(equations: Any, sides: Any, laws: list[str]) -> None:
     assert [each.text for each in conserved_quantities(flow(**equations), box(*sides))] == laws
+
+
+@pytest.mark.parametrize(("side", "of_y"), [((0.1, 2.0), [-1.0]), ((-2.0, -0.1), [1.0]), ((-2.0, 2.0), [])])
+def test_a_law_holds_on_the_measured_side_of_zero(side: tuple[float, float], of_y: list[float]) -> None:
+    """The force is the size of x, so that x**2 - y**2 is constant above 0 and x**2 + y**2 below."""
+    found = conserved_quantities(flow(x="y", y="sqrt(x**2)"), box(side, (-2.0, 2.0)))
+    terms = [{name: value for value, name in each.terms} for each in found]
+    assert [its.keys() for its in terms] == [{"x**2", "y**2"}] * len(of_y)
+    assert [its["y**2"] / its["x**2"] for its in terms] == pytest.approx(of_y)
+
+
+def test_elimination_begins_with_the_last_function_and_divides_by_the_largest_number() -> None:
+    rows = np.array([[1.0, 2.0, 1e-9, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0, 0.0], [3.0, 1.0, 2.0, 0.0, 4.0]])
+    expected = [[0.5, 1.0, 0.0, 0.0, 0.0], [-0.5, 0.0, 1.0, 0.0, 0.0], [0.875, 0.0, 0.0, 0.0, 1.0]]
+    np.testing.assert_allclose(_reduced(rows), expected, atol=1e-8)
+    np.testing.assert_allclose(_reduced(-rows[[2, 0, 1]]), expected, atol=1e-8)
+
+
+def derivatives(gradients: FloatArray, rates: FloatArray) -> _Derivatives:
+    products = gradients * rates[:, :, None]
+    return _Derivatives(products.sum(axis=1), np.abs(products).sum(axis=1), gradients, rates)
+
+
+@pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])
+def test_a_billionth_of_a_gradient_along_the_flow_is_rounding_whatever_the_sizes_of_rates(size: float) -> None:
+    """Along (1, -1) the sum of the states is kept; the other function is the first of them."""
+    sizes = size * np.where(np.arange(100) == 0, 1.0, 0.1)
+    its = derivatives(np.tile([[1.0, 1.0], [1.0, 0.0]], (100, 1, 1)), sizes[:, None] * [1.0, -1.0])
+    assert its.is_kept(np.array([1.0, 0.0]))
+    assert its.is_kept(np.array([1.0, 1.8e-9]))
+    assert not its.is_kept(np.array([1.0, 2.2e-9]))
+
+
+def test_fewer_points_than_functions_leave_as_many_combinations_as_they_do_not_decide() -> None:
+    its = derivatives(np.array([[[1.0, 2.0, 3.0]]]), np.array([[5.0]]))
+    combinations = _null_space([its], np.array([1.0, 0.5, 1.0]))
+    assert combinations.shape == (2, 3)
+    np.testing.assert_allclose(combinations @ [1.0, 1.0, 3.0], 0.0, atol=1e-12)
 
 
 def test_volumes_are_kept_where_the_divergence_vanishes_everywhere() -> None:
@@ -151,6 +197,8 @@ def test_volumes_are_kept_where_the_divergence_vanishes_everywhere() -> None:
     assert is_volume_preserving(flow(x="y", y="sqrt(x)"), box(*WIDE))
     partly = flow(x="sqrt(x)*y", y="-0.25*y**2/sqrt(x)", z="1.0")  # known where x is above 0
     assert is_volume_preserving(partly, box(*WIDE, (-2.0, 2.0)))
+    assert is_volume_preserving(flow(x="0.1*x*y + 0.2*x*y", y="-0.15*y**2"), box(*WIDE))  # up to rounding
+    assert not is_volume_preserving(flow(x="1.000000001*x", y="-y"), box(*WIDE))
     assert not is_volume_preserving(flow(x="sqrt(x**2) - x", y="1.0"), box(*WIDE))  # in one half of the box
     assert not is_volume_preserving(flow(x="1e-8*x", y="x"), box(*WIDE))
     assert not is_volume_preserving(flow(x="sqrt(-1.0 - x**2)", y="x"), box(*WIDE))  # without any divergence

@@ -1,6 +1,7 @@
 """Chaotic models are judged by what chaos allows: a right one keeps the measured averages, a wrong one does not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -59,6 +60,7 @@ def test_the_way_to_the_attractor_does_not_count():
 def test_a_simulation_that_takes_too_many_steps_does_not_run_away(measured):
     found = looked(measured, TRUTH, ("60000*y", "-60000*x", "-z"))
     assert (found.is_kept, found.is_unfinished, found.probability) == (False, True, None)
+    assert found.lyapunov_time == pytest.approx(1.0 / 0.9)
 
 
 @pytest.mark.parametrize("rows", [2000, 20_000])
@@ -69,6 +71,68 @@ def test_ours_has_blocks_enough_to_know_its_variance_however_many_rows_were_meas
     its = measurements_of(prepared(2000, 0.01, trajectories=1).recording, [0, 1, 2], piece=50)
     looked(several(its, rows // 2000), TRUTH)
     assert blocks == [[(3, 4), (3, 4)]] * 2
+
+
+def test_of_a_driven_model_nothing_is_said():
+    measured = SimpleNamespace(inputs=np.zeros((1, 5)))
+    assert look_for_chaos(SimpleNamespace(estimator=SimpleNamespace(measurements=measured)), 0.9, 1e-6) is None
+
+
+def test_the_long_simulation_begins_where_the_last_trajectory_ended(monkeypatch):
+    asked = []
+    estimator = SimpleNamespace(measurements=None, simulate=lambda _, start: start.tolist())
+    monkeypatch.setattr(attractor, "along", lambda _, times, *rest: asked.append([times.tolist(), *rest]) or estimator)
+    fit = SimpleNamespace(estimator=estimator, system=None, simulated=np.arange(6.0).reshape(2, 3))
+    assert attractor._simulated(fit, 6, 2, 0.5, 1e-6) == [2.0, 5.0]
+    assert asked == [[[0.0, 1.0, 2.0], 1e-6, 6]]
+
+
+@pytest.fixture
+def compared(monkeypatch):
+    """Return a function of the rows of trajectories: what is simulated for them, and the block means compared with it.
+
+    Measured are 5 in the first half of each and 1 in the second, every 0.5 until a gap; simulated is 2.
+    """
+    asked, means = [], []
+
+    def simulated(_, rows, stride, step, tolerance):
+        asked.append((rows, stride, step, tolerance))
+        return np.full((1, -(-rows // stride)), 2.0)
+
+    def of(*lengths):
+        measured = SimpleNamespace(
+            inputs=(),
+            rows=sum(lengths),
+            times=np.concatenate([np.append(0.5 * np.arange(rows - 1.0), 1e5) for rows in lengths]),
+            owners_of_rows=np.repeat(np.arange(len(lengths)), lengths),
+            smoothed=np.concatenate([np.where(np.arange(rows) < rows // 2, 5.0, 1.0) for rows in lengths])[None],
+        )
+        assert look_for_chaos(SimpleNamespace(estimator=SimpleNamespace(measurements=measured)), 0.9, 1e-6).is_kept
+        return asked.pop(), [means.pop(0), means.pop(0)]
+
+    monkeypatch.setattr(attractor, "_simulated", simulated)
+    monkeypatch.setattr(attractor, "_welch", lambda *both: [means.append([each.tolist() for each in both]) or 1.0])
+    return of
+
+
+def test_of_few_trajectories_quarters_of_the_longest_are_compared(compared):
+    asked, (first, second) = compared(80, 40, 40)
+    assert asked == (160, 1, 0.5, 1e-6)
+    assert first == [[[-1.0] * 8], [[2.0, 2.0, -2.0, -2.0, 2.0, -2.0, 2.0, -2.0]]]
+    assert second == [[[1.0] * 8], [[4.0] * 8]]
+
+
+def test_of_many_trajectories_later_halves_are_compared(compared):
+    asked, (first, second) = compared(40, 40, 40, 80)
+    assert asked == (200, 1, 0.5, 1e-6)
+    assert first == second == [[[1.0] * 5], [[0.0] * 4]]
+
+
+@pytest.mark.parametrize(("lengths", "asked"), [((18_000,), (18_000, 5)), ((100, 2, 2, 2), (200, 1))])
+def test_a_simulation_is_as_long_as_four_blocks(compared, lengths, asked):
+    its, ((ours, _), _) = compared(*lengths)
+    assert its[:2] == asked
+    assert len(ours[0]) == 4
 
 
 def several(its, count):
@@ -133,6 +197,11 @@ def test_one_block_has_no_variance_and_equal_numbers_no_difference():
     t, freedom = (0.5 - 2.0) / (four.std(ddof=1) / 2.0), 3.0
     assert _welch(one, four) == pytest.approx([2.0 * stats.t.cdf(t, freedom)])
     assert _welch(one, one + 1.0) == [1.0]
+
+
+def test_states_behind_one_that_does_not_change_are_compared_as_well():
+    ours, theirs = np.array([[2.0, 2.0], [0.0, 1.0]]), np.array([[2.0, 2.0], [5.0, 6.0]])
+    assert _welch(ours, theirs) == pytest.approx([1.0, stats.ttest_ind(ours[1], theirs[1], equal_var=False).pvalue])
 
 
 def test_what_is_simulated_in_the_place_of_measurements_was_not_measured(measured):

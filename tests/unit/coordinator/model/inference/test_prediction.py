@@ -11,6 +11,8 @@ from atoll_coordinator.model.inference.prediction import (
     _Elsewhere,
     _far_apart,
     _latin_hypercube,
+    _Misses,
+    _r2,
     draws,
     foretell,
 )
@@ -82,7 +84,7 @@ def test_a_rival_that_runs_away_foretells_otherwise(lotka, truth):
 
 def test_a_model_that_runs_away_is_followed_nowhere(lotka):
     for its in foretell(lotka, system(LOTKA, "30*x*x", "30*y*y"), [], 1e-6):
-        assert (its.followed, its.probability) == (0, 0.0)
+        assert (its.followed, its.unfinished, its.probability) == (0, 0, 0.0)
 
 
 def test_what_was_not_measured_is_far():
@@ -254,6 +256,7 @@ def test_without_a_dispute_the_next_measurement_is_where_courses_are_farthest_fr
     assert min(each.min() for each in distances) >= 0.0
     x, _ = foretell(one, truth, [], 1e-6)
     assert not x.is_disputed
+    assert x.novelty == pytest.approx(np.median(np.concatenate(distances)))
     assert x.measure_from == elsewhere.named(int(np.argmax([each.max() for each in distances])))
 
 
@@ -299,6 +302,23 @@ def test_chaos_ends_what_can_be_foretold(truth):
     assert elsewhere.horizon(truth, ["ran away"] * 12) == COUNT
 
 
+@pytest.mark.parametrize(("height", "rows"), [(0.2, COUNT), (0.3, COUNT // 2), (0.4, COUNT // 4)])
+def test_what_can_be_foretold_ends_where_a_tenth_of_the_variance_is_lost(monkeypatch, lotka, truth, height, rows):
+    """A step of one of the states after a quarter of a wave that goes back and forth between -1 and 1."""
+    elsewhere = _Elsewhere(lotka, 1e-6, is_near=False)
+    wave = np.tile(np.sin(np.arange(float(COUNT))), (2, 1))
+    step = np.array([[height], [0.0]]) * (np.arange(COUNT) >= COUNT // 4)
+    monkeypatch.setattr(elsewhere, "_course", lambda *_: wave + step)
+    assert elsewhere.horizon(truth, [wave] * 12) == rows
+
+
+def test_what_a_rival_foretells_after_chaos_has_set_in_does_not_count(monkeypatch, lotka, truth):
+    slower = Rival(system(LOTKA, "2*x - 2*x*y - x**2", LOTKA_TEXT[1]), 0, 1.0)
+    assert foretell(lotka, truth, [slower], 1e-6)[0].probability == 0.5
+    monkeypatch.setattr(_Elsewhere, "horizon", lambda *_: 10)
+    assert foretell(lotka, truth, [slower], 1e-6)[0].probability == 1.0
+
+
 def test_chaos_is_looked_for_a_thousandth_of_the_deviation_away_in_any_unit(monkeypatch, truth):
     small = measurements(LOTKA, STARTS, TIMES)
     small = replace(small, smoothed=1e-6 * small.smoothed, scales=1e-6 * small.scales)
@@ -320,6 +340,51 @@ def test_a_rival_is_disputed_where_it_weighs_most(lotka, truth):
     for odds in (0.25, 1.0):
         x, _ = foretell(lotka, truth, [Rival(other, 0, odds)], 1e-6)
         assert x.measure_from == elsewhere.named(int(np.argmax(sizes)))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
+def test_r2_is_of_all_courses_together(unit):
+    true = [unit * np.array([[0.0, 1.0, 2.0], [5.0, 5.0, 5.0]]), unit * np.array([[3.0, 4.0], [5.0, 5.0]])]
+    found = [true[0], true[1] + unit * np.array([[1.0, -1.0], [0.0, 0.0]])]
+    assert _r2(found, true) == pytest.approx([0.8, 1.0])
+
+
+def test_a_state_that_does_not_change_is_foretold():
+    still = Known(("x", "y"), lambda _, z: [-0.5 * z[0], 0.0])
+    _, y = foretell(measurements(still, [[2.0, 1.0]], TIMES), system(still, "-0.5*x", "0*y"), [], 1e-6)
+    assert (y.followed, y.probability, y.reached) == (12, 1.0, None)
+    assert 0.0 < y.novelty < 0.1
+
+
+RAMP = np.array([[0.0, 0.1, 0.2, 0.3]])
+
+
+@pytest.mark.parametrize(
+    ("courses", "agreement", "place"),
+    [
+        ([RAMP, RAMP], 1.0, None),
+        (["ran away", RAMP], 0.5, 0),
+        ([RAMP, "ran away"], 0.5, 1),
+        (["out of steps", RAMP], 1.0, None),
+        (["out of steps", RAMP + 0.9], 0.5, 1),
+        ([RAMP + 0.9, "out of steps"], 0.5, 0),
+        ([RAMP + 0.9, "ran away"], 0.5, 1),
+        (["out of steps", "out of steps"], 1.0, None),
+    ],
+)
+def test_a_rival_that_runs_away_from_one_state_alone_foretells_otherwise_there(courses, agreement, place):
+    misses = _Misses([RAMP, RAMP], 1)
+    misses.add(Rival(None, 0, 1.0), courses)
+    assert (misses.agreement(0), misses.unlike(0)) == (agreement, place)
+
+
+def test_draws_of_constants_that_go_together_are_numbers():
+    """Rounding leaves such a covariance an eigenvalue below 0."""
+    its = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
+    covariance = 1e-4 * (np.ones((3, 3)) + 1e-12 * (1.0 - np.eye(3)))
+    drawn = np.array([each.system.values - its.values for each in draws(its, covariance, 0)])
+    assert drawn == pytest.approx(np.tile(drawn[:, :1], 3), abs=1e-7)
+    assert 0.003 < drawn.std() < 0.03
 
 
 def test_draws_have_the_covariance_that_they_are_given():
@@ -363,7 +428,15 @@ def test_decay_is_left_at_its_lower_end_alone(last, leaves):
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "leaves"), [(30.0, 2.4, True), (30.0, 1e3, False), (30.0, -1e3, False), (0.5, 2.1, False)]
+    ("x", "y", "leaves"),
+    [
+        (30.0, 2.4, True),
+        (30.0, 5.0, True),
+        (30.0, 6.0, False),
+        (30.0, 1e3, False),
+        (30.0, -1e3, False),
+        (0.5, 2.1, False),
+    ],
 )
 def test_the_state_that_is_farthest_out_for_its_range_tells_how_a_course_leaves(x, y, leaves):
     """Of two states one grows to the end of its range, the other goes back and forth."""
@@ -371,6 +444,24 @@ def test_the_state_that_is_farthest_out_for_its_range_tells_how_a_course_leaves(
     its = elsewhere(both, [[1.0, 2.0]], np.linspace(0.0, 10.0, 100))
     assert its._measurements.smoothed[1, -1] < its._measurements.smoothed[1].max()
     assert its._leaves_as_measured(np.array([[2.0, x], [2.0, y]])) is leaves
+
+
+@pytest.mark.parametrize("last", [[-9.0, 0.3], [9.0, 0.3], [0.3, -9.0], [0.3, 9.0]])
+def test_a_swing_that_comes_to_rest_within_its_range_is_left_nowhere(last):
+    its = elsewhere(SWING, [[0.1, 0.0]], TIMES)
+    assert its._leaves_as_measured(np.array([last]).T) is False
+
+
+def test_one_trajectory_that_ends_at_the_end_of_the_range_is_enough():
+    its = elsewhere(GROWTH, [[1.0], [20.0]], np.linspace(0.0, math.log(20.0) / 0.3, 100))
+    assert its._leaves_as_measured(np.array([[300.0, 1e3]])) is True
+
+
+def test_a_course_that_leaves_on_another_side_is_not_followed_for_a_while():
+    """From near the end of a decay little was measured, and a growth is small for so long; it is one all the same."""
+    its = elsewhere(DECAY, [[2.0]], TIMES_OF_GROWTH)
+    assert its.own_courses(system(DECAY, "0.5*x")) == ["ran away"] * 12
+    assert its._rows == {}
 
 
 @pytest.mark.parametrize(
@@ -381,3 +472,11 @@ def test_a_course_is_followed_for_as_long_as_was_measured_from_the_nearest_state
     times = np.linspace(0.0, math.log(20.0) / 0.3, 201)
     its = elsewhere(GROWTH, [[1.0], [20.0]], times)
     assert its._rows_measured_from(np.array([start])) == pytest.approx(of_hundred, abs=1)
+
+
+def test_the_nearest_state_is_near_in_all_that_is_measured():
+    """A swing is at each place again and again, with another speed, here in thousandths."""
+    fine = Known(("x", "y"), lambda _, z: [0.001 * z[1], -2000.0 * z[0] - 0.3 * z[1]])
+    its = elsewhere(fine, [[1.0, 0.0]], TIMES)
+    start = its._measurements.smoothed[:, 18] + its._width * [0.01, 0.04]
+    assert its._rows_measured_from(start) == pytest.approx(COUNT * 21 / 39, abs=1)

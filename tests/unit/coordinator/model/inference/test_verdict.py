@@ -1,5 +1,6 @@
 """Verdicts: every grade can be reached, and the sentence says why."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -172,7 +173,7 @@ def test_a_simulation_that_explains_little_or_does_not_end_is_no_model(change: d
         (Evidence(0.4, 0.0, 0.8), "doubtful", "R2 0.8 only"),
         (Evidence(0.4, 0.25, 0.7), "doubtful", "uncertain by 25 %"),
         (Evidence(0.05, 0.0, 0.99, alternative=0.1), "doubtful", "another equation"),
-        (Evidence(0.8, 0.1, 0.02), "no model", "better than a constant"),
+        (Evidence(0.8, 0.1, 0.02), "no model", "nothing much better than a constant was found"),
         (Evidence(0.8, 0.1, 0.02, is_known=True), "no model", "it is not much better than a constant"),
         (Evidence(), "no model", "not finite"),
     ],
@@ -250,6 +251,66 @@ def test_errors_of_the_target_explain_as_much_error_and_no_more() -> None:
     assert "R2 0.8 only" in reason
 
 
+def test_a_constant_is_known_by_its_size_whatever_its_sign() -> None:
+    below = Constant(-3.0, -3.0, 2e-9, (-3.0, -3.0))
+    assert judge(replace(CLEAN, constants=(below,)))[0] == "exact"
+    reason = judge(replace(CLEAN, constants=(replace(below, std_error=0.3),)))[1]
+    assert "the constant -3 is known to 10 % only" in reason
+
+
+def test_a_constant_that_may_be_zero_is_not_that_of_an_exact_law() -> None:
+    assert judge(replace(CLEAN, constants=(Constant(0.0, 0.0, 1e-9, (-2e-9, 2e-9)),)))[0] == "good"
+
+
+def test_a_constant_without_a_standard_error_is_no_doubt() -> None:
+    assert judge(replace(CLEAN, constants=(Constant(0.5, 0.5),)))[0] == "exact"
+
+
+@pytest.mark.parametrize(("rows", "grade"), [(4, "doubtful"), (5, "good"), (100, "good")])
+def test_five_rows_that_differ_are_enough(rows: int, grade: str) -> None:
+    assert judge(replace(NOISY, distinct_rows=rows))[0] == grade
+
+
+def test_what_is_followed_nowhere_is_not_blamed_on_rivals() -> None:
+    reason = judge(replace(NOISY, prediction=Prediction(12, 0, 0.0, math.inf)))[1]
+    assert reason == "From 12 of 12 other initial states within the measured range it runs away."
+
+
+def test_the_share_that_follows_a_pattern_is_at_most_all_of_it() -> None:
+    assert "bout 99 % of what it leaves follows a pattern" in judge(replace(NOISY, residuals=waves(0.1)))[1]
+    many = replace(NOISY, residuals=waves(0.1), parameters=20.0)
+    assert check(many.residuals, many.noise, many.parameters).correlation > 1.01
+    assert "bout 100 % of what it leaves follows a pattern" in judge(many)[1]
+
+
+@pytest.mark.parametrize(
+    ("r2", "text"), [(0.99996, "R2 0.9999."), (0.98765, "R2 0.9876."), (-math.inf, "R2 -inf only")]
+)
+def test_what_is_not_quite_explained_is_never_rounded_up(r2: float, text: str) -> None:
+    assert text in judge(replace(NOISY, held_out_r2=r2))[1]
+
+
+def test_what_is_not_known_of_an_equation_is_no_doubt() -> None:
+    assert judge(Evidence(3e-14))[0] == "exact"
+    assert judge(Evidence(residuals=noise(1e-9)))[0] == "exact"
+    reason = judge(Evidence(residuals=noise(0.02)))[1]
+    assert reason == "There is no noise, but the simulation misses the measurements by 2 % of their deviation."
+
+
+def test_a_wild_measurement_decides_unless_there_are_outliers() -> None:
+    first, *others = noise(0.1)
+    wild = replace(NOISY, residuals=(np.append(first, 10.0), *others))
+    assert judge(wild)[0] == "doubtful"
+    assert judge(replace(wild, has_outliers=True))[0] == "good"
+
+
+def test_what_is_too_small_to_be_looked_at_is_not_said_to_be_like_the_noise() -> None:
+    grade, reason = judge(replace(QUIET, noise=2.5e-5, residuals=waves(2e-5)))
+    assert grade == "good"
+    assert reason == "The simulation misses the measurements by 1e-05 of their deviation."
+
+
 def test_nats_between_equations_have_no_sign() -> None:
+    assert "(0 nats apart)" in judge(replace(NOISY, alternative=0.0))[1]
     assert "(0.5 nats apart)" in judge(replace(NOISY, alternative=0.5))[1]
     assert "(0.5 nats shorter)" in judge(replace(NOISY, alternative=-0.5))[1]
