@@ -8,11 +8,15 @@ only the error on the target. The rules and limits: ADR 0020.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from atoll_coordinator.model.inference.residuals import Check, ReferenceSmoother, check
 from atoll_coordinator.model.refinement import Chaos, Constant, Grade, Prediction
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
+
+_UNKNOWN: Final = 10.0
+"""Standard errors over an estimate from which on percents say nothing: they have hundreds of digits where it is 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +124,8 @@ def _loosest(evidence: Evidence) -> str | None:
     share, value = max(known, default=(0.0, 0.0))
     if share <= SETTINGS.common.negligible:
         return None
-    return f"the constant {value:.3g} is known to {_percent(share)} only: its term may follow errors of the data"
+    certainty = f"is known to {_percent(share)} only" if share < _UNKNOWN else "cannot be told from 0"
+    return f"the constant {value:.3g} {certainty}: its term may follow errors of the data"
 
 
 def _by_target(evidence: Evidence) -> tuple[Grade, str]:

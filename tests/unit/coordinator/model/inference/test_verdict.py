@@ -258,8 +258,13 @@ def test_a_constant_is_known_by_its_size_whatever_its_sign() -> None:
     assert "the constant -3 is known to 10 % only" in reason
 
 
-def test_a_constant_that_may_be_zero_is_not_that_of_an_exact_law() -> None:
-    assert judge(replace(CLEAN, constants=(Constant(0.0, 0.0, 1e-9, (-2e-9, 2e-9)),)))[0] == "good"
+@pytest.mark.parametrize("estimate", [0.0, 1e-12, -1e-12])
+def test_a_constant_far_within_its_error_is_said_to_be_no_more_than_zero(estimate: float) -> None:
+    """A share of an estimate of zero had 294 digits."""
+    crumb = Constant(estimate, estimate, 1e-9, (-2e-9, 2e-9))
+    grade, reason = judge(replace(CLEAN, constants=(crumb,)))
+    assert grade == "good"
+    assert f"the constant {estimate:.3g} cannot be told from 0: its term may follow errors of the data" in reason
 
 
 def test_a_constant_without_a_standard_error_is_no_doubt() -> None:
