@@ -9,7 +9,7 @@ import io
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -41,6 +41,7 @@ _LOOKS: Final = 50
 """Rows of a simulation at which is seen how strongly errors of constants drive it, and which states can cross 0."""
 _LARGEST: Final = 1e150
 """The square of a larger number is no finite one."""
+_ROUGH: Final = "; a state falls below what its errors resolve, so that values after that may be wrong"
 
 
 class EarlyEndWarning(UserWarning):
@@ -118,6 +119,7 @@ def simulate(
     status: Status = "finished" if course.is_whole else _ending(task, course, _sizes(task, x0, t), float(t[-1] - t[0]))
     sentence = _sentence(status, course.reached, most)
     sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
+    sentence += _ROUGH if course.is_rough else ""
     if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], course, t)) is None:
         return Simulation(field.states, t[:count], states, status, sentence)
     half = bands[1] * spread
@@ -191,7 +193,8 @@ class _Course:
     """States `rows` at the times that were passed, the last time `reached`, and the `last` state (D,) there.
 
     `sizes` (D,) are those beside which errors were small, `lowest` (D,) the least absolute values on the way;
-    `is_spent` says whether all evaluations were used up.
+    `is_spent` says whether all evaluations were used up, `is_rough` that a state fell below what the errors resolve and
+    no finer course was found.
     """
 
     rows: FloatArray
@@ -201,6 +204,7 @@ class _Course:
     lowest: FloatArray
     is_whole: bool
     is_spent: bool = False
+    is_rough: bool = False
 
 
 def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> _Course:
@@ -214,7 +218,7 @@ def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> _Course:
         return found
     task.begin_again()
     finer = _attempt(task, x0, t, smaller)
-    return finer if finer.is_whole else found
+    return finer if finer.is_whole else replace(found, is_rough=found.is_whole)
 
 
 def _smaller_sizes(task: _Task, found: _Course, t: FloatArray) -> FloatArray:

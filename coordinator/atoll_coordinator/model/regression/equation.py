@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
@@ -19,6 +18,7 @@ from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants, round_estimates
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
+from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray, Problem
@@ -117,22 +117,18 @@ def _as_found(refined: Refined, front: Sequence[Member]) -> Refined:
 
 
 def _spread(problem: Problem, most: int) -> Problem:
-    """Return the problem on at most so many rows, spread evenly over all."""
+    """Return the problem on about `most` rows, spread evenly over all, and not in step with a period of theirs."""
     rows = len(problem.target.values)
     if rows <= most:
         return problem
-    index = _places(rows, most)
-    target = replace(problem.target, values=problem.target.values[index])
-    return Problem(problem.names, np.ascontiguousarray(problem.inputs[:, index]), target)
+    places = thinned_places(rows, most)
+    target = replace(problem.target, values=problem.target.values[places])
+    return Problem(problem.names, np.ascontiguousarray(problem.inputs[:, places]), target)
 
 
 def _spread_weights(weights: FloatArray | None, most: int) -> FloatArray | None:
     """Return the weights of the rows that `_spread` returns, 1 on average."""
     if weights is None:
         return None
-    chosen = weights if len(weights) <= most else weights[_places(len(weights), most)]
+    chosen = weights if len(weights) <= most else weights[thinned_places(len(weights), most)]
     return np.asarray(chosen / chosen.mean())
-
-
-def _places(rows: int, most: int) -> npt.NDArray[np.intp]:
-    return np.asarray(np.arange(most) * rows // most)

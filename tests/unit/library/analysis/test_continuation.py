@@ -10,8 +10,8 @@ from atoll.analysis.continuation import continuation, special_points
 from atoll.analysis.flow import Flow
 from atoll.analysis.nullclines import nullclines
 from atoll.analysis.varied import Varied
-from atoll.data.dataset import FloatArray
 from atoll.model.vector_field import VectorField
+from atoll_core.data.dataset import FloatArray
 from tests.unit.library.analysis.systems import COMPETITION, LORENZ, box, flow
 
 
