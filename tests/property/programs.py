@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll_core.expression.operators import ARITY, CONSTANT, OPERATORS, VARIABLE
 from atoll_core.expression.program import Program
 
 NAMES = ("x", "y", "θ")
@@ -30,7 +30,7 @@ def programs(draw: st.DrawFn, largest: int = 16, constants: st.SearchStrategy[fl
     count = draw(st.integers(1, largest))
     rows = []
     for index in range(count):
-        code = draw(st.sampled_from(range(len(ARITY)) if index else (VARIABLE, CONSTANT)))
+        code = draw(st.sampled_from(range(len(OPERATORS)) if index else (VARIABLE, CONSTANT)))
         left = right = 0
         if code == VARIABLE:
             left = draw(st.integers(0, len(NAMES) - 1))

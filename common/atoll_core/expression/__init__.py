@@ -5,5 +5,6 @@ are made by a `builder`, by `text.parsing` from text, and by `simplification` fr
 values kept; `writing` finds the shortest writing of a function;
 `unit_coefficients` makes factors of one constants. `operation_list` arranges a program as the lists that
 the search evolves. `evaluation` gives values and derivatives by numpy, for what comes after the search; `kernels` the
-same, compiled, for the search; `text` turns programs into infix text, LaTeX and sympy objects.
+same, compiled, for the search. `derivative` makes programs of derivatives, `compiled` one function of several programs.
+`text` turns programs into infix text, LaTeX and sympy objects.
 """

@@ -18,6 +18,7 @@ from atoll_core.expression.operators import (
     Functions,
     Slope,
     definitions,
+    slope_definitions,
 )
 from atoll_core.expression.program import Program
 
@@ -40,11 +41,10 @@ def _base_log(x: FloatArray, v: FloatArray) -> FloatArray:
     return np.where((x == 0.0) & (v == 0.0), 0.0, np.log(x))
 
 
-DEFINITIONS: Final = definitions(
-    Functions(
-        _periodic(np.sin), _periodic(np.cos), np.exp, np.log, np.sqrt, np.abs, np.tanh, _power, np.sign, _base_log
-    )
+NUMPY: Final = Functions(
+    _periodic(np.sin), _periodic(np.cos), np.exp, np.log, np.sqrt, np.abs, np.tanh, _power, np.sign, _base_log
 )
+DEFINITIONS: Final = {**definitions(NUMPY), **slope_definitions(NUMPY)}
 
 
 def value_of(code: int, left: float, right: float) -> float:

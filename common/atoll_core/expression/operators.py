@@ -25,6 +25,8 @@ POW: Final = 13
 INVERSE: Final = 14
 SQUARE: Final = 15
 NEGATE: Final = 16
+SIGN: Final = 17
+BASE_LOG: Final = 18
 
 TRIGONOMETRIC_LIMIT: Final = 1e5
 """|x| above this in sin or cos counts as not finite (NaN)."""
@@ -65,7 +67,10 @@ OPERATORS: Final = (
 )
 """Indexed by code."""
 
-ARITY: Final = tuple(operator.arity for operator in OPERATORS)
+SLOPE_OPERATORS: Final = (Operator(SIGN, "sign", 1, "sign"), Operator(BASE_LOG, "base log", 2))
+"""What derivatives need besides `OPERATORS`, with the next codes: nothing searches for them or sends them."""
+
+ARITY: Final = tuple(operator.arity for operator in (*OPERATORS, *SLOPE_OPERATORS))
 BY_NAME: Final = {operator.name: operator for operator in OPERATORS if operator.arity > 0}
 """The operators a user can select with ``--operators``."""
 FUNCTIONS: Final = {operator.code: operator.text for operator in OPERATORS if operator.arity == 1 and operator.text}
@@ -98,7 +103,7 @@ SlopePart = Callable[[Any, Any, Any], Any]
 
 
 class Slope(NamedTuple):
-    """The derivative of an operator's value by one argument: ``sign * factors[0] * ... / divisor``."""
+    """The derivative of an operator's value by one argument: ``sign * factors[0] * ... / divisor``, 0 by sign 0."""
 
     sign: int = 1
     factors: tuple[SlopePart, ...] = ()
@@ -141,6 +146,14 @@ def definitions(functions: Functions) -> dict[int, Definition]:
         INVERSE: Definition(lambda a, b: 1.0 / a, Slope(-1, (_v, _v))),
         SQUARE: Definition(lambda a, b: a * a, Slope(1, (lambda a, b, v: a + a,))),
         NEGATE: Definition(lambda a, b: -a, Slope(-1)),
+    }
+
+
+def slope_definitions(functions: Functions) -> dict[int, Definition]:
+    """Return the definitions of `SLOPE_OPERATORS`, whose slopes are those of second derivatives."""
+    return {
+        SIGN: Definition(lambda a, b: functions.sign(a), Slope(0)),
+        BASE_LOG: Definition(lambda a, b: functions.base_log(a, b), Slope(1, (), _a), Slope(0)),
     }
 
 

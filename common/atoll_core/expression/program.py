@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll_core.expression.operators import ARITY, CONSTANT, OPERATORS, VARIABLE
 
 MAX_NODES = 240
 
@@ -112,7 +112,7 @@ def check_program_bytes(data: bytes, variables: int) -> None:
 
 def _check_nodes(codes: Sequence[int], lefts: Sequence[int], rights: Sequence[int], variables: int) -> None:
     for index, (code, left, right) in enumerate(zip(codes, lefts, rights, strict=True)):
-        if not 0 <= code < len(ARITY):
+        if not 0 <= code < len(OPERATORS):
             raise RemoteProtocolError(f"node {index} of a program has unknown operator code {code}")
         if code in (VARIABLE, CONSTANT):
             left_limit, right_limit = variables if code == VARIABLE else 1, 1

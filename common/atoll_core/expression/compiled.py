@@ -1,0 +1,73 @@
+"""Programs as one Python function, of numbers or of arrays: what they have in common is computed once.
+
+The text of the function is written by the table of operators; names in it are numbers of nodes, whatever the programs
+come from.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from atoll_core.expression.builder import ProgramBuilder
+from atoll_core.expression.operators import ARITY, CONSTANT, Functions, definitions, slope_definitions
+from atoll_core.expression.program import Program
+
+_LONGEST: Final = 200
+"""Of the text of a part that is used once and gets no name: Python reads no more than 200 brackets within others."""
+
+
+def function_of(programs: Sequence[Program], variables: int, functions: Functions) -> Callable[..., tuple[Any, ...]]:
+    """Return a function of so many variables, numbers or arrays, that returns the values of `programs`.
+
+    It raises what `functions` and divisions do where there is no value.
+    """
+    builder = ProgramBuilder()
+    outputs = [builder.copy(program.nodes())[-1] for program in programs]
+    uses = Counter(argument for code, *pair, _ in builder.nodes for argument in pair[: ARITY[code]]) + Counter(outputs)
+    names, lines = [], [f"def function({', '.join(f'x{index}' for index in range(variables))}):"]
+    for place, (code, left, right, value) in enumerate(builder.nodes):
+        if not ARITY[code]:
+            names.append(_Text(f"({value!r})" if code == CONSTANT else f"x{left}"))
+            continue
+        text = _OPERATORS[code].value(names[left], names[right])
+        if uses[place] == 1 and len(text) < _LONGEST:
+            names.append(_Text(f"({text})"))
+        else:
+            names.append(_Text(f"n{place}"))
+            lines.append(f"    n{place} = {text}")
+    lines.append(f"    return ({''.join(f'{names[place]}, ' for place in outputs)})")
+    scope: dict[str, Any] = {**functions._asdict(), "inf": math.inf, "nan": math.nan}
+    exec("\n".join(lines), scope)
+    function: Callable[..., tuple[Any, ...]] = scope["function"]
+    return function
+
+
+class _Text(str):
+    """What stands for a number in a formula: arithmetic writes it."""
+
+    def __add__(self, other: str) -> str:
+        return f"{self} + {other}"
+
+    def __sub__(self, other: str) -> str:
+        return f"{self} - {other}"
+
+    def __mul__(self, other: str) -> str:  # type: ignore[override]
+        return f"{self} * {other}"
+
+    def __truediv__(self, other: str) -> str:
+        return f"{self} / {other}"
+
+    def __rtruediv__(self, other: float) -> str:
+        return f"{other} / {self}"
+
+    def __neg__(self) -> str:
+        return f"-{self}"
+
+
+def _call(name: str) -> Callable[..., str]:
+    return lambda *arguments: f"{name}({', '.join(arguments)})"
+
+
+_FUNCTIONS: Final = Functions(*map(_call, Functions._fields))
+_OPERATORS: Final = {**definitions(_FUNCTIONS), **slope_definitions(_FUNCTIONS)}

@@ -1,0 +1,147 @@
+"""Derivatives of programs, as programs: by one sweep from the output back over the slopes of the table of operators.
+
+The slopes are called with parts of a program under construction, on which arithmetic adds nodes. What a part passes on
+is the same for all variables, so that derivatives of one program share what they have in common. Constants are
+differentiated as variables, see `with_variables`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from atoll_core.expression.builder import ProgramBuilder
+from atoll_core.expression.evaluation import value_of
+from atoll_core.expression.operators import (
+    ABS,
+    ADD,
+    ARITY,
+    BASE_LOG,
+    CONSTANT,
+    COS,
+    DIVIDE,
+    EXP,
+    LOG,
+    MULTIPLY,
+    NEGATE,
+    POW,
+    SIGN,
+    SIN,
+    SQRT,
+    SUBTRACT,
+    TANH,
+    VARIABLE,
+    Functions,
+    Slope,
+    definitions,
+    slope_definitions,
+)
+from atoll_core.expression.program import Node, Program, constant_places
+
+
+def derivative(program: Program, variable: int) -> Program:
+    """Return the derivative by the input variable of this index, the constant 0 where the program does not have it.
+
+    It has `SLOPE_OPERATORS` besides others, and more nodes than a message takes. Where a slope of the table has no
+    finite value, neither has it.
+    """
+    draft = _Draft()
+    output = draft.copy(program.nodes())[-1]
+    depends = _dependent(draft.nodes[: output + 1], variable)
+    slopes = {output: _Part(draft, draft.constant(1.0))}
+    for place in range(output, -1, -1):
+        code, *arguments, _ = draft.nodes[place]
+        if place not in slopes or not depends[place] or not ARITY[code]:
+            continue
+        left, right = (_Part(draft, argument) for argument in arguments)
+        at = left, right, _Part(draft, place)
+        for argument, slope in ((left, _OPERATORS[code].left), (right, _OPERATORS[code].right))[: ARITY[code]]:
+            if slope.sign and depends[argument.place]:
+                share, known = _share(slopes[place], slope, *at), slopes.get(argument.place)
+                slopes[argument.place] = share if known is None else known + share
+    leaf = next((place for place, node in enumerate(draft.nodes) if node[:2] == (VARIABLE, variable)), None)
+    return draft.program(slopes[leaf].place if leaf in slopes else draft.constant(0.0))
+
+
+def with_variables(program: Program, first: int) -> Program:
+    """Return `program` with variables in the place of its constants: their indices go on from `first` in node order."""
+    operators, left, constants = program.operators.copy(), program.left.copy(), program.constants.copy()
+    places = constant_places(program)
+    operators[places], left[places], constants[places] = VARIABLE, range(first, first + len(places)), 0.0
+    return Program(operators, left, program.right, constants)
+
+
+class _Draft(ProgramBuilder):
+    """A program under construction without what changes no bit: factors of one, signs of signs, parts of constants."""
+
+    def operate(self, code: int, left: int, right: int = 0) -> int:
+        (kind, inner, _, value), (other_kind, other_inner, _, other_value) = self.nodes[left], self.nodes[right]
+        if kind == CONSTANT and (ARITY[code] == 1 or other_kind == CONSTANT):
+            result = value_of(code, value, other_value)
+            if result - result == 0.0:
+                return self.constant(result)
+        if code == NEGATE and kind == NEGATE:
+            return inner
+        if code in (MULTIPLY, DIVIDE, POW) and (other_kind, other_value) == (CONSTANT, 1.0):
+            return left
+        if code == MULTIPLY and (kind, value) == (CONSTANT, 1.0):
+            return right
+        if code in (MULTIPLY, DIVIDE) and NEGATE in (kind, other_kind):
+            positive = self.operate(
+                code, inner if kind == NEGATE else left, other_inner if other_kind == NEGATE else right
+            )
+            return positive if kind == other_kind else self.operate(NEGATE, positive)
+        if code in (ADD, SUBTRACT) and other_kind == NEGATE:
+            return self.operate(ADD + SUBTRACT - code, left, other_inner)
+        return super().operate(code, left, right)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A node of a draft, on which arithmetic adds nodes."""
+
+    draft: _Draft
+    place: int
+
+    def under(self, code: int, *others: "_Part | float") -> "_Part":
+        """Return an operator on this part and others."""
+        places = [self.draft.constant(part) if isinstance(part, float) else part.place for part in others]
+        return _Part(self.draft, self.draft.operate(code, self.place, *places))
+
+    def __add__(self, other: "_Part") -> "_Part":
+        return self.under(ADD, other)
+
+    def __sub__(self, other: "_Part | float") -> "_Part":
+        return self.under(SUBTRACT, other)
+
+    def __rsub__(self, other: float) -> "_Part":
+        return _Part(self.draft, self.draft.constant(other)) - self
+
+    def __mul__(self, other: "_Part") -> "_Part":
+        return self.under(MULTIPLY, other)
+
+
+def _call(code: int) -> Callable[..., Any]:
+    return lambda part, *others: part.under(code, *others)
+
+
+_FUNCTIONS: Final = Functions(*map(_call, (SIN, COS, EXP, LOG, SQRT, ABS, TANH, POW, SIGN, BASE_LOG)))
+_OPERATORS: Final = {**definitions(_FUNCTIONS), **slope_definitions(_FUNCTIONS)}
+
+
+def _share(part: _Part, slope: Slope, a: _Part, b: _Part, v: _Part) -> _Part:
+    """Return what the derivative by an operator's value, `part`, adds to that by an argument."""
+    for factor in slope.factors:
+        part = part * factor(a, b, v)
+    if slope.divisor is not None:
+        part = part.under(DIVIDE, slope.divisor(a, b, v))
+    return part if slope.sign > 0 else part.under(NEGATE)
+
+
+def _dependent(nodes: list[Node], variable: int) -> list[bool]:
+    """Return for every node whether it depends on a variable."""
+    depends: list[bool] = []
+    for code, left, right, _ in nodes:
+        is_leaf = not ARITY[code]
+        depends.append((code, left) == (VARIABLE, variable) if is_leaf
+                       else depends[left] or (ARITY[code] == 2 and depends[right]))  # fmt: skip
+    return depends
