@@ -1,14 +1,15 @@
 """The right-hand sides of a model as functions of numbers, with their derivatives by states and by constants.
 
-Letters: D states, U inputs, P parameters, N points. Values agree with those of the search up to rounding, since sympy
-arranges formulas anew. sympy is imported when a function is first needed.
+Letters: D states, U inputs, P parameters, N points. Values agree with those of the search up to rounding, since
+functions are those of the C library, and sine and cosine have values of large numbers, too.
 """
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -17,17 +18,24 @@ from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE, Definition, Functions, Slope, definitions
-from atoll_core.expression.program import Program
+from atoll_core.expression.compiled import function_of
+from atoll_core.expression.derivative import derivative, with_variables
+from atoll_core.expression.evaluation import NUMPY
+from atoll_core.expression.operators import Functions
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.text.export import to_sympy
 from atoll_core.expression.text.parsing import from_infix
 
-if TYPE_CHECKING:
-    import sympy
-
 MOST_STATES: Final = 200
-"""More states than this make a Jacobian whose formulas take minutes to write."""
+"""More states than this make a Jacobian of more than 40 000 formulas."""
 
 _VELOCITY: Final = "_dot"
+
+_OF_NUMBERS: Final = Functions(
+    math.sin, math.cos, math.exp, math.log, math.sqrt, abs, math.tanh, math.pow,
+    sign=lambda x: (x > 0.0) - (x < 0.0), base_log=lambda x, v: 0.0 if x == v == 0.0 else math.log(x),
+)  # fmt: skip
+_OF_ARRAYS: Final = NUMPY._replace(sin=np.sin, cos=np.cos, power=operator.pow)
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,7 @@ class VectorField:
         constants = [
             (state, value)
             for state, program in zip(self.states, programs, strict=True)
-            for value in program.constants[program.operators == np.int8(CONSTANT)].tolist()
+            for value in program.constants[constant_places(program)].tolist()
         ]
         parameters = tuple(Parameter(f"c{number}", *known) for number, known in enumerate(constants, start=1))
         object.__setattr__(self, "programs", programs)
@@ -204,161 +212,82 @@ def _velocity_of(variable: str, symbols: Mapping[str, str]) -> str:
 
 
 class _Formulas:
-    """Compiled functions of a field, each made when it is first used."""
+    """Compiled functions of a field, each made when it is first used; parameters are variables behind the inputs."""
 
     def __init__(self, of: VectorField) -> None:
-        self._field = of
-
-    @cached_property
-    def _symbols(self) -> "tuple[list[sympy.Symbol], list[sympy.Symbol]]":
-        """Symbols of states and inputs, and of parameters."""
-        import sympy
-
-        count = len(self._field.states) + len(self._field.inputs)
-        variables = [sympy.Symbol(f"x{index}", real=True) for index in range(count)]
-        return variables, [sympy.Symbol(f"p{index}", real=True) for index in range(len(self._field.parameters))]
-
-    @cached_property
-    def _jets(self) -> "list[_Jet]":
-        variables, parameters = self._symbols
-        operators = _operators()
-        jets, begin = [], 0
-        for program in self._field.programs:
-            count = int(np.count_nonzero(program.operators == np.int8(CONSTANT)))
-            jets.append(_jet(program, variables, parameters[begin : begin + count], operators))
-            begin += count
-        return jets
+        self._names = (*of.states, *of.inputs)
+        self._states, self._variables = len(of.states), len(of.states) + len(of.inputs)
+        self._parameters, self._programs, end = of.parameters, [], self._variables
+        for program in of.programs:
+            self._programs.append(with_variables(program, end))
+            end += len(constant_places(program))
+        self._all = end
 
     @cached_property
     def values(self) -> "_Function":
-        return self._compiled([jet.value for jet in self._jets])
+        return _Function(self._programs, self._all)
 
     @cached_property
     def jacobian(self) -> "_Function":
-        states = self._symbols[0][: len(self._field.states)]
-        return self._compiled([jet.slopes.get(state, 0) for jet in self._jets for state in states])
+        return self._slopes(range(self._states))
 
     @cached_property
     def by_parameters(self) -> "_Function":
-        return self._compiled([jet.slopes.get(each, 0) for jet in self._jets for each in self._symbols[1]])
+        return self._slopes(range(self._variables, self._all))
 
     @cached_property
     def by_inputs(self) -> "_Function":
-        inputs = self._symbols[0][len(self._field.states) :]
-        return self._compiled([jet.slopes.get(each, 0) for jet in self._jets for each in inputs])
+        return self._slopes(range(self._states, self._variables))
 
     def term_of(self, index: int, values: Sequence[float]) -> str:
         import sympy
 
-        variables, parameters = self._symbols
-        slope = next(jet.slopes[parameters[index]] for jet in self._jets if parameters[index] in jet.slopes)
-        names = zip(variables, (*self._field.states, *self._field.inputs), strict=True)
-        known = {symbol: sympy.Symbol(name) for symbol, name in names}
-        known |= {
-            symbol: sympy.Integer(value) if value.is_integer() else sympy.Float(value)
-            for symbol, value in zip(parameters, values, strict=True)
+        program = self._programs[self._names.index(self._parameters[index].variable)]
+        slope = derivative(program, self._variables + index)
+        marks = [f"[{number}]" for number in range(len(values))]  # which no state is called
+        known = {
+            sympy.Symbol(mark): sympy.Integer(value) if value.is_integer() else sympy.Float(value)
+            for mark, value in zip(marks, values, strict=True)
         }
-        term = sympy.sympify(slope).xreplace(known)
+        term = to_sympy(slope, [*self._names, *marks]).xreplace(known)
         return str(-term if term.could_extract_minus_sign() else term)
 
-    def _compiled(self, formulas: "list[sympy.Expr | int]") -> "_Function":
-        variables, parameters = self._symbols
-        return _Function(variables, parameters, formulas)
+    def _slopes(self, variables: Sequence[int]) -> "_Function":
+        programs = [derivative(program, variable) for program in self._programs for variable in variables]
+        return _Function(programs, self._all)
 
 
 class _Function:
-    """Formulas as two compiled functions: of plain numbers, which is fast at one point, and of arrays."""
+    """Programs as two compiled functions: of plain numbers, which is fast at one point, and of arrays."""
 
-    def __init__(self, variables: Sequence[Any], parameters: Sequence[Any], formulas: Sequence[Any]) -> None:
-        self._arguments = [*variables, *parameters]
-        self._formulas = list(formulas)
+    def __init__(self, programs: Sequence[Program], variables: int) -> None:
+        self._programs, self._variables = programs, variables
 
     @cached_property
     def _of_numbers(self) -> Callable[..., Sequence[float]]:
-        return self._lambdified("math")
+        return function_of(self._programs, self._variables, _OF_NUMBERS)
 
     @cached_property
     def _of_arrays(self) -> Callable[..., Sequence[Any]]:
-        return self._lambdified("numpy")
-
-    def _lambdified(self, module: str) -> Callable[..., Any]:
-        import sympy
-
-        # Such as 1/(x - x), which has no value anywhere: neither module has a number for it.
-        known = [sympy.nan if sympy.sympify(each).has(sympy.zoo) else each for each in self._formulas]
-        function: Callable[..., Any] = sympy.lambdify(self._arguments, known, modules=module, cse=True)
-        return function
+        return function_of(self._programs, self._variables, _OF_ARRAYS)
 
     def at_point(self, numbers: Sequence[float]) -> FloatArray:
-        """Return the values of all formulas; NaN where they have none."""
+        """Return the values of all programs; NaN where they have none."""
         try:
-            found = np.array(self._of_numbers(*numbers), dtype=np.float64)
-        except (ArithmeticError, ValueError, TypeError):  # a division by zero, log of 0, a root of a negative number
+            values = np.array(self._of_numbers(*numbers), dtype=np.float64)
+        except (ArithmeticError, ValueError):  # a division by zero, log of 0, a root of a negative number
             columns = [np.array([number]) for number in numbers]
             return np.asarray(self.at_points(columns, (), 1)[0])
-        if not all(map(math.isfinite, found.tolist())):
-            found[~np.isfinite(found)] = np.nan
-        return found
-
-    def at_points(self, columns: Sequence[FloatArray], numbers: Sequence[float], rows: int) -> FloatArray:
-        """Return the values of all formulas at `rows` points, shape (rows, formulas); NaN where they have none."""
-        with np.errstate(all="ignore"):
-            found = self._of_arrays(*columns, *map(np.float64, numbers))
-        values = np.empty((rows, len(self._formulas)))
-        for index, each in enumerate(found):
-            values[:, index] = each
-        values[~np.isfinite(values)] = np.nan
+        if not all(map(math.isfinite, values.tolist())):
+            values[~np.isfinite(values)] = np.nan
         return values
 
-
-@dataclass(frozen=True)
-class _Jet:
-    """A formula and its derivatives by the symbols that it has."""
-
-    value: "sympy.Expr"
-    slopes: "dict[sympy.Symbol, sympy.Expr]"
-
-
-def _operators() -> dict[int, Definition]:
-    import sympy
-
-    return definitions(
-        Functions(
-            sympy.sin, sympy.cos, sympy.exp, sympy.log, sympy.sqrt, sympy.Abs, sympy.tanh, sympy.Pow, sympy.sign,
-            lambda x, _: sympy.log(x),
-        )
-    )  # fmt: skip
-
-
-def _jet(
-    program: Program, variables: Sequence[Any], parameters: Sequence[Any], operators: Mapping[int, Definition]
-) -> _Jet:
-    """Return the formula of a program whose constants are `parameters` in node order, by the table of operators."""
-    jets: list[_Jet] = []
-    constants = iter(parameters)
-    for code, left, right, _ in program.nodes():
-        if code in (VARIABLE, CONSTANT):
-            symbol = variables[left] if code == VARIABLE else next(constants)
-            jets.append(_Jet(symbol, {symbol: 1}))
-        else:
-            jets.append(_applied(operators[code], jets[left], jets[right] if ARITY[code] == 2 else None))
-    return jets[-1]
-
-
-def _applied(operator: Definition, left: _Jet, right: _Jet | None) -> _Jet:
-    first, second = left.value, None if right is None else right.value
-    value = operator.value(first, second)
-    slopes: dict[Any, Any] = {}
-    for argument, slope in ((left, operator.left), (right, operator.right)):
-        if argument is not None:
-            factor = _factor(slope, first, second, value)
-            for symbol, its in argument.slopes.items():
-                slopes[symbol] = slopes.get(symbol, 0) + factor * its
-    return _Jet(value, slopes)
-
-
-def _factor(slope: Slope, a: Any, b: Any, v: Any) -> Any:
-    factor: Any = slope.sign
-    for part in slope.factors:
-        factor = factor * part(a, b, v)
-    return factor if slope.divisor is None else factor / slope.divisor(a, b, v)
+    def at_points(self, columns: Sequence[FloatArray], numbers: Sequence[float], rows: int) -> FloatArray:
+        """Return the values of all programs at `rows` points, shape (rows, programs); NaN where they have none."""
+        values = np.zeros((rows, len(self._programs)))
+        with np.errstate(all="ignore"):
+            for index, column in enumerate(self._of_arrays(*columns, *map(np.float64, numbers))):
+                if not isinstance(column, float) or column != 0.0:
+                    values[:, index] = column
+        values[~np.isfinite(values)] = np.nan
+        return values
