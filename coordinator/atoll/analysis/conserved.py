@@ -18,9 +18,10 @@ import numpy as np
 
 from atoll.analysis.box import Box
 from atoll.analysis.flow import Flow
-from atoll_coordinator.stochastic.jets import jet_of
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.builder import live_nodes
+from atoll_core.expression.derivative import derivative
+from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import COS, SIN
 from atoll_core.expression.program import Program
 
@@ -138,9 +139,9 @@ def _angles(flow: Flow, box: Box) -> list[FloatArray]:
     for program in flow.field.programs:
         nodes = program.nodes()
         for argument in [left for code, left, *_ in nodes if code in (SIN, COS)]:
-            with np.errstate(all="ignore"):
-                its = jet_of(Program.of(live_nodes(nodes, argument)), columns, flow.size).gradient
-            slopes = np.broadcast_to(its, (flow.size, len(points))) * box.widths[:, None]
+            angle = Program.of(live_nodes(nodes, argument))
+            slopes = np.array([values_of(derivative(angle, state), columns) for state in range(flow.size)])
+            slopes *= box.widths[:, None]
             middle = slopes.mean(axis=1)
             is_linear = np.abs(slopes - middle[:, None]).max() <= TOLERANCE * np.abs(middle).max()
             if is_linear and middle.any():  # the sine of an input has no slopes at all

@@ -21,7 +21,7 @@ from atoll_core.errors import UsageError
 from atoll_core.expression.compiled import function_of
 from atoll_core.expression.derivative import derivative, with_variables
 from atoll_core.expression.evaluation import NUMPY
-from atoll_core.expression.operators import Functions
+from atoll_core.expression.operators import CONSTANT, Functions
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.export import to_sympy
 from atoll_core.expression.text.parsing import from_infix

@@ -1,6 +1,5 @@
 """Stochastic processes dx = f dt + g dW: what a step of one moves, and paths of it.
 
-- `jets`: programs with their first and second derivatives by the states
 - `discretisation`: what a step is
 - `moments`: mean and covariance of a step
 - `paths`: paths drawn with these moments, and ensembles of them

@@ -20,17 +20,19 @@ Letters: S states, V variables, R rows.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.stochastic.discretisation import Discretisation
-from atoll_coordinator.stochastic.jets import Jet, jet_of
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.program import Program
+from atoll_core.expression.compiled import function_of
+from atoll_core.expression.derivative import derivative, with_variables
+from atoll_core.expression.evaluation import NUMPY, values_of
+from atoll_core.expression.program import Program, constant_places, structure
 
 Pair = tuple[int, int]
 """Two states by their index, the first not above the second: a component of the diffusion."""
@@ -71,7 +73,7 @@ def step_moments(
     """
     states = len(drift)
     with np.errstate(all="ignore"):
-        value, jacobian, hessian = _stacked([jet_of(program, points, states) for program in drift], states)
+        value, jacobian, hessian = _expanded(drift, points, states)
         tensor, its_change = _diffusion(diffusion, points, value, states)
         if discretisation == "Euler-Maruyama":
             return StepMoments(steps * value, steps * tensor, np.eye(states)[:, :, None] + steps * jacobian)
@@ -108,14 +110,42 @@ def _propagator(powers: tuple[FloatArray, FloatArray, FloatArray], steps: FloatA
     return np.asarray(np.eye(len(one))[:, :, None] + steps * (one + 0.5 * steps * (two + steps / 3.0 * three)))
 
 
-def _stacked(jets: Sequence[Jet], states: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return values (N, R), gradients (N, S, R) and Hessians (N, S, S, R) of N jets."""
-    rows = len(jets[0].value)
-    return (
-        np.array([jet.value for jet in jets]),
-        np.array([np.broadcast_to(jet.gradient, (states, rows)) for jet in jets]),
-        np.array([np.broadcast_to(jet.hessian, (states, states, rows)) for jet in jets]),
-    )
+def _expanded(
+    programs: Sequence[Program], points: FloatArray, states: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return values (N, R), gradients (N, S, R) and Hessians (N, S, S, R) of N programs by the states."""
+    count, (variables, rows) = len(programs), points.shape
+    values, gradients = np.zeros((count, rows)), np.zeros((count, states, rows))
+    hessians = np.zeros((count, states, states, rows))
+    for number, program in enumerate(programs):
+        constants = program.constants[constant_places(program)]
+        parts = _expansion(_Structure(program, structure(program)), variables, states)(*points, *constants)
+        values[number] = parts[0]
+        slopes = iter(parts[1:])
+        for i in range(states):
+            gradients[number, i] = next(slopes)
+            for j in range(i + 1):
+                hessians[number, i, j] = hessians[number, j, i] = next(slopes)
+    return values, gradients, hessians
+
+
+@dataclass(frozen=True)
+class _Structure:
+    """A program, equal to others that differ from it in the values of constants only."""
+
+    program: Program = field(compare=False)
+    key: bytes
+
+
+@lru_cache(maxsize=256)
+def _expansion(of: _Structure, variables: int, states: int) -> Callable[..., Sequence[FloatArray]]:
+    """Return a function of variables and constants: the value, and by states the slope and its slopes up to there."""
+    program = with_variables(of.program, variables)
+    parts = [program]
+    for i in range(states):
+        slope = derivative(program, i)
+        parts += [slope, *(derivative(slope, j) for j in range(i + 1))]
+    return function_of(parts, variables + len(constant_places(of.program)), NUMPY)
 
 
 def _diffusion(
@@ -124,7 +154,7 @@ def _diffusion(
     """Return B and L B, (S, S, R) each."""
     rows, pairs = points.shape[1], list(diffusion)
     tensor, its_change = np.zeros((states, states, rows)), np.zeros((states, states, rows))
-    values, gradients, hessians = _stacked([jet_of(diffusion[pair], points, states) for pair in pairs], states)
+    values, gradients, hessians = _expanded([*diffusion.values()], points, states)
     for (i, j), its in zip(pairs, values, strict=True):
         tensor[i, j] = tensor[j, i] = its
     changes = np.einsum("jr,njr->nr", value, gradients) + 0.5 * np.einsum("jkr,njkr->nr", tensor, hessians)
