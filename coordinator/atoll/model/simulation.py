@@ -41,7 +41,7 @@ _LOOKS: Final = 50
 """Rows of a simulation at which is seen how strongly errors of constants drive it, and which states can cross 0."""
 _LARGEST: Final = 1e150
 """The square of a larger number is no finite one."""
-_ROUGH: Final = "; a state falls below what its errors resolve, so that values after that may be wrong"
+_ROUGH: Final = "; a state falls below what was resolved: where it comes back, later values may be wrong"
 
 
 class EarlyEndWarning(UserWarning):
@@ -223,7 +223,7 @@ def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> _Course:
 
 def _smaller_sizes(task: _Task, found: _Course, t: FloatArray) -> FloatArray:
     """Return sizes (D,) for another attempt: smaller where a state is far below what its size was taken to be."""
-    reached, sizes = np.abs(found.rows).max(axis=0), found.sizes
+    reached, sizes = np.abs(found.rows).max(axis=0), found.sizes.copy()
     if found.is_whole:
         is_small = (reached > 0.0) & (reached < _COARSE * sizes)
         sizes = np.where(is_small.any() & (reached > 0.0), np.minimum(reached, sizes), sizes)

@@ -2,10 +2,13 @@
 
 import csv
 import io
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from atoll.model import simulation
 from atoll.model.joint_errors import JointErrors
 from atoll.model.simulation import followed_sizes, simulate
 from atoll.model.vector_field import VectorField
@@ -97,6 +100,19 @@ def test_a_state_that_comes_back_from_a_deep_trough_is_right(start: float, until
     expected = simulate(in_logarithms, np.log([start, start]), its.t)
     assert (its.status, expected.status) == ("finished", "finished")
     np.testing.assert_allclose(np.log(its.x / [unit, 1.0]), expected.x, atol=1e-6)
+
+
+def test_a_trough_that_no_finer_attempt_resolves_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    start, times, attempt, sizes = np.array([20.0, 20.0]), np.linspace(0.0, 60.0, 61), simulation._attempt, []
+
+    def only_the_first(*its: Any) -> Any:
+        sizes.append(its[-1].copy())
+        return replace(attempt(*its), is_whole=len(sizes) == 1)
+
+    assert simulate(PREY, start, times).message == "it reached time 60"
+    monkeypatch.setattr(simulation, "_attempt", only_the_first)
+    assert simulate(PREY, start, times).message.startswith("it reached time 60; a state falls below")
+    assert (sizes[1] < sizes[0]).any()
 
 
 def test_bands_come_back_from_a_deep_trough() -> None:
