@@ -1,5 +1,6 @@
 """The promises of `atoll_core.wire.bus.interface`, one test each, kept by the zenoh bus and the simulated one alike."""
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -75,9 +76,9 @@ def prefix(request: pytest.FixtureRequest) -> str:
     return "test/" + request.node.originalname
 
 
-def first(bus: Bus, kind: type[E], wanted: Callable[[E], bool] = lambda event: True) -> E:
+def first(bus: Bus, kind: type[E], wanted: Callable[[E], bool] = lambda event: True, limit_s: float = LIMIT_S) -> E:
     """Return the first event of a kind, dropping others; fails when none comes."""
-    end = time.monotonic() + LIMIT_S
+    end = time.monotonic() + limit_s
     for _ in range(10_000):
         event = bus.receive(0.1)
         if isinstance(event, kind) and wanted(event):
@@ -148,8 +149,13 @@ def test_the_largest_payload_is_delivered_whole_and_a_larger_one_is_refused(worl
     receiver.subscribe(prefix)
     connect(sender, receiver, prefix)
     payload = bytes(range(256)) * (MAX_PAYLOAD // 256)
-    sender.put(prefix, payload)
-    assert first(receiver, Message).payload == payload
+    for _ in range(3):  # a put may be lost where the network is slower than the sender
+        sender.put(prefix, payload)
+        with contextlib.suppress(AssertionError):
+            assert first(receiver, Message, limit_s=LIMIT_S / 3).payload == payload
+            break
+    else:
+        raise AssertionError("the largest payload did not come")
     for act in (sender.put, sender.get):
         with pytest.raises(LocalProtocolError, match="more than"):
             act(prefix, payload + b"x")

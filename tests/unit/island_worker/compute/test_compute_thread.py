@@ -2,6 +2,7 @@
 
 import queue
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from types import ModuleType
 from typing import Any
@@ -37,7 +38,9 @@ class FakeOutcome:
 
 
 class FakeIsland:
-    """Its epochs have ten slices; island 7 never ends, island 8 breaks."""
+    """Its epochs have ten slices; island 7 never ends, and waits before slice 50 for `may_go_on`; island 8 breaks."""
+
+    may_go_on = threading.Event()
 
     def __init__(self, problem: Any, config: JobConfig, island: int) -> None:
         self.island = island
@@ -51,6 +54,8 @@ class FakeIsland:
     def advance(self, generations: int) -> bool:
         if self.island == 8:
             raise ZeroDivisionError("no such epoch")
+        if self.island == 7 and self.slices == 49:
+            self.may_go_on.wait(LIMIT_S)
         self.slices += 1
         return self.island != 7 and self.slices % 10 == 0
 
@@ -71,6 +76,7 @@ class FakeIsland:
 
 @pytest.fixture
 def results(monkeypatch: pytest.MonkeyPatch) -> "queue.Queue[object]":
+    FakeIsland.may_go_on.set()
     module = ModuleType("atoll_island_worker.evolution.island")
     module.Island = FakeIsland  # type: ignore[attr-defined]
     module.senders = lambda config, variable, epoch, island: frozenset({1, 2})  # type: ignore[attr-defined]
@@ -148,8 +154,10 @@ def test_what_is_discarded_is_given_up_without_a_word(compute: ComputeThread, re
 
 
 def test_an_island_stops_where_the_target_was_met(compute: ComputeThread, results: "queue.Queue[object]") -> None:
+    FakeIsland.may_go_on.clear()
     compute.run(task(key(7)))
     compute.stop_at(key(7).shard, Position(0, 500, 7), COMMIT_ORDER)
+    FakeIsland.may_go_on.set()
     result = results.get(timeout=LIMIT_S)
     assert isinstance(result, Computed)
     assert (result.report.generations, result.emigrants) == (500, {})
