@@ -17,7 +17,7 @@ import time
 import traceback
 from argparse import Namespace
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,10 +59,17 @@ machine does changes no case much."""
 LIMIT_S: Final = 60.0
 """Processor seconds of a whole case: what --max-time ends early has a last stage, and Python starts slowly."""
 
-ROWS: Final = (4, *(5, 6, 8, 12, 20, 20, 40, 40, 60, 60, 100, 120) * 3)
+ROWS: Final = (4, *(5, 6, 8, 12, 20, 20, 40, 40, 60, 60, 100, 120, 120, 240) * 3)
 SIZES: Final = (*[1.0] * 40, *(-1e-5, 1e-12, 1e12, 1e-30, 1e30) * 2, 1e-100, 1e100, 1e-160, 1e160, 1e300)
 UNFIT: Final = 0.03
 """Share of the cases whose options are drawn without a look at the table and at each other; most are refused."""
+STOCHASTIC: Final = 1 / 6
+"""Share of the cases that seek a process, of those whose table admits it."""
+LEAST_STEPS: Final = 102
+"""That a process takes, and those that are lost where trajectories begin."""
+NO_PROCESS: Final = frozenset(("robust", "weights", "offsets", "group", "per_trajectory"))
+"""Options that mean nothing where noise is part of the law."""
+
 FRONTS: Final = ("{x}", "{x} + 1", "0.5", "{x}*{y}", "1/{x}", "sin({x})", "{x}*{x} - {y}", "{x}/({y} - {y})")
 End = Literal["done", "refused", "broke", "late"]
 
@@ -174,7 +181,10 @@ def config_of(draw: np.random.Generator, table: Table) -> JobConfig:
     else:
         is_timed = True
         its["order"] = int(draw.choice([1, 1, 1, 2]))
-        its["stochastic"] = bool(draw.uniform() < 0.1 and its["order"] == 1 and table.rows > 100)
+        if draw.uniform() < STOCHASTIC and its["order"] == 1:
+            noisy = _moved_by_noise({name: columns[name] for name in (*some, *its.get("inputs", ()))}, some)
+            its |= {"states": noisy, "stochastic": True} if noisy else {}
+            some = noisy or some
         if draw.uniform() < 0.15:
             its["angles"] = (Angle(column=some[0], degrees=bool(draw.integers(2))),)
         if draw.uniform() < 0.1:
@@ -182,6 +192,8 @@ def config_of(draw: np.random.Generator, table: Table) -> JobConfig:
     choices: dict[str, Any] = {"robust": True, "missing": "drop", "weights": "w"}
     its |= {name: value for name, value in choices.items() if draw.uniform() < (0.95 if name == "missing" else 0.06)}
     its |= _parts_of(draw, len(table.starts) > 1, is_timed and table.rows > 11, is_unfit)
+    if "stochastic" in its:
+        its = {name: value for name, value in its.items() if name not in NO_PROCESS}
     preset = PRESETS["paper" if draw.uniform() < 0.1 else "default"]
     operators = (("+", "-", "*", "/", "sin", "cos"), ("+", "*"), ("+", "-", "*", "/", "exp", "log", "sqrt", "pow"))
     space = preset.space.model_copy(update={"operators": operators[int(draw.choice([0, 0, 1, 2]))]})
@@ -204,6 +216,16 @@ def _parts_of(draw: np.random.Generator, is_cut: bool, may_differ: bool, is_unfi
         return {}
     chosen = kinds[int(draw.integers(3))] if draw.uniform() < 0.8 else {}
     return chosen | ({} if is_cut and chosen else marked)
+
+
+def _moved_by_noise(columns: Mapping[str, FloatArray], states: Sequence[str]) -> tuple[str, ...]:
+    """Return the states whose steps change by more than their size and can be squared; none with too few steps."""
+    is_known = np.isfinite([*columns.values()]).all(axis=0)
+    if is_known.sum() <= LEAST_STEPS:
+        return ()
+    kept = {name: columns[name][is_known] for name in states}
+    steps = {name: np.diff(values) for name, values in kept.items() if 1e-60 < np.ptp(values) < 1e60}
+    return tuple(name for name, each in steps.items() if np.median(abs(np.diff(each))) > np.median(abs(each)) > 0.0)
 
 
 def _changes(values: FloatArray) -> bool:
