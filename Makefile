@@ -10,13 +10,13 @@ DOCS := $(VENV)/atoll-docs-installed
 BROWSER := $(VENV)/atoll-browser-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-wheel quick kernels check soak bench compare figures docs browser lock release-rehearsal deploy-rehearsal clean
+.PHONY: help demo test test-all test-wheel kernels check soak bench compare figures docs browser lock release-rehearsal deploy-rehearsal clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
-	@echo "make test    all tests"
+	@echo "make test    what a change must pass: all tests but the slow ones"
+	@echo "make test-all   these, too: whole pages of the documentation, machines that fail, statistics over seeds"
 	@echo "make test-wheel  all tests against the wheel, in an environment of its own"
-	@echo "make quick   the tests that take less than about ten seconds each"
 	@echo "make check   style, formatting, types, import contracts"
 	@echo "make soak    schedules of faults, simulated, on all cores, and drawn tables with drawn options:"
 	@echo "             make soak SCHEDULES=10000 CASES=10000"
@@ -55,14 +55,15 @@ PYTEST = $(BIN)/pytest -n $(AT_A_TIME) --dist loadfile --no-loadscope-reorder
 
 test: $(STAMP)
 	@$(BIN)/python -m tests.kernels --generic
+	@$(PYTEST) -m "not slow"
+
+test-all: $(STAMP)
+	@$(BIN)/python -m tests.kernels --generic
 	@$(PYTEST)
 
 # Against the wheel in an environment of its own, beside a foreign package `common`; also with options of pytest in WORDS.
 test-wheel: $(STAMP) kernels
 	@$(BIN)/python -m tests.wheel -n $(AT_A_TIME) --dist loadfile $(WORDS)
-
-quick: $(STAMP) kernels
-	@$(PYTEST) -m "not slow"
 
 # Compiled before the first test, whose time is limited.
 kernels: $(STAMP)

@@ -138,7 +138,6 @@ def test_no_address_is_a_usage_error(tmp_path: Path) -> None:
     assert (its.returncode, "--connect" in its.stderr, "ATOLL_CONNECT" in its.stderr) == (2, True, True)
 
 
-@pytest.mark.slow
 def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
     """The story of several machines, on one."""
     with contextlib.ExitStack() as stack:

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 Answer = dict[str, Any]
 
 
-@pytest.fixture(scope="module", params=["clean", "noisy"])
+@pytest.fixture(scope="module", params=["clean", pytest.param("noisy", marks=pytest.mark.slow)])
 def measurements(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A damped oscillation of two states, exact (interpolated) or with noise (smoothed)."""
     path: Path = tmp_path_factory.mktemp("data") / f"{request.param}.csv"
@@ -84,7 +84,6 @@ def dispatched_features() -> list[str]:
     return list(np.show_config(mode="dicts")["SIMD Extensions"].get("found", []))
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_neither_the_order_of_hashes_nor_the_processor_matters(measurements: Path, native: Answer) -> None:
     """All at once: another order, kernels for any processor, and libraries without the features that they use here.

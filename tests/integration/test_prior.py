@@ -37,6 +37,7 @@ def test_a_guess_a_known_equation_and_allowed_variables_come_together(tmp_path: 
 
 
 @pytest.mark.timeout(LIMIT_S + 50)
+@pytest.mark.slow
 def test_runs_with_rates_of_their_own_obey_one_law_with_units_and_bounds(tmp_path: Path) -> None:
     rows = ["strain,t [h],x [g/L]"]
     for strain, rate in ((1, 0.5), (2, 1.0), (3, 1.7)):

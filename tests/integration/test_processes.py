@@ -80,7 +80,6 @@ def test_a_job_on_several_machines_has_the_digest_of_a_run_on_one(place: Path, d
             assert until(lambda: all_gone(pids))
 
 
-@pytest.mark.slow
 def test_workers_that_are_killed_with_their_parent_leave_nothing_and_others_finish_the_job(
     place: Path, digest: str
 ) -> None:
@@ -120,6 +119,7 @@ def test_a_worker_whose_coordinator_stays_away_says_so_and_ends_with_3(place: Pa
     assert "the coordinator has not answered for 1 s" in (place / "island_worker.log").read_text()
 
 
+@pytest.mark.slow
 def test_two_coordinators_share_neither_a_port_nor_a_store(place: Path) -> None:
     with serving(place, "four") as (address, _):
         same_port = done(place, "coordinator", "serve", "--listen", address, "--state", "five")

@@ -10,6 +10,7 @@ from tests.programs import LIMIT_S, done
 
 
 @pytest.mark.timeout(LIMIT_S + 50)
+@pytest.mark.slow
 def test_drift_and_diffusion_are_found_with_intervals_an_ensemble_and_a_density(tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     decay, rows = np.exp(-0.1), [2.0]

@@ -36,7 +36,7 @@ from tests.property.programs import HOSTILE_NAMES, NAMES, ROWS, programs
 
 LANGUAGES = (C, JULIA, MATLAB, MODELICA, PYTHON, XPPAUT)
 TAME = st.floats(0.5, 2.0)
-QUICK = settings(max_examples=300, deadline=None, derandomize=True, database=None)
+QUICK = settings(max_examples=150, deadline=None, derandomize=True, database=None)
 
 
 def bits(value: float) -> bytes:

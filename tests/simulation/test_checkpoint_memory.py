@@ -42,6 +42,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> tuple[list[str], list[int]]:
     return [comparable(world.result(f"job{seed}")) for seed in range(JOBS)], held
 
 
+@pytest.mark.slow
 def test_without_any_memory_one_checkpoint_goes_through_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     answers, held = run(monkeypatch)
     assert max(held) > ISLANDS * STATE_BYTES
@@ -52,6 +53,7 @@ def test_without_any_memory_one_checkpoint_goes_through_at_a_time(monkeypatch: p
     assert 0 < max(crowded_held) <= ISLANDS * STATE_BYTES
 
 
+@pytest.mark.slow
 def test_nor_do_faults_make_anybody_wait_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pull_budget, "MAX_BYTES", 0)
     for seed in range(300, 308):

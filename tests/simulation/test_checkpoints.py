@@ -116,6 +116,7 @@ def test_a_worker_that_dies_while_its_states_are_pulled_does_not_change_the_answ
         assert comparable(world.run(config(3))) == undisturbed(3)
 
 
+@pytest.mark.slow
 def test_lost_and_late_answers_with_states_do_not_change_the_answer() -> None:
     plan = Plan(drop=0.1, duplicate=0.1, late=0.1, partitions=(Partition("w2", 2.0, 3.5),))
     for seed in range(3):

@@ -101,7 +101,7 @@ def answered(result: dict[str, Any], variable: str) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("joining", [None, 2])
+@pytest.mark.parametrize("joining", [pytest.param(None, marks=pytest.mark.slow), 2])
 def test_the_answer_is_what_the_definition_says(joining: int | None) -> None:
     for seed in SEEDS:
         ours = config(seed, joining)

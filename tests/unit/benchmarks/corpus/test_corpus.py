@@ -139,6 +139,7 @@ def test_fresh_trajectories_begin_in_the_measured_box(lotka):
             assert values.min() <= start <= values.max()
 
 
+@pytest.mark.slow
 def test_chaos_shortens_fresh_trajectories():
     case = make_case(Key("lorenz", 3, 1, "even", "exact", 0))
     assert max(path.times[-1] for path in case.fresh) < 0.6 * NAMED["lorenz"][3]

@@ -102,6 +102,7 @@ def test_constants_that_are_not_simple_keep_their_digits():
     assert sorted(np.abs(refined.program.constants).tolist())[-2:] == pytest.approx([0.123456789, math.pi], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_step_beside_the_best_member_is_found():
     its = problem(quotient, 0.01, rows=300)
     assert is_near(refined_text(its, "4.1 - 2.0*y/x", "4.1 - 2.1*y/(x + 0.8)"), "4 - 2*y/(x + 2/x)")

@@ -124,6 +124,7 @@ def test_lorenz_cycles_end_at_the_homoclinic_orbit() -> None:
     assert branch.special == ()
 
 
+@pytest.mark.slow
 def test_roessler_doubles_its_period_twice_and_again() -> None:
     """a = b = 0.2. Periods and multipliers of the cycles of one and two turns at c = 5.7: ChaosBook.org, extras,
     Roessler.html. The first doubling is at c = 2.83 (as measured in simulations by many)."""

@@ -55,6 +55,7 @@ def test_closed_orbits_around_a_centre_are_no_limit_cycles() -> None:
     assert (found.cycles, found.has_family) == ((), True)
 
 
+@pytest.mark.slow
 def test_lorenz_exponents_are_those_of_the_literature() -> None:
     where = box((-25.0, 25.0), (-25.0, 25.0), (0.0, 50.0))
     found = lyapunov_spectrum(LORENZ, where, starts=128, intervals=300)
@@ -72,6 +73,7 @@ def test_a_damping_that_grows_with_the_amplitude_leaves_no_closed_orbits(more: d
     assert (found.cycles, found.has_family) == ((), False)
 
 
+@pytest.mark.slow
 def test_a_cycle_that_is_approached_slowly_is_one() -> None:
     its = flow(x="y", y="0.01*(1.0 - x**2)*y - x")
     found = limit_cycles(its, SQUARE, fixed_points(its, SQUARE).points)

@@ -274,6 +274,7 @@ def test_only_allowed_operators_and_variables_come_in():
     assert set(y.left[y.operators == 0].tolist()) <= {1}
 
 
+@pytest.mark.slow
 def test_no_equation_is_larger_than_allowed():
     """Neither candidates nor libraries nor what the descent makes of them."""
     config = JobConfig(space=SpaceConfig(max_size=5))

@@ -73,6 +73,7 @@ def p_values(rows: int, trajectories: int, missed: float) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize(("rows", "trajectories"), [(40, 1), (60, 3)])
+@pytest.mark.slow
 def test_p_is_uniform_if_the_model_is_right(rows, trajectories):
     """Shares within three standard errors of the binomial one, after a span that the same errors have selected."""
     found = np.array(p_values(rows, trajectories, 0.0))

@@ -28,6 +28,7 @@ def known(rows: int, seed: int, *, has_intervals: bool = True):
     return its, estimate_constants(PROGRAM, LeastSquares(its), criterion, has_intervals=has_intervals)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_nineteen_times_in_twenty():
     """Four constants, ten rows, 1,000 draws; the margin is four standard errors of the binomial share."""
     draws = 1000

@@ -28,6 +28,7 @@ def chosen(of_x, of_y):
     return structure(fit_equation(problem, SUMS, front).program)
 
 
+@pytest.mark.slow
 def test_the_same_equation_is_chosen_in_other_units():
     """Before, x in other units had its square left out: each constant was longer by 6 ln 3."""
     here = chosen(1.0, 1.0)

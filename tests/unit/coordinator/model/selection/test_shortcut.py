@@ -3,6 +3,8 @@
 from dataclasses import replace
 from functools import cache
 
+import pytest
+
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.pipeline import refine_all
@@ -35,6 +37,7 @@ def test_lorenz_with_five_percent_of_noise_is_found_without_a_search_and_called_
         assert equation.grade == "good"
 
 
+@pytest.mark.slow
 def test_lorenz_by_a_solver_of_tolerance_1e_6_has_no_further_terms():
     refinement = summarize(select_model(task_of(1000, 0.0, step=0.02, rtol=1e-6, atol=1e-9, method="RK45")))
     for name in NAMES:
@@ -52,6 +55,7 @@ def test_without_a_law_at_the_noise_level_the_long_way_is_taken():
     assert longest(task) == 150
 
 
+@pytest.mark.slow
 def test_pieces_without_noise_are_no_longer_than_double_precision_determines_constants_from():
     """Errors grow e-fold in 0.9: over 250 rows of 0.02 a hundred-fold, and a thousand-fold where they grow fastest."""
     assert select_by_laws(with_laws(task_of(1000, 0.0, step=0.02, trajectories=3))).task.piece < 300
@@ -73,6 +77,7 @@ def converged_task(texts, *, with_law):
     return replace(task, settled=settled, laws=task.laws if with_law else dict.fromkeys(NAMES, ()))
 
 
+@pytest.mark.slow
 def test_equations_that_a_search_without_noise_has_converged_to_stand_beside_laws_and_in_their_place():
     texts = ("10*(y - x)", "x*(28 - z) - y", "x*y - 2.5*z - 1/6*z")
     for with_law in (True, False):

@@ -30,7 +30,7 @@ def terms(law):
     return monomials(to_infix(law.program, NAMES))
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("noise", [0.0, 0.01, pytest.param(0.05, marks=pytest.mark.slow)])
 def test_the_terms_of_lorenz_are_found(noise):
     preparation = prepared(1000, noise, trajectories=4)
     for name in NAMES:
@@ -122,6 +122,7 @@ def test_fitted_coefficients_are_no_degrees_of_freedom_of_what_a_law_leaves():
         (1000, {"space": SpaceConfig(variables_of={"x": ("x", "z")})}, False),
     ],
 )
+@pytest.mark.slow
 def test_a_long_search_is_spared_where_all_equations_have_laws_and_nothing_else_is_asked_for(rows, changes, expected):
     preparation = prepared(rows, 0.01, trajectories=4)
     assert settled_of(preparation, JobConfig(**changes)) == (set(NAMES) if expected else set())

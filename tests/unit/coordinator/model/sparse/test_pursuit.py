@@ -29,10 +29,10 @@ def problem_of(law, noise=0.0):
     [
         ("0.6*y*exp(-0.7*x) - 1.2*y**3", 3, 0.0),
         ("1.5/(1.3 + y**2) - 1.5*x**2 + 0.2*y**2", 4, 1e-4),
-        ("2.95*x**0.644 - 2.94*x", 3, 1e-4),
-        ("0.2*sin(y - x) + 0.6*y**2 - 0.2*x**3", 3, 0.0),
+        pytest.param("2.95*x**0.644 - 2.94*x", 3, 1e-4, marks=pytest.mark.slow),
+        pytest.param("0.2*sin(y - x) + 0.6*y**2 - 0.2*x**3", 3, 0.0, marks=pytest.mark.slow),
         ("0.6*x - 0.4*x*log(x)", 2, 1e-4),
-        ("1.2*x/(0.4 + x) - 0.3*x*y/(2.0 + y)", 4, 0.0),
+        pytest.param("1.2*x/(0.4 + x) - 0.3*x*y/(2.0 + y)", 4, 0.0, marks=pytest.mark.slow),
     ],
 )
 def test_a_law_is_among_the_sums_of_as_many_constants(law, constants, noise):

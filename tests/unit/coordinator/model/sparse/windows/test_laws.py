@@ -18,6 +18,7 @@ def equations(operators=OPERATORS):
     return {name: WindowEquation(window_rows(recording, NAMES, name), (0, 1), operators) for name in NAMES}
 
 
+@pytest.mark.slow
 def test_laws_with_a_flux_in_common_are_found_at_one_percent_of_noise():
     its = equations()
     laws = find_window_laws(its)
