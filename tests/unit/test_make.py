@@ -21,7 +21,7 @@ def make(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 @needs_make
-@pytest.mark.parametrize("target", ["demo", "test", "quick", "check", "bench"])
+@pytest.mark.parametrize("target", ["demo", "test", "test-all", "check", "bench"])
 def test_every_target_is_explained_and_prepares_the_environment(target: str) -> None:
     assert f"make {target} " in make("help").stdout
     plan = make("--dry-run", "--always-make", target)
@@ -31,7 +31,7 @@ def test_every_target_is_explained_and_prepares_the_environment(target: str) -> 
 
 
 @needs_make
-@pytest.mark.parametrize("target", ["test", "quick", "test-wheel"])
+@pytest.mark.parametrize("target", ["test", "test-all", "test-wheel"])
 def test_tests_run_two_files_at_a_time_for_each_core(target: str) -> None:
     number = 2 * usable_cores(os.environ)[0]
     assert f" -n {number} --dist loadfile" in make("--dry-run", target, f"BIN={Path(sys.executable).parent}").stdout
