@@ -227,10 +227,10 @@ def fuzz_sessions(messages: list[Overheard], number: int, mutator: Mutator, scor
     while score.sent < number:
         world = World(workers=2, seed=score.worlds, expected=2)
         stranger = bus_of(world, "stranger")
-        realm = world.store.realm
+        cluster = world.store.cluster
         batch = min(PER_WORLD, number - score.sent)
         for beat in range(200):
-            world.at(0.7 + 0.01 * beat, _burst(stranger, messages, realm, mutator, score, -(-batch // 200)))
+            world.at(0.7 + 0.01 * beat, _burst(stranger, messages, cluster, mutator, score, -(-batch // 200)))
         assert comparable(world.run(CONFIG)) == expected, f"hostile messages changed the result of run {score.worlds}"
         score.rejects += world.service.rejects.total + sum(worker.rejects.total for worker in world.workers.values())
         score.worlds += 1
@@ -246,13 +246,13 @@ def calm() -> dict[str, Any]:
 
 
 def _burst(
-    stranger: Any, messages: list[Overheard], realm: str, mutator: Mutator, score: Score, number: int
+    stranger: Any, messages: list[Overheard], cluster: str, mutator: Mutator, score: Score, number: int
 ) -> Callable[[], None]:
     def say() -> None:
         for _ in range(number):
             message = messages[mutator.below(len(messages))]
             payload = mutator.mutate(message.payload)
-            key = key_for(message, realm, is_understood(message, payload, score), mutator)
+            key = key_for(message, cluster, is_understood(message, payload, score), mutator)
             if key is not None:
                 score.sent += 1
                 if asked_kind(key) is not None and message.is_question:
@@ -263,20 +263,20 @@ def _burst(
     return say
 
 
-def key_for(message: Overheard, realm: str, understood: bool, mutator: Mutator) -> str | None:
+def key_for(message: Overheard, cluster: str, understood: bool, mutator: Mutator) -> str | None:
     """Return a key on which the stranger can say this; None for what everybody may say and would be obeyed."""
     parts = message.key.split("/")
     if parts[1] != "hello":
-        parts[1] = realm
+        parts[1] = cluster
     if not understood:
         return "/".join(parts)
     if message.kind in (Greeting, Ask, Control, GreetingAnswer, Answer, PullAnswer):
         return None
     if message.kind is Pull:
-        return topics.worker(realm, f"w{mutator.below(2)}", "pull")
+        return topics.worker(cluster, f"w{mutator.below(2)}", "pull")
     if message.kind is Mail:
-        return topics.mail(realm, "stranger", f"w{mutator.below(2)}")
-    return topics.worker(realm, "stranger", "report" if message.kind is EpochReport else "status")
+        return topics.mail(cluster, "stranger", f"w{mutator.below(2)}")
+    return topics.worker(cluster, "stranger", "report" if message.kind is EpochReport else "status")
 
 
 def resident_mb() -> int:

@@ -126,9 +126,9 @@ class Bench:
     def counted(self, searches: Searches, workers: int, seed: int) -> Load:
         """Search for a few epochs and count what goes over the bus meanwhile."""
         with connected(searches.address) as client:
-            realm = client.greet()
+            cluster = client.greet()
         begun = time.monotonic()
-        with counting(searches.address, realm) as traffic:
+        with counting(searches.address, cluster) as traffic:
             epochs = min(COUNTED_EPOCHS, self._options.epochs)
             result = searches.solve(f"{workers} workers, counted", self._table(seed), self._config(seed, epochs))
         return load_of(workers, traffic, epochs, len(result["equations"]), time.monotonic() - begun)

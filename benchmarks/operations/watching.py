@@ -127,14 +127,14 @@ def load_of(workers: int, traffic: Traffic, epochs: int, archipelagos: int, seco
 
 
 @contextlib.contextmanager
-def counting(address: str, realm: str) -> Iterator[Traffic]:
+def counting(address: str, cluster: str) -> Iterator[Traffic]:
     """Count everything that is put on the bus of the coordinator at `address`; complete at the end of the block.
 
     Questions and their answers, such as the transfer of the dataset, are not among it.
     """
     traffic = Traffic()
     with open_client(address, wait_s=_CONNECT_LIMIT_S) as bus:
-        bus.subscribe(f"{topics.ROOT}/{realm}/**")
+        bus.subscribe(f"{topics.ROOT}/{cluster}/**")
         _drain(bus, traffic)
         traffic.messages.clear()
         traffic.size_bytes.clear()

@@ -149,7 +149,7 @@ def _destination(options: argparse.Namespace, credentials: "Credentials | None")
     return destination(connect, credentials)
 
 
-def _name_for(bearer: str | None, wanted: str | None) -> str:
+def _name_for(principal: str | None, wanted: str | None) -> str:
     """Return the worker's name; it is that of our certificate, if we have one, or that and a hyphen and more.
 
     Raises:
@@ -157,14 +157,14 @@ def _name_for(bearer: str | None, wanted: str | None) -> str:
     """
     from atoll_core.errors import UsageError
 
-    if bearer is None:
+    if principal is None:
         return wanted or _default_name()
     if wanted is None:
         name = _default_name()
-        return name if name.startswith(f"{bearer}-") else f"{bearer}-{name[-(57 - len(bearer)) :].lstrip('-')}"
-    if wanted != bearer and not wanted.startswith(f"{bearer}-"):
+        return name if name.startswith(f"{principal}-") else f"{principal}-{name[-(57 - len(principal)) :].lstrip('-')}"
+    if wanted != principal and not wanted.startswith(f"{principal}-"):
         raise UsageError(
-            f"--name must be {bearer} or begin with {bearer}-, as the certificate says, but {wanted!r} was given"
+            f"--name must be {principal} or begin with {principal}-, as the certificate says, but {wanted!r} was given"
         )
     return wanted
 

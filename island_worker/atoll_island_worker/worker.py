@@ -163,10 +163,10 @@ class Worker:
         key = topics.parse(event.key)
         match key:
             case topics.ControlKey():
-                self._check_realm(key.realm)
+                self._check_cluster(key.cluster)
                 self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
             case topics.MailKey():
-                self._check_realm(key.realm)
+                self._check_cluster(key.cluster)
                 self._handle(events.Mailed(key.worker, decode(event.payload, messages.Mail, MAX_MESSAGE).body))
             case _:
                 raise RemoteProtocolError(f"nothing is expected on key {event.key}")
@@ -258,9 +258,9 @@ class Worker:
         if self._connection.drain():
             self._send_heartbeat()
 
-    def _check_realm(self, realm: str) -> None:
-        if realm != self._requests.realm:
-            raise RemoteProtocolError(f"a message of realm {realm} came, which is not ours")
+    def _check_cluster(self, cluster: str) -> None:
+        if cluster != self._requests.cluster:
+            raise RemoteProtocolError(f"a message of cluster {cluster} came, which is not ours")
 
     # ---------------------------------------------------------------------------------------- session
 

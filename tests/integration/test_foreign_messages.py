@@ -65,15 +65,15 @@ def served() -> Iterator[tuple[Service, Client, ZenohBus, list[Worker]]]:
 def test_foreign_messages_change_nothing_on_a_real_router() -> None:
     expected = comparable(World(workers=1, seed=1).run(CONFIG))
     with served() as (service, client, stranger, made):
-        realm = client.welcome.realm
-        send_nonsense(stranger.put, realm)
+        cluster = client.welcome.realm
+        send_nonsense(stranger.put, cluster)
         # three of four on each key: the router itself drops what is too large
         wait_until(lambda: all(worker.rejects.total >= 3 for worker in made), client)
         wait_until(lambda: service.rejects.total >= 6, client)
         client.submit("job", "", CONFIG, client.upload(b"x,y"))
         wait_until(lambda: client.status("job").state == "done", client)
         assert comparable(client.result("job")) == expected
-    assert topics.worker(realm, "w0", "report") in service.rejects.counts
+    assert topics.worker(cluster, "w0", "report") in service.rejects.counts
 
 
 def test_garbage_on_every_key_while_a_job_runs_changes_nothing() -> None:
@@ -83,17 +83,17 @@ def test_garbage_on_every_key_while_a_job_runs_changes_nothing() -> None:
     messages, mutator, score = overhear(), Mutator(3), Score()
     said: Counter[str] = Counter()
     with served() as (service, client, stranger, _):
-        realm = client.welcome.realm
+        cluster = client.welcome.realm
         client.submit("job", "", config, client.upload(b"x,y"))
         while client.status("job").state != "done":
             assert said.total() < 100_000, "the job does not end"
             for message in messages:
                 payload = mutator.mutate(message.payload)
-                key = key_for(message, realm, is_understood(message, payload, score), mutator)
+                key = key_for(message, cluster, is_understood(message, payload, score), mutator)
                 if key is not None:
                     said[message.kind.__name__] += 1
                     (stranger.get if message.is_question else stranger.put)(key, payload)
-            for odd in odd_sayings(stranger, realm):
+            for odd in odd_sayings(stranger, cluster):
                 said[odd] += 1
         assert comparable(client.result("job")) == expected
         client.submit("another", "", CONFIG, client.upload(b"x,y"))
@@ -103,22 +103,22 @@ def test_garbage_on_every_key_while_a_job_runs_changes_nothing() -> None:
     assert {"Ask", "EpochReport", "Greeting", "Mail", "Pull", "WorkerStatus"} <= said.keys()
 
 
-def odd_sayings(stranger: ZenohBus, realm: str) -> Iterator[str]:
+def odd_sayings(stranger: ZenohBus, cluster: str) -> Iterator[str]:
     """Say what no participant of ours can say by its bus; yield names of it."""
     session = stranger._session
-    for key in ("atoll/**", f"atoll/{realm}/**", f"atoll/{realm}/worker/*/report", topics.all_clients(realm)):
+    for key in ("atoll/**", f"atoll/{cluster}/**", f"atoll/{cluster}/worker/*/report", topics.all_clients(cluster)):
         session.put(key, b"\xc1")
         session.delete(key)
         session.get(key, lambda _: None, payload=b"\xc1")
         yield "everywhere"
     for name in ("é", "x" * 300, "w0", "a b", "-"):
-        session.liveliness().declare_token(f"atoll/{realm}/worker/{name}/alive").undeclare()
-        session.put(f"atoll/{realm}/worker/{name}/status", b"", attachment=b"x" * 99)
+        session.liveliness().declare_token(f"atoll/{cluster}/worker/{name}/alive").undeclare()
+        session.put(f"atoll/{cluster}/worker/{name}/status", b"", attachment=b"x" * 99)
         yield "names"
 
 
-def send_nonsense(put: Callable[[str, bytes], None], realm: str) -> None:
-    for key, payload in nonsense(realm):
+def send_nonsense(put: Callable[[str, bytes], None], cluster: str) -> None:
+    for key, payload in nonsense(cluster):
         put(key, payload)
 
 

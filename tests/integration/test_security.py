@@ -1,4 +1,4 @@
-"""Certificates and access rules on a real router: who is refused and why, and what a hostile bearer of one can do."""
+"""Certificates and access rules on a real router: who is refused and why, and what a hostile principal can do."""
 
 import contextlib
 import socket
@@ -26,7 +26,7 @@ from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.clients import Ask, Jobs
 from atoll_core.wire.messages.handshake import Greeting, Hello
 from atoll_core.wire.messages.workers import CloseJob, Control, Shutdown
-from atoll_core.wire.security.access_control import Roster, read_roster
+from atoll_core.wire.security.access_control import RoleBindings, read_role_bindings
 from atoll_core.wire.security.credentials import Credentials, load
 from atoll_island_worker.worker import Worker
 from tests.certificates import Lab
@@ -48,13 +48,13 @@ def _soon() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def roster(lab: Lab) -> Roster:
-    return read_roster(lab.folder / "roster.toml")
+def role_bindings(lab: Lab) -> RoleBindings:
+    return read_role_bindings(lab.folder / "roster.toml")
 
 
 @pytest.fixture(scope="module")
 def router(lab: Lab) -> Iterator[ZenohBus]:
-    """A router with certificates and no roster: what is refused here is refused by the handshake."""
+    """A router with certificates and no role bindings: what is refused here is refused by the handshake."""
     with open_router(serving(lab)) as bus:
         yield bus
 
@@ -153,12 +153,12 @@ def test_the_command_line_says_it_in_one_sentence_and_exits_with_2(
 
 
 @contextlib.contextmanager
-def served(lab: Lab, roster: Roster, workers: tuple[str, ...] = ()) -> Iterator[tuple[Service, ZenohBus]]:
+def served(lab: Lab, role_bindings: RoleBindings, workers: tuple[str, ...] = ()) -> Iterator[tuple[Service, ZenohBus]]:
     """Have a coordinator, and workers that only hash, serve until the end."""
     stop, made = threading.Event(), list[Worker]()
-    with Store.open(None) as store, open_router(serving(lab), roster=roster) as bus:
+    with Store.open(None) as store, open_router(serving(lab), role_bindings=role_bindings) as bus:
         ports = Ports(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
-        service = Service(bus, store, expected_workers=len(workers), dismisses_workers=True, ports=ports, roster=roster)
+        service = Service(bus, store, expected_workers=len(workers), dismisses_workers=True, ports=ports, role_bindings=role_bindings)
         threads = [threading.Thread(target=service.run, args=(stop,))]
         threads += [threading.Thread(target=work, args=(lab, bus, name, made)) for name in workers]
         for thread in threads:
@@ -185,17 +185,17 @@ def bearing(lab: Lab, router: ZenohBus, name: str) -> Iterator[Client]:
         yield client
 
 
-def test_a_hostile_worker_changes_nothing_and_learns_nothing(lab: Lab, roster: Roster) -> None:
+def test_a_hostile_worker_changes_nothing_and_learns_nothing(lab: Lab, role_bindings: RoleBindings) -> None:
     expected = comparable(World(workers=1, seed=1).run(CONFIG))
-    with served(lab, roster, ("lab1-0", "lab1-1")) as (service, router):
+    with served(lab, role_bindings, ("lab1-0", "lab1-1")) as (service, router):
         credentials = load(*lab.files("lab2"), use="connect")
         with bearing(lab, router, "ann") as ann, open_client(dialling(router, credentials)) as hostile:
             wait_until(lambda: sum(view.state == "ready" for view in ann.workers()) == 2, ann)
-            realm = service._store.realm
-            speak_for_others(hostile, realm)
+            cluster = service._store.cluster
+            speak_for_others(hostile, cluster)
             ann.submit("job", "", CONFIG, ann.upload(b"x,y"))
             for _ in range(20):
-                speak_for_others(hostile, realm)
+                speak_for_others(hostile, cluster)
             wait_until(lambda: ann.status("job").state == "done", ann)
             assert comparable(ann.result("job")) == expected
             assert [view.worker for view in ann.workers()] == ["lab1-0", "lab1-1"]
@@ -206,30 +206,30 @@ def test_a_hostile_worker_changes_nothing_and_learns_nothing(lab: Lab, roster: R
 QUESTIONS = 5
 
 
-def speak_for_others(hostile: ZenohBus, realm: str) -> None:
+def speak_for_others(hostile: ZenohBus, cluster: str) -> None:
     """Say what only others may say; on the first turn also listen, serve, announce and ask where only others may."""
-    for key in (topics.control(realm), topics.control(realm, "lab1-0")):
+    for key in (topics.control(cluster), topics.control(cluster, "lab1-0")):
         hostile.put(key, encode(Control(body=CloseJob(job="job"))))
         hostile.put(key, encode(Control(body=Shutdown())))
     for part in ("status", "report"):
-        hostile.put(topics.worker(realm, "lab1-0", part), b"nonsense")  # type: ignore[arg-type]
-    hostile.put(topics.mail(realm, "lab1-0", "lab1-1"), b"nonsense")
+        hostile.put(topics.worker(cluster, "lab1-0", part), b"nonsense")  # type: ignore[arg-type]
+    hostile.put(topics.mail(cluster, "lab1-0", "lab1-1"), b"nonsense")
     if getattr(hostile, "has_asked", False):
         return
     hostile.has_asked = True  # type: ignore[attr-defined]
-    for expression in ("atoll/**", topics.all_workers(realm, "report"), topics.inbox(realm, "lab1-0")):
+    for expression in ("atoll/**", topics.all_workers(cluster, "report"), topics.inbox(cluster, "lab1-0")):
         hostile.subscribe(expression)
-    for expression in (topics.all_jobs(realm), topics.all_clients(realm), topics.all_blobs(realm), topics.HELLO):
+    for expression in (topics.all_jobs(cluster), topics.all_clients(cluster), topics.all_blobs(cluster), topics.HELLO):
         hostile.serve(expression)
-    hostile.announce(topics.worker(realm, "lab1-7", "alive"))
-    hostile.watch(topics.all_workers(realm, "alive"))
+    hostile.announce(topics.worker(cluster, "lab1-7", "alive"))
+    hostile.watch(topics.all_workers(cluster, "alive"))
     hello = Hello(role="worker", name="lab1-0", instance="x", protocol=0, version="", engine=0)
     for key, body in (
-        (topics.client(realm, "ann-1"), Ask(body=Jobs())),
-        (topics.client(realm, "lab2-1"), Ask(body=Jobs())),
+        (topics.client(cluster, "ann-1"), Ask(body=Jobs())),
+        (topics.client(cluster, "lab2-1"), Ask(body=Jobs())),
         (topics.hello("lab1-0"), Greeting(body=hello)),
         (topics.hello("ann-1"), Greeting(body=hello)),
-        (topics.worker(realm, "lab9", "pull"), Ask(body=Jobs())),
+        (topics.worker(cluster, "lab9", "pull"), Ask(body=Jobs())),
     ):
         hostile.get(key, encode(body), timeout_s=0.2)
 
@@ -248,9 +248,9 @@ def is_own(event: object) -> bool:
     return (isinstance(event, Presence) and "lab1-7" in event.key) or isinstance(event, Query)
 
 
-def test_roles_that_do_not_fit_hear_why(lab: Lab, roster: Roster) -> None:
+def test_roles_that_do_not_fit_hear_why(lab: Lab, role_bindings: RoleBindings) -> None:
     certificate, key = lab.issue("ghost")
-    with served(lab, roster) as (_, router):
+    with served(lab, role_bindings) as (_, router):
         said = "'lab1' has the role worker, which may compute islands, but not submit"
         with pytest.raises(RefusedError, match=said), bearing(lab, router, "lab1"):
             pass
@@ -271,13 +271,13 @@ def worker_error(lab: Lab, router: ZenohBus, name: str, wait_s: float = LIMIT_S)
 
 
 def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
-    lab: Lab, roster: Roster, monkeypatch: pytest.MonkeyPatch
+    lab: Lab, role_bindings: RoleBindings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("atoll_island_worker.connection.connection.GREET_TIMEOUT_S", 0.2)
-    old = Roster({name: role for name, role in roster.roles.items() if name not in ("bob", "lab2")})
+    old = RoleBindings({name: role for name, role in role_bindings.roles.items() if name not in ("bob", "lab2")})
     stop = threading.Event()
-    with Store.open(None) as store, open_router(serving(lab), roster=old) as router:
-        service = Service(router, store, roster=roster)
+    with Store.open(None) as store, open_router(serving(lab), role_bindings=old) as router:
+        service = Service(router, store, role_bindings=role_bindings)
         thread = threading.Thread(target=service.run, args=(stop,))
         thread.start()
         try:
@@ -295,14 +295,14 @@ def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
             thread.join(LIMIT_S)
 
 
-def test_the_coordinators_own_certificate_is_enough_for_a_probe(lab: Lab, roster: Roster) -> None:
-    with served(lab, roster) as (_, router):
+def test_the_coordinators_own_certificate_is_enough_for_a_probe(lab: Lab, role_bindings: RoleBindings) -> None:
+    with served(lab, role_bindings) as (_, router):
         address = str(dialling(router, load(*lab.files("coordinator"), use="connect")))
         assert main(["ping", "--connect", address, *lab.options("coordinator"), "--wait", "20"]) == 0
 
 
-def test_jobs_are_read_by_every_submitter_and_cancelled_by_their_own_or_an_admin(lab: Lab, roster: Roster) -> None:
-    with served(lab, roster) as (_, router), contextlib.ExitStack() as stack:
+def test_jobs_are_read_by_every_submitter_and_cancelled_by_their_own_or_an_admin(lab: Lab, role_bindings: RoleBindings) -> None:
+    with served(lab, role_bindings) as (_, router), contextlib.ExitStack() as stack:
         if True:
             ann, bob, eve = (stack.enter_context(bearing(lab, router, name)) for name in ("ann", "bob", "eve"))
             table = ann.upload(b"x,y")
@@ -316,11 +316,11 @@ def test_jobs_are_read_by_every_submitter_and_cancelled_by_their_own_or_an_admin
             assert eve.cancel("two").state == "cancelled"
 
 
-def test_behind_a_sites_router_names_are_fenced_by_that_router(lab: Lab, roster: Roster) -> None:
+def test_behind_a_sites_router_names_are_fenced_by_that_router(lab: Lab, role_bindings: RoleBindings) -> None:
     at_site = destination("tls/127.0.0.1:0", load(*lab.files("site"), use="serve"))
-    with served(lab, roster) as (service, central):
+    with served(lab, role_bindings) as (service, central):
         above = upstream_settings([central.endpoint.replace("127.0.0.1", "localhost")])
-        with open_router(at_site, above, roster) as site:
+        with open_router(at_site, above, role_bindings) as site:
             ann = dialling(site, load(*lab.files("ann"), use="connect"))
             with (
                 connected(ann, wait_s=LIMIT_S) as client,
@@ -328,10 +328,10 @@ def test_behind_a_sites_router_names_are_fenced_by_that_router(lab: Lab, roster:
             ):
                 assert client.jobs() == ()
                 for name in ("lab1-0", "lab2-0"):
-                    hostile.put(topics.worker(service._store.realm, name, "report"), b"nonsense")
+                    hostile.put(topics.worker(service._store.cluster, name, "report"), b"nonsense")
                 wait_until(lambda: service.rejects.total > 0, client)
                 assert client.jobs() == ()
-    assert list(service.rejects.counts) == [topics.worker(service._store.realm, "lab2-0", "report")]
+    assert list(service.rejects.counts) == [topics.worker(service._store.cluster, "lab2-0", "report")]
 
 
 def test_a_router_drops_what_is_larger_than_its_key_allows() -> None:
@@ -346,7 +346,7 @@ def test_a_router_drops_what_is_larger_than_its_key_allows() -> None:
         assert len(event.payload) == 1000
 
 
-def test_a_roster_needs_certificates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_role_bindings_need_certificates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["serve", "--listen", "tcp/127.0.0.1:0", "--state", str(tmp_path), "--roster", str(tmp_path / "r.toml")]
     assert main(words) == 2
     assert "so it needs --tls-ca" in capsys.readouterr().err

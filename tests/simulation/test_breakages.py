@@ -184,12 +184,12 @@ def concerns(what: Any, job: str) -> bool:
 
 def ask_everything(world: World) -> None:
     """Ask all that clients and workers ask."""
-    realm = world.store.realm
+    cluster = world.store.cluster
     stranger = world.network.bus(f"stranger-{world.network.now}")
     pull = Pull(body=PullStates(job="first", variable="x", term=1, epoch=2, islands=(0,), offset=0))
     for key, payload in (
-        (topics.job(realm, "first"), b""), (topics.placement(realm, "first"), b""),
-        (topics.state(realm, "first"), encode(pull)), (topics.blob(realm, "0" * 64, 0), b""),
+        (topics.job(cluster, "first"), b""), (topics.placement(cluster, "first"), b""),
+        (topics.state(cluster, "first"), encode(pull)), (topics.blob(cluster, "0" * 64, 0), b""),
     ):  # fmt: skip
         stranger.get(key, payload)
     for ask in (
@@ -305,7 +305,7 @@ def test_a_report_of_generations_without_end_is_refused() -> None:
     )  # fmt: skip
     report = EpochReport(job="first", variable=its.variable, term=its.term, epoch=its.epoch, islands=(said,))
     stranger = world.network.bus("stranger")
-    stranger.put(topics.worker(world.store.realm, "w0", "report"), encode(report))
+    stranger.put(topics.worker(world.store.cluster, "w0", "report"), encode(report))
     assert world.finish("first").state == "done"
     assert world.service.rejects.total == 1
     assert world.service.controller.breakages.total == 0

@@ -333,7 +333,7 @@ def test_a_coordinator_whose_worker_heard_of_a_later_one_asks_its_store(lasting:
     lasting.network.run(lasting.network.now + 2.0)
     status = WorkerStatus(instance="i", incarnation=9, state="ready", progress=0)
     stranger = bus_of(lasting, "stranger")
-    key = topics.worker(lasting.store.realm, "stranger", "status")
+    key = topics.worker(lasting.store.cluster, "stranger", "status")
     stranger.put(key, encode(status))
     lasting.network.run(lasting.network.now + 1.0)
     assert lasting.service.rejects.counts == {key: 1}
@@ -390,7 +390,7 @@ def test_only_the_workers_of_a_held_archipelago_are_told_to_close_it() -> None:
     heard: list[Event] = []
     bystander = bus_of(world, "bystander")
     bystander.handle_with(heard.append)
-    bystander.subscribe(topics.control(world.store.realm))
+    bystander.subscribe(topics.control(world.store.cluster))
     world.submit(config())
     world.at(world.network.now + 2.0, world.workers["w0"].leave)
     world.client.pause(8.0)

@@ -13,7 +13,7 @@ from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.clients import Ask, Submit
-from atoll_core.wire.security.access_control import Roster
+from atoll_core.wire.security.access_control import RoleBindings
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.harness.participants import Cast
 from tests.simulation.harness.schedule import JobPlan
@@ -31,10 +31,10 @@ def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
         store = disk.open(lambda seconds: None)
         store.put_blob(TABLE)
         network = SimulatedNetwork(0, None)
-        service = Service(network.bus("coordinator", is_router=True), store, roster=Roster({"ann": "submitter"}))
+        service = Service(network.bus("coordinator", is_router=True), store, role_bindings=RoleBindings({"ann": "submitter"}))
         disk.die_at(commits, before)
         try:
-            service._requests.answer(Query(topics.client(store.realm, "ann-1"), ask, None))
+            service._requests.answer(Query(topics.client(store.cluster, "ann-1"), ask, None))
             is_over = True
         except CoordinatorDied:
             is_over = False

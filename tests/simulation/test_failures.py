@@ -158,7 +158,7 @@ def test_no_worker_fails_what_is_placed_on_another() -> None:
     before = world.service.rejects.total
     for claim in ({"failures": (failure,)}, {"holdings": (holding,)}):
         status = WorkerStatus(instance="b", incarnation=world.store.incarnation, state="computing", progress=1, **claim)
-        bystander.put(topics.worker(world.store.realm, "bystander", "status"), encode(status))
+        bystander.put(topics.worker(world.store.cluster, "bystander", "status"), encode(status))
         world.network.run(world.network.now + 0.5)
     assert world.service.rejects.total == before + 2
     assert world.finish().state == "done"
@@ -195,7 +195,7 @@ def test_a_worker_ends_with_0_when_the_coordinator_says_it_ends() -> None:
     world.network.run(2.0)
     workers = list(world.workers.values())
     bus = world.network._buses["coordinator"]
-    bus.put(topics.control(world.store.realm), encode(Control(body=Shutdown(sentence="over"))))
+    bus.put(topics.control(world.store.cluster), encode(Control(body=Shutdown(sentence="over"))))
     world.network.run(3.0)
     assert [worker.exit_code for worker in workers] == [0, 0]
 
@@ -314,7 +314,7 @@ def test_a_cancelled_job_keeps_its_best_equations() -> None:
 # ------------------------------------------------------------------------------------ foreign messages
 
 
-def nonsense(realm: str) -> list[tuple[str, bytes]]:
+def nonsense(cluster: str) -> list[tuple[str, bytes]]:
     """Return puts that a stranger could make, none of which may change anything."""
     status = WorkerStatus(instance="x", incarnation=1, state="ready", progress=0)
     report = IslandReport(
@@ -326,18 +326,18 @@ def nonsense(realm: str) -> list[tuple[str, bytes]]:
     )
     hit = Finished(job="job", variable="x", term=1, epoch=0, generation=1, island=1)
     keys = [
-        topics.control(realm),
-        topics.control(realm, "w0"),
-        topics.worker(realm, "w0", "status"),
-        topics.worker(realm, "w0", "report"),
-        topics.mail(realm, "stranger", "w0"),
+        topics.control(cluster),
+        topics.control(cluster, "w0"),
+        topics.worker(cluster, "w0", "status"),
+        topics.worker(cluster, "w0", "report"),
+        topics.mail(cluster, "stranger", "w0"),
     ]
     return [
         *((key, payload) for key in keys for payload in (b"", b"\xc1", b"\x81\xa4body\x80", bytes(MAX_MESSAGE + 1))),
-        (topics.worker(realm, "stranger", "status"), encode(status)),
-        (topics.worker(realm, "stranger", "report"), encode(reports)),
-        (topics.mail(realm, "stranger", "w0"), encode(Mail(body=migrants))),
-        (topics.mail(realm, "stranger", "w1"), encode(Mail(body=hit))),
+        (topics.worker(cluster, "stranger", "status"), encode(status)),
+        (topics.worker(cluster, "stranger", "report"), encode(reports)),
+        (topics.mail(cluster, "stranger", "w0"), encode(Mail(body=migrants))),
+        (topics.mail(cluster, "stranger", "w1"), encode(Mail(body=hit))),
     ]
 
 
@@ -347,17 +347,17 @@ def test_foreign_malformed_and_oversized_messages_are_counted_and_change_nothing
     world = World(workers=2, expected=2)
     stranger = bus_of(world, "stranger")
     for repeat in range(30):
-        for key, payload in nonsense(world.store.realm):
+        for key, payload in nonsense(world.store.cluster):
             world.at(0.8 + 0.05 * repeat, lambda key=key, payload=payload: stranger.put(key, payload))  # type: ignore[misc]
     assert comparable(world.run(config())) == undisturbed()
-    realm = world.store.realm
-    w0 = {topics.control(realm), topics.control(realm, "w0"), topics.mail(realm, "stranger", "w0")}
+    cluster = world.store.cluster
+    w0 = {topics.control(cluster), topics.control(cluster, "w0"), topics.mail(cluster, "stranger", "w0")}
     assert w0 <= world.workers["w0"].rejects.counts.keys()
     assert {
-        topics.worker(realm, "w0", "status"),
-        topics.worker(realm, "w0", "report"),
+        topics.worker(cluster, "w0", "status"),
+        topics.worker(cluster, "w0", "report"),
     } <= world.service.rejects.counts.keys()
-    assert topics.mail(realm, "stranger", "w1") in world.workers["w1"].rejects.counts
+    assert topics.mail(cluster, "stranger", "w1") in world.workers["w1"].rejects.counts
     assert min(world.workers["w0"].rejects.counts.values()) > 20
     lines = [record.getMessage() for record in caplog.records if "dropped message" in record.getMessage()]
     sources = world.service.rejects.counts.keys()
@@ -368,8 +368,8 @@ def test_questions_that_are_not_understood_are_answered_at_once() -> None:
     world = World(workers=1)
     world.network.run(1.0)
     stranger = bus_of(world, "stranger")
-    realm = world.store.realm
-    keys = [topics.client(realm, "c"), topics.worker(realm, "w0", "pull"), f"atoll/{realm}/job/x/y/z", topics.HELLO]
+    cluster = world.store.cluster
+    keys = [topics.client(cluster, "c"), topics.worker(cluster, "w0", "pull"), f"atoll/{cluster}/job/x/y/z", topics.HELLO]
     tokens = [stranger.get(key, b"nonsense", timeout_s=60.0) for key in keys]
     replies = [stranger.receive(1.0) for _ in tokens]
     assert {reply.token for reply in replies if isinstance(reply, Reply)} == set(tokens)

@@ -192,7 +192,7 @@ def test_a_result_that_goes_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_guest_without_an_answer_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def misled(self: Guest) -> Iterator[float]:
-        self._realm = "elsewhere"
+        self._cluster = "elsewhere"
         yield 0.1
 
     monkeypatch.setattr(Guest, "greet", misled)
@@ -238,7 +238,7 @@ def test_a_disk_keeps_what_was_committed_and_counts_incarnations() -> None:
     with pytest.raises(CoordinatorDied):
         store.jobs()
     again = disk.open(spent.append)
-    assert (again.realm, again.incarnation) == (store.realm, store.incarnation + 1)
+    assert (again.cluster, again.incarnation) == (store.cluster, store.incarnation + 1)
     disk.die_at(1, before=False)
     disk.slow_s = 0.5
     with pytest.raises(CoordinatorDied):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll_core.wire.security.access_control import read_roster
+from atoll_core.wire.security.access_control import read_role_bindings
 from atoll_core.wire.security.credentials import load
 from tests.certificates import Lab, make_authority
 
@@ -27,7 +27,7 @@ def test_names_are_added_and_those_that_are_there_stay(made: Lab) -> None:
     assert "worker lab1: there already" in done.stdout
     assert made.files("lab1")[1].read_bytes() == before
     roles = {"coordinator": "coordinator", "lab1": "worker", "ann": "submitter", "site": "router"}
-    assert read_roster(made.folder / "roster.toml").roles == roles
+    assert read_role_bindings(made.folder / "roster.toml").roles == roles
     assert load(*made.files("ann"), use="connect").name == "ann"
     assert "b.lab" in load(*made.files("site"), use="serve").hosts
 

@@ -3,20 +3,20 @@
 Everything a worker publishes, serves or announces lies under its own name, a client's requests under the client's own,
 so that one access rule per name fences them all. Column names never enter a key: they travel in payloads.
 
-    atoll/hello                              served by the coordinator: would we be welcome? changes nothing
-    atoll/hello/{name}                       served by the coordinator: a worker or client of this name comes
-    atoll/{realm}/control                    put by the coordinator, to all workers
-    atoll/{realm}/control/{worker}           put by the coordinator, to one worker
-    atoll/{realm}/job/{job}                  served by the coordinator: announcement
-    atoll/{realm}/job/{job}/placement        served by the coordinator: current placements
-    atoll/{realm}/job/{job}/state            served by the coordinator: states of islands at a checkpoint
-    atoll/{realm}/blob/{digest}/{index}      served by the coordinator: one chunk of a dataset
-    atoll/{realm}/worker/{worker}/alive      presence of a worker
-    atoll/{realm}/worker/{worker}/status     put by the worker: heartbeat
-    atoll/{realm}/worker/{worker}/report     put by the worker: finished epochs
-    atoll/{realm}/worker/{worker}/pull       served by the worker: what it sent and still keeps
-    atoll/{realm}/worker/{worker}/to/{peer}  put by the worker: migrants for islands of `peer`
-    atoll/{realm}/client/{client}/ask        served by the coordinator: requests of the command line
+    atoll/hello                                served by the coordinator: would we be welcome? changes nothing
+    atoll/hello/{name}                         served by the coordinator: a worker or client of this name comes
+    atoll/{cluster}/control                    put by the coordinator, to all workers
+    atoll/{cluster}/control/{worker}           put by the coordinator, to one worker
+    atoll/{cluster}/job/{job}                  served by the coordinator: announcement
+    atoll/{cluster}/job/{job}/placement        served by the coordinator: current placements
+    atoll/{cluster}/job/{job}/state            served by the coordinator: states of islands at a checkpoint
+    atoll/{cluster}/blob/{digest}/{index}      served by the coordinator: one chunk of a dataset
+    atoll/{cluster}/worker/{worker}/alive      presence of a worker
+    atoll/{cluster}/worker/{worker}/status     put by the worker: heartbeat
+    atoll/{cluster}/worker/{worker}/report     put by the worker: finished epochs
+    atoll/{cluster}/worker/{worker}/pull       served by the worker: what it sent and still keeps
+    atoll/{cluster}/worker/{worker}/to/{peer}  put by the worker: migrants for islands of `peer`
+    atoll/{cluster}/client/{client}/ask        served by the coordinator: requests of the command line
 """
 
 import re
@@ -37,7 +37,7 @@ WorkerPart = Literal["alive", "status", "report", "pull"]
 
 @dataclass(frozen=True, slots=True)
 class HelloKey:
-    """The first question, before the realm is known: from `name`, or (None) whether there would be a place for it."""
+    """The first question, before the cluster is known: from `name`, or (None) whether there would be a place for it."""
 
     name: str | None = None
 
@@ -46,7 +46,7 @@ class HelloKey:
 class ControlKey:
     """Word of the coordinator to one worker, or to all (`worker` None)."""
 
-    realm: str
+    cluster: str
     worker: str | None = None
 
 
@@ -54,7 +54,7 @@ class ControlKey:
 class JobKey:
     """A job's announcement."""
 
-    realm: str
+    cluster: str
     job: str
 
 
@@ -62,7 +62,7 @@ class JobKey:
 class PlacementKey:
     """A job's current placements."""
 
-    realm: str
+    cluster: str
     job: str
 
 
@@ -70,7 +70,7 @@ class PlacementKey:
 class StateKey:
     """States of a job's islands at its checkpoints."""
 
-    realm: str
+    cluster: str
     job: str
 
 
@@ -78,7 +78,7 @@ class StateKey:
 class BlobKey:
     """Chunk `index` of the bytes whose SHA-256 is `digest`."""
 
-    realm: str
+    cluster: str
     digest: str
     index: int
 
@@ -87,7 +87,7 @@ class BlobKey:
 class WorkerKey:
     """One of the keys under a worker's name."""
 
-    realm: str
+    cluster: str
     worker: str
     part: WorkerPart
 
@@ -96,7 +96,7 @@ class WorkerKey:
 class MailKey:
     """Migrants from `worker` to `peer`."""
 
-    realm: str
+    cluster: str
     worker: str
     peer: str
 
@@ -105,7 +105,7 @@ class MailKey:
 class ClientKey:
     """A request of a client."""
 
-    realm: str
+    cluster: str
     client: str
 
 
@@ -113,56 +113,56 @@ Key = HelloKey | ControlKey | JobKey | PlacementKey | StateKey | BlobKey | Worke
 
 
 def is_id(text: str) -> bool:
-    """Tell whether `text` may name a realm, job, worker or client: 1 to 64 of A-Z a-z 0-9 _ -."""
+    """Tell whether `text` may name a cluster, job, worker or client: 1 to 64 of A-Z a-z 0-9 _ -."""
     return ID.fullmatch(text) is not None
 
 
 def hello(name: str) -> str:
-    """Return the key on which the bearer of `name` greets the coordinator."""
+    """Return the key on which the worker or client `name` greets the coordinator."""
     return f"{HELLO}/{_id(name)}"
 
 
-def control(realm: str, worker: str | None = None) -> str:
+def control(cluster: str, worker: str | None = None) -> str:
     """Return the key on which the coordinator tells one worker something, or all of them."""
-    base = f"{ROOT}/{_id(realm)}/control"
+    base = f"{ROOT}/{_id(cluster)}/control"
     return base if worker is None else f"{base}/{_id(worker)}"
 
 
-def job(realm: str, job_id: str) -> str:
+def job(cluster: str, job_id: str) -> str:
     """Return the key of a job's announcement."""
-    return f"{ROOT}/{_id(realm)}/job/{_id(job_id)}"
+    return f"{ROOT}/{_id(cluster)}/job/{_id(job_id)}"
 
 
-def placement(realm: str, job_id: str) -> str:
+def placement(cluster: str, job_id: str) -> str:
     """Return the key of a job's current placements."""
-    return f"{job(realm, job_id)}/placement"
+    return f"{job(cluster, job_id)}/placement"
 
 
-def state(realm: str, job_id: str) -> str:
+def state(cluster: str, job_id: str) -> str:
     """Return the key of the states of a job's islands."""
-    return f"{job(realm, job_id)}/state"
+    return f"{job(cluster, job_id)}/state"
 
 
-def blob(realm: str, digest: str, index: int) -> str:
+def blob(cluster: str, digest: str, index: int) -> str:
     """Return the key of chunk `index` (0-based) of the bytes with SHA-256 `digest`."""
     if DIGEST.fullmatch(digest) is None or not 0 <= index < MAX_CHUNKS:
         raise LocalProtocolError(f"no blob key can be made of digest {digest!r} and chunk {index}")
-    return f"{ROOT}/{_id(realm)}/blob/{digest}/{index}"
+    return f"{ROOT}/{_id(cluster)}/blob/{digest}/{index}"
 
 
-def worker(realm: str, name: str, part: WorkerPart) -> str:
+def worker(cluster: str, name: str, part: WorkerPart) -> str:
     """Return a key under a worker's name."""
-    return f"{ROOT}/{_id(realm)}/worker/{_id(name)}/{part}"
+    return f"{ROOT}/{_id(cluster)}/worker/{_id(name)}/{part}"
 
 
-def mail(realm: str, name: str, peer: str) -> str:
+def mail(cluster: str, name: str, peer: str) -> str:
     """Return the key on which worker `name` sends migrants to worker `peer`."""
-    return f"{ROOT}/{_id(realm)}/worker/{_id(name)}/to/{_id(peer)}"
+    return f"{ROOT}/{_id(cluster)}/worker/{_id(name)}/to/{_id(peer)}"
 
 
-def client(realm: str, name: str) -> str:
+def client(cluster: str, name: str) -> str:
     """Return the key on which a client asks the coordinator."""
-    return f"{ROOT}/{_id(realm)}/client/{_id(name)}/ask"
+    return f"{ROOT}/{_id(cluster)}/client/{_id(name)}/ask"
 
 
 def all_greetings() -> str:
@@ -170,29 +170,29 @@ def all_greetings() -> str:
     return f"{HELLO}/*"
 
 
-def all_jobs(realm: str) -> str:
+def all_jobs(cluster: str) -> str:
     """Return the expression of all announcements, placements and states."""
-    return f"{ROOT}/{_id(realm)}/job/**"
+    return f"{ROOT}/{_id(cluster)}/job/**"
 
 
-def all_blobs(realm: str) -> str:
+def all_blobs(cluster: str) -> str:
     """Return the expression of all chunks."""
-    return f"{ROOT}/{_id(realm)}/blob/**"
+    return f"{ROOT}/{_id(cluster)}/blob/**"
 
 
-def all_workers(realm: str, part: WorkerPart) -> str:
+def all_workers(cluster: str, part: WorkerPart) -> str:
     """Return the expression of one part of all workers."""
-    return f"{ROOT}/{_id(realm)}/worker/*/{part}"
+    return f"{ROOT}/{_id(cluster)}/worker/*/{part}"
 
 
-def all_clients(realm: str) -> str:
+def all_clients(cluster: str) -> str:
     """Return the expression of all clients' requests."""
-    return f"{ROOT}/{_id(realm)}/client/*/ask"
+    return f"{ROOT}/{_id(cluster)}/client/*/ask"
 
 
-def inbox(realm: str, name: str) -> str:
+def inbox(cluster: str, name: str) -> str:
     """Return the expression of all mail to worker `name`."""
-    return f"{ROOT}/{_id(realm)}/worker/*/to/{_id(name)}"
+    return f"{ROOT}/{_id(cluster)}/worker/*/to/{_id(name)}"
 
 
 def parse(key: str) -> Key:
@@ -212,7 +212,7 @@ def _parse(parts: list[str]) -> Key | None:
         return _parse_hello(parts[2:])
     if len(parts) < 3 or parts[0] != ROOT or not all(is_id(part) for part in parts[1:]):
         return None
-    return _parse_in_realm(parts[1], parts[2:])
+    return _parse_in_cluster(parts[1], parts[2:])
 
 
 def _parse_hello(rest: list[str]) -> HelloKey | None:
@@ -221,27 +221,27 @@ def _parse_hello(rest: list[str]) -> HelloKey | None:
     return HelloKey(rest[0]) if len(rest) == 1 and is_id(rest[0]) else None
 
 
-def _parse_in_realm(realm: str, rest: list[str]) -> Key | None:
+def _parse_in_cluster(cluster: str, rest: list[str]) -> Key | None:
     parsed: Key | None = None
     match rest:
         case ["control"]:
-            parsed = ControlKey(realm)
+            parsed = ControlKey(cluster)
         case ["control", name]:
-            parsed = ControlKey(realm, name)
+            parsed = ControlKey(cluster, name)
         case ["job", name]:
-            parsed = JobKey(realm, name)
+            parsed = JobKey(cluster, name)
         case ["job", name, "placement"]:
-            parsed = PlacementKey(realm, name)
+            parsed = PlacementKey(cluster, name)
         case ["job", name, "state"]:
-            parsed = StateKey(realm, name)
+            parsed = StateKey(cluster, name)
         case ["blob", digest, index] if DIGEST.fullmatch(digest) and re.fullmatch("0|[1-9][0-9]{0,4}", index):
-            parsed = BlobKey(realm, digest, int(index)) if int(index) < MAX_CHUNKS else None
+            parsed = BlobKey(cluster, digest, int(index)) if int(index) < MAX_CHUNKS else None
         case ["worker", name, part] if part in get_args(WorkerPart):
-            parsed = WorkerKey(realm, name, cast(WorkerPart, part))
+            parsed = WorkerKey(cluster, name, cast(WorkerPart, part))
         case ["worker", name, "to", peer]:
-            parsed = MailKey(realm, name, peer)
+            parsed = MailKey(cluster, name, peer)
         case ["client", name, "ask"]:
-            parsed = ClientKey(realm, name)
+            parsed = ClientKey(cluster, name)
     return parsed
 
 

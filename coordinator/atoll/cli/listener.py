@@ -10,13 +10,13 @@ from typing import Final
 
 from atoll_core.errors import UsageError
 from atoll_core.wire.addresses import Address, Destination
-from atoll_core.wire.security.access_control import Roster, read_roster
+from atoll_core.wire.security.access_control import RoleBindings, read_role_bindings
 
 _EVERYWHERE: Final = ("0.0.0.0", "::")
 _SIOCGIFADDR: Final = 0x8915
 
 
-def roster_of(file: str | None, at: Destination) -> Roster | None:
+def role_bindings_of(file: str | None, at: Destination) -> RoleBindings | None:
     """Return who may do what; None without a file. Raises UsageError."""
     if file is None:
         return None
@@ -24,10 +24,10 @@ def roster_of(file: str | None, at: Destination) -> Roster | None:
         raise UsageError(
             "--roster gives roles to the names in certificates, so it needs --tls-ca, --tls-cert and --tls-key"
         )
-    return read_roster(Path(file))
+    return read_role_bindings(Path(file))
 
 
-def warnings_of(at: Destination, roster: Roster | None) -> list[str]:
+def warnings_of(at: Destination, role_bindings: RoleBindings | None) -> list[str]:
     """Return in plain words who can do what, where that is more than this machine's own programs."""
     if at.address.is_socket:
         return ["whoever may use that socket may submit, read and cancel jobs, and join as a worker"]
@@ -40,7 +40,7 @@ def warnings_of(at: Destination, roster: Roster | None) -> list[str]:
     if at.credentials is None:
         return []
     lines = [f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {at.credentials.authority}"]
-    if roster is None:
+    if role_bindings is None:
         lines.append(
             "no roster: whoever has a certificate of that authority may compute, submit and cancel (see --roster)"
         )

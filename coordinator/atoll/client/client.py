@@ -79,20 +79,20 @@ Body = Upload | Submit | Jobs | FindJob | Status | Workers | GetResult | Cancel 
 class Client:
     """Asks one coordinator; not thread-safe, like its bus."""
 
-    def __init__(self, bus: Bus, address: str, bearer: str = "client") -> None:
+    def __init__(self, bus: Bus, address: str, principal: str = "client") -> None:
         """Use `bus`, which the caller opened and will close; `address` is for messages to people.
 
-        `bearer` is the name in our certificate, if we have one.
+        `principal` is the name in our certificate, if we have one.
         """
         self._bus = bus
         self._address = address
-        self._name = f"{bearer}-{uuid.uuid4().hex[:12]}"
-        self._realm: str | None = None
+        self._name = f"{principal}-{uuid.uuid4().hex[:12]}"
+        self._cluster: str | None = None
         self.welcome: Welcome | None = None
         """What the coordinator said of itself when it was greeted."""
 
     def greet(self, limit_s: float = ANSWER_LIMIT_S) -> str:
-        """Learn and return the coordinator's realm; the first question calls this by itself.
+        """Learn and return the coordinator's cluster; the first question calls this by itself.
 
         Raises:
             UnreachableError: nobody answered in time.
@@ -107,8 +107,8 @@ class Client:
             engine=ENGINE_REVISION,
         )
         self.welcome = self._greet(encode(Greeting(body=hello)), limit_s)
-        self._realm = self.welcome.realm
-        return self._realm
+        self._cluster = self.welcome.realm
+        return self._cluster
 
     def _greet(self, greeting: bytes, limit_s: float) -> Welcome:
         """Greet under our name; when nothing comes back, ask whether access control may be the reason."""
@@ -252,8 +252,8 @@ class Client:
         return self._ask(body, Uploaded, f"the upload of part {index + 1} of the data", CHUNK_LIMIT_S).missing
 
     def _ask(self, body: Body, kind: type[A], what: str, limit_s: float = ANSWER_LIMIT_S) -> A:
-        realm = self._realm or self.greet()
-        payload = self._exchange(topics.client(realm, self._name), encode(Ask(body=body)), what, limit_s)
+        cluster = self._cluster or self.greet()
+        payload = self._exchange(topics.client(cluster, self._name), encode(Ask(body=body)), what, limit_s)
         answer = _understood(lambda: decode(payload, Answer)).body
         if isinstance(answer, Failure):
             raise _ERRORS[answer.failure](answer.sentence)

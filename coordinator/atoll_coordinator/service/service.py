@@ -42,7 +42,7 @@ from atoll_core.wire.messages.workers import (
     WorkerStatus,
 )
 from atoll_core.wire.rejects import Rejects
-from atoll_core.wire.security.access_control import Roster
+from atoll_core.wire.security.access_control import RoleBindings
 
 _LOG = logging.getLogger(__name__)
 
@@ -67,17 +67,17 @@ class Service:
         expected_workers: int = 1,
         dismisses_workers: bool = False,
         ports: Ports | None = None,
-        roster: Roster | None = None,
+        role_bindings: RoleBindings | None = None,
     ) -> None:
         """Set up a coordinator.
 
         Args:
             bus: open, with a router that workers and clients reach.
-            store: open; decides realm and incarnation.
+            store: open; decides cluster and incarnation.
             expected_workers: how many workers the first placement waits for, within limits.
             dismisses_workers: whether workers are shut down when this ends; otherwise they wait for its return.
             ports: the pool of processes, the time of day and so on; the real ones unless given.
-            roster: names and roles, where certificates prove names; None: every name may be anybody.
+            role_bindings: names and roles, where certificates prove names; None: every name may be anybody.
         """
         self.rejects: Final = Rejects(_LOG)
         self._bus = MeteredBus(bus)
@@ -88,9 +88,9 @@ class Service:
         ports = ports or Ports()
         self._tasks = TaskRunner(ports, store, self._bus.post)
         self._is_linked = True
-        self._workers = WorkerChannel(self._bus, store.realm)
+        self._workers = WorkerChannel(self._bus, store.cluster)
         self.controller: Final = Controller(store, self._workers, self._tasks, ports.clock, expected_workers)
-        authorization = Authorization(roster, store)
+        authorization = Authorization(role_bindings, store)
         self._deletion = JobDeletion(self.controller, store, ports.retention)
         clients = ClientRequests(self.controller, store, authorization, self._deletion, bus.now, self.view)
         self._uploads = clients.uploads
@@ -101,18 +101,18 @@ class Service:
 
     def start(self) -> None:
         """Take over what the store holds, then listen."""
-        realm = self._store.realm
+        cluster = self._store.cluster
         self.controller.recover(self._bus.now())
-        self._bus.subscribe(topics.all_workers(realm, "status"))
-        self._bus.subscribe(topics.all_workers(realm, "report"))
-        self._bus.watch(topics.all_workers(realm, "alive"))
-        for expression in (topics.all_jobs(realm), topics.all_blobs(realm), topics.all_clients(realm)):
+        self._bus.subscribe(topics.all_workers(cluster, "status"))
+        self._bus.subscribe(topics.all_workers(cluster, "report"))
+        self._bus.watch(topics.all_workers(cluster, "alive"))
+        for expression in (topics.all_jobs(cluster), topics.all_blobs(cluster), topics.all_clients(cluster)):
             self._bus.serve(expression)
         for expression in (topics.HELLO, topics.all_greetings()):
             self._bus.serve(expression)
         self._bus.post(_TimeCheck())  # jobs that were taken over are prepared at once
         self._bus.call_later(TICK_S, _TICK)
-        self.controller.events.record_start(realm, self._store.incarnation)
+        self.controller.events.record_start(cluster, self._store.incarnation)
 
     def run(self, stop: threading.Event) -> None:
         """Start, and work until `stop` is set."""

@@ -38,7 +38,7 @@ GRACE: Final = "grace"
 
 
 class CoordinatorConnection:
-    """Greets the coordinator, subscribes in its realm, waits while it is away, and drains the worker before it ends.
+    """Greets the coordinator, subscribes in its cluster, waits while it is away, and drains the worker before it ends.
 
     `welcome`: the coordinator's last answer to a greeting; None before the first. `is_accepted`: the coordinator knows
     that the kernels here are ready. `is_draining`: it has been told that this worker wants to end. `exit_code`: None
@@ -74,7 +74,7 @@ class CoordinatorConnection:
         self._is_reachable = False  # an enquiry was answered although no greeting was
         self._away_since: float | None = bus.now()
         self._heard_at = self._asked_at = bus.now()
-        self._realms: set[str] = set()
+        self._clusters: set[str] = set()
         self._welcomes = 0
         self._newest = 0
 
@@ -120,10 +120,10 @@ class CoordinatorConnection:
             return None
         former, self.welcome, self._away_since = self.welcome, welcome, None
         self._welcomes, self._newest = self._welcomes + 1, welcome.incarnation
-        self._requests.realm = welcome.realm
+        self._requests.cluster = welcome.realm
         self.is_accepted = self.is_accepted or bool(fingerprint)
-        if welcome.realm not in self._realms:
-            self._realms.add(welcome.realm)
+        if welcome.realm not in self._clusters:
+            self._clusters.add(welcome.realm)
             self._subscribe(welcome.realm)
         if self._fingerprint and not self.is_accepted:
             self.greet()  # the kernels became ready while the greeting was under way
@@ -240,14 +240,14 @@ class CoordinatorConnection:
         )
         return encode(Greeting(body=hello))
 
-    def _subscribe(self, realm: str) -> None:
-        """Declare everything that a worker receives, answers and shows in a realm."""
-        self._bus.subscribe(topics.control(realm))
-        self._bus.subscribe(topics.control(realm, self._name))
-        self._bus.subscribe(topics.inbox(realm, self._name))
-        self._bus.serve(topics.worker(realm, self._name, "pull"))
-        self._bus.announce(topics.worker(realm, self._name, "alive"))
-        _LOG.info("joined", extra=fields(realm=realm))
+    def _subscribe(self, cluster: str) -> None:
+        """Declare everything that a worker receives, answers and shows in a cluster."""
+        self._bus.subscribe(topics.control(cluster))
+        self._bus.subscribe(topics.control(cluster, self._name))
+        self._bus.subscribe(topics.inbox(cluster, self._name))
+        self._bus.serve(topics.worker(cluster, self._name, "pull"))
+        self._bus.announce(topics.worker(cluster, self._name, "alive"))
+        _LOG.info("joined", extra=fields(realm=cluster))
 
     def _absence_sentence(self) -> str:
         if self._is_reachable and self.welcome is None:

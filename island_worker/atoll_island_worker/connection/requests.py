@@ -38,10 +38,10 @@ class Request:
 
 
 class Requests:
-    """The messages and queries of one worker. `realm` is the coordinator's; empty before the first welcome."""
+    """The messages and queries of one worker. `cluster` is the coordinator's; empty before the first welcome."""
 
     def __init__(self, bus: Bus, name: str) -> None:
-        self.realm = ""
+        self.cluster = ""
         self._bus = bus
         self._name = name
         self._open: dict[int, Request] = {}
@@ -56,11 +56,11 @@ class Requests:
 
     def ask_announcement(self, job: str) -> None:
         """Ask the coordinator for a job's announcement."""
-        self.ask(topics.job(self.realm, job), b"", PULL_TIMEOUT_S, Request("job", job))
+        self.ask(topics.job(self.cluster, job), b"", PULL_TIMEOUT_S, Request("job", job))
 
     def ask_chunk(self, job: str, blob: str, index: int) -> None:
         """Ask the coordinator for one chunk of a job's dataset."""
-        self.ask(topics.blob(self.realm, blob, index), b"", FETCH_TIMEOUT_S, Request("chunk", job, index))
+        self.ask(topics.blob(self.cluster, blob, index), b"", FETCH_TIMEOUT_S, Request("chunk", job, index))
 
     def ask_later(self, job: str) -> None:
         """Set the timer after which a job's dataset is asked for again."""
@@ -68,23 +68,23 @@ class Requests:
 
     def send_status(self, status: WorkerStatus) -> None:
         """Send a heartbeat."""
-        self._bus.put(topics.worker(self.realm, self._name, "status"), encode(status))
+        self._bus.put(topics.worker(self.cluster, self._name, "status"), encode(status))
 
     def send(self, action: Outgoing) -> None:
         """Send, answer or ask what the session wants."""
         match action:
             case Send():
-                self._bus.put(topics.mail(self.realm, self._name, action.peer), encode(Mail(body=action.body)))
+                self._bus.put(topics.mail(self.cluster, self._name, action.peer), encode(Mail(body=action.body)))
             case SendReport():
-                self._bus.put(topics.worker(self.realm, self._name, "report"), encode(action.report))
+                self._bus.put(topics.worker(self.cluster, self._name, "report"), encode(action.report))
             case AskPeer():
-                key = topics.worker(self.realm, action.peer, "pull")
+                key = topics.worker(self.cluster, action.peer, "pull")
                 self.ask(key, encode(Pull(body=action.body)), PULL_TIMEOUT_S, Request("pull", action.peer))
             case Respond():
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
             case FetchStates():
-                key, request = topics.state(self.realm, action.body.job), Request("states", states=action.body)
+                key, request = topics.state(self.cluster, action.body.job), Request("states", states=action.body)
                 self.ask(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, request)
             case FetchPlacements():
-                key = topics.placement(self.realm, action.job)
+                key = topics.placement(self.cluster, action.job)
                 self.ask(key, b"", PULL_TIMEOUT_S, Request("placement", action.job))

@@ -55,7 +55,7 @@ class SimulatedNetwork:
         return tuple(self._buses)
 
     def bus(self, name: str, is_router: bool = False) -> SimulatedBus:
-        """Return a new participant's bus; a name is free again when its former bearer has closed or crashed."""
+        """Return a new participant's bus; a name is free again when its former holder has closed or crashed."""
         if name in self._buses:
             raise LocalProtocolError(f"the simulated network already has a participant {name!r}")
         bus = SimulatedBus(self, name, is_router)

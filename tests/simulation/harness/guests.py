@@ -47,7 +47,7 @@ class Guest:
     submitted: str | None = None
     deleted: bool = False
     is_here: bool = True
-    _realm: str | None = None
+    _cluster: str | None = None
     _token: int | None = None
     _script: Script = field(init=False)
 
@@ -91,10 +91,10 @@ class Guest:
         """Ask until there is an answer; what is lost is asked again."""
         unheard = 0
         while True:
-            if self._realm is None:
+            if self._cluster is None:
                 yield from self.greet()
             was_over = self.participants.is_over
-            payload = yield topics.client(self._realm or "", self.plan.name), encode(clients.Ask(body=body))
+            payload = yield topics.client(self._cluster or "", self.plan.name), encode(clients.Ask(body=body))
             if payload is not None:
                 answer = decode(payload, clients.Answer)
                 its_fault = isinstance(answer.body, clients.Failure) and answer.body.failure == "internal"
@@ -107,14 +107,14 @@ class Guest:
             yield PAUSE_S
 
     def greet(self) -> Generator[Question | float, bytes | None, None]:
-        """Learn the realm."""
+        """Learn the cluster."""
         unheard = 0
-        while self._realm is None:
+        while self._cluster is None:
             was_over = self.participants.is_over
             payload = yield topics.hello(self.plan.name), self.hello("client")
             answer = decode(payload, GreetingAnswer).body if payload is not None else None
             if isinstance(answer, Welcome):
-                self._realm = answer.realm
+                self._cluster = answer.realm
                 return
             unheard += was_over
             if unheard >= PATIENCE:
@@ -220,7 +220,7 @@ def _asks_everything(guest: Guest) -> Script:
 
 def _old_client(guest: Guest) -> Script:
     yield from guest.greet()
-    key = topics.client(guest._realm or "", guest.plan.name)
+    key = topics.client(guest._cluster or "", guest.plan.name)
     for number in range(guest.plan.times):
         yield topics.hello(guest.plan.name), guest.hello("client", PROTOCOL_VERSION - 1 - number)
         for words in (b"", b"\xc1", b"\x81\xa4body\x81\xa4kind\xa5ping?", b"\x81\xa4body\x80", b"\x93" * 40):
@@ -230,13 +230,13 @@ def _old_client(guest: Guest) -> Script:
 
 def _old_worker(guest: Guest) -> Script:
     yield from guest.greet()
-    realm, name = guest._realm or "", guest.plan.name
-    guest._bus.announce(topics.worker(realm, name, "alive"))
+    cluster, name = guest._cluster or "", guest.plan.name
+    guest._bus.announce(topics.worker(cluster, name, "alive"))
     for number in range(guest.plan.times):
         yield topics.hello(name), guest.hello("worker")
         status = WorkerStatus(instance="i", incarnation=0, state="ready", progress=number)
-        guest._bus.put(topics.worker(realm, name, "status"), encode(status))
-        guest._bus.put(topics.worker(realm, name, "report"), b"\x81\xa4body\x80")
+        guest._bus.put(topics.worker(cluster, name, "status"), encode(status))
+        guest._bus.put(topics.worker(cluster, name, "report"), b"\x81\xa4body\x80")
         yield PAUSE_S
 
 

@@ -24,7 +24,7 @@ DATASET = b"a dataset"
 ANNOUNCEMENT = JobAnnouncement(
     job="job", config=JobConfig(), variables=("x",), blob=sha256(DATASET).hexdigest(), size=len(DATASET), chunks=1
 )
-WELCOME = Welcome(realm="realm", incarnation=1, protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION)
+WELCOME = Welcome(realm="cluster", incarnation=1, protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION)
 
 
 class RecordingCompute:
@@ -53,7 +53,7 @@ class Pair:
         self._coordinator = self.network.bus("coordinator", is_router=True)
         self._coordinator.handle_with(self._answer)
         self._coordinator.serve(topics.all_greetings())
-        self._coordinator.serve(topics.all_blobs("realm"))
+        self._coordinator.serve(topics.all_blobs("cluster"))
         bus = self.network.bus("w")
         self.worker = Worker(bus, self.compute, "w", wait_s=60.0)  # type: ignore[arg-type]
         bus.handle_with(self.worker.step)
@@ -70,7 +70,7 @@ class Pair:
 
     def control(self, body: ControlBody) -> None:
         """Have the coordinator send a control message."""
-        self._coordinator.put(topics.control("realm", "w"), encode(Control(body=body)))
+        self._coordinator.put(topics.control("cluster", "w"), encode(Control(body=body)))
         self.run()
 
     def place(self, term: int = 1) -> None:

@@ -26,7 +26,7 @@ from atoll_core.wire.bus.inbox import Inbox, Timers
 from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll_core.wire.bus.keys import check_expression, check_key, check_payload
 from atoll_core.wire.messages.limits import MAX_MESSAGE
-from atoll_core.wire.security.access_control import Roster, access_control
+from atoll_core.wire.security.access_control import RoleBindings, access_control
 from atoll_core.wire.topics import HELLO, ROOT
 
 _WAIT_FOR_PEER_US: Final = 1_000_000
@@ -55,20 +55,20 @@ _SIZE_LIMITS: Final = {
 
 
 def open_router(
-    listen: str | Destination, settings: Settings | None = None, roster: Roster | None = None
+    listen: str | Destination, settings: Settings | None = None, role_bindings: RoleBindings | None = None
 ) -> "ZenohBus":
     """Start a router listening on `listen` (port 0: any free one, see `ZenohBus.endpoint`) and return a bus in it.
 
     Args:
         listen: such as ``tcp/0.0.0.0:7447``, or with credentials.
         settings: further zenoh settings by path, such as ``{"transport/unicast/max_sessions": 100}``.
-        roster: who may say what, by the names in certificates; None: whoever can connect may say anything.
+        role_bindings: who may say what, by the names in certificates; None: whoever can connect may say anything.
 
     Raises:
         UsageError: nobody can listen there, or a setting is unknown to zenoh.
     """
     wanted = listen if isinstance(listen, Destination) else destination(listen)
-    guards = {**_guards(wanted), **({"access_control": access_control(roster)} if roster is not None else {})}
+    guards = {**_guards(wanted), **({"access_control": access_control(role_bindings)} if role_bindings is not None else {})}
     for attempt in itertools.count(1):
         address = bindable(wanted.address)
         try:

@@ -34,10 +34,13 @@ class Hello(Tolerant):
 
 
 class Welcome(Tolerant):
-    """The coordinator accepts; all further keys lie under `realm`. `clock` is its time of day as ISO text, if told."""
+    """The coordinator accepts; all further keys lie under its cluster, `realm`.
+
+    `clock` is its time of day as ISO text, if told.
+    """
 
     kind: Literal["welcome"] = "welcome"
-    realm: Id
+    cluster: Id
     incarnation: Count
     protocol: Count
     version: Annotated[str, Field(max_length=64)]

@@ -1,8 +1,9 @@
-"""Who may say what on the bus: the roster of names and roles, and the access rules that the router makes of it.
+"""Who may say what on the bus: the bindings of names to roles, and the access rules that the router makes of it.
 
-A name is the common name of a certificate. Its bearer speaks under that name or, with several processes, under names
-that begin with it and a hyphen: ``lab1``, ``lab1-0``, ``lab1-gpu-3``. So no two names of a roster may be such that one
-is the other with a hyphen and more behind it. Everything is denied that no rule allows. Pure but for reading the file.
+A principal is the common name of a certificate. It speaks under that name or, with several processes, under names that
+begin with it and a hyphen: ``lab1``, ``lab1-0``, ``lab1-gpu-3``. So no two principals may be such that one is the other
+with a hyphen and more behind it. Everything is denied that no rule allows. Pure but for reading the file, which the
+option ``--roster`` names, and which messages to users call the roster.
 """
 
 import tomllib
@@ -33,26 +34,26 @@ _ALL: Final = (
 
 
 @dataclass(frozen=True)
-class Roster:
-    """Roles by name, as the file has them."""
+class RoleBindings:
+    """Roles by principal, as the file has them."""
 
     roles: Mapping[str, Role] = field(default_factory=dict)
 
-    def bearer(self, name: str) -> str | None:
-        """Return the name of the roster under which `name` falls: itself, or what stands before one of its hyphens."""
+    def principal(self, name: str) -> str | None:
+        """Return the principal under which `name` falls: itself, or what stands before one of its hyphens."""
         parts = name.split("-")
         candidates = ("-".join(parts[:count]) for count in range(len(parts), 0, -1))
         return next((each for each in candidates if each in self.roles), None)
 
     def role(self, name: str) -> Role | None:
-        """Return what the bearer of `name` may do; None for a stranger."""
-        bearer = self.bearer(name)
-        return self.roles[bearer] if bearer is not None else None
+        """Return what the principal of `name` may do; None for a stranger."""
+        principal = self.principal(name)
+        return self.roles[principal] if principal is not None else None
 
 
 @dataclass(frozen=True, slots=True)
 class Permission:
-    """Messages of these kinds may pass on these keys: `ingress` from the bearer of the name, `egress` towards it."""
+    """Messages of these kinds may pass on these keys: `ingress` from the principal, `egress` towards it."""
 
     flow: Flow
     messages: tuple[str, ...]
@@ -66,8 +67,8 @@ _TRUSTED: Final = tuple(Permission(flow, _ALL, (f"{ROOT}/**",)) for flow in get_
 """A coordinator beyond the router commands all others, and another router passes on what all of its site say."""
 
 
-def read_roster(path: Path) -> Roster:
-    """Return the roster in the TOML file `path`: one line ``name = "role"`` each.
+def read_role_bindings(path: Path) -> RoleBindings:
+    """Return the role bindings in the TOML file `path`: one line ``name = "role"`` each.
 
     Raises:
         UsageError: it cannot be read, or a name or role is not as it must be.
@@ -83,11 +84,11 @@ def read_roster(path: Path) -> Roster:
         raise UsageError(
             f'the roster {path} is not as expected ({error}); each line should be: name = "role"'
         ) from error
-    return checked_roster(entries, str(path))
+    return checked_role_bindings(entries, str(path))
 
 
-def checked_roster(entries: Mapping[str, object], source: str) -> Roster:
-    """Return the roster of these entries, read from `source`; raises UsageError."""
+def checked_role_bindings(entries: Mapping[str, object], source: str) -> RoleBindings:
+    """Return the role bindings of these entries, read from `source`; raises UsageError."""
     if not 1 <= len(entries) <= MAX_NAMES:
         raise UsageError(f"the roster {source} has {len(entries)} names, but 1 to {MAX_NAMES} were expected")
     for name, role in entries.items():
@@ -99,23 +100,23 @@ def checked_roster(entries: Mapping[str, object], source: str) -> Roster:
         if role not in get_args(Role):
             expected = ", ".join(get_args(Role))
             raise UsageError(f"the roster {source} gives {name} the role {role!r}, but one of {expected} was expected")
-    roster = Roster(cast(Mapping[str, Role], dict(entries)))
-    for name in roster.roles:
-        _check_alone(name, roster, source)
-    return roster
+    role_bindings = RoleBindings(cast(Mapping[str, Role], dict(entries)))
+    for name in role_bindings.roles:
+        _check_alone(name, role_bindings, source)
+    return role_bindings
 
 
-def _check_alone(name: str, roster: Roster, source: str) -> None:
-    bearer = roster.bearer(name.rpartition("-")[0])
-    if bearer is not None:
+def _check_alone(name: str, role_bindings: RoleBindings, source: str) -> None:
+    principal = role_bindings.principal(name.rpartition("-")[0])
+    if principal is not None:
         raise UsageError(
-            f"the roster {source} has {bearer} and {name}, but names that begin with {bearer}- are those of the "
-            f"processes of {bearer}; give one of them another name and certificate"
+            f"the roster {source} has {principal} and {name}, but names that begin with {principal}- are those of the "
+            f"processes of {principal}; give one of them another name and certificate"
         )
 
 
 def permissions(name: str, role: Role) -> tuple[Permission, ...]:
-    """Return what the bearer of `name` may send and receive; everything else is denied."""
+    """Return what the principal `name` may send and receive; everything else is denied."""
     if role in ("coordinator", "router"):
         return _TRUSTED
     if role == "worker":
@@ -123,12 +124,12 @@ def permissions(name: str, role: Role) -> tuple[Permission, ...]:
     return _of_client(name)
 
 
-def access_control(roster: Roster) -> dict[str, object]:
+def access_control(role_bindings: RoleBindings) -> dict[str, object]:
     """Return the router's setting ``access_control``: a rule set and a subject for each name, all else denied."""
     rules: list[dict[str, object]] = []
     subjects: list[dict[str, object]] = []
     policies: list[dict[str, object]] = []
-    for name, role in roster.roles.items():
+    for name, role in role_bindings.roles.items():
         ids = []
         for number, each in enumerate(permissions(name, role)):
             ids.append(f"{name}/{number}")

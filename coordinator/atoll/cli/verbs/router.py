@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.listener import addresses_of, roster_of, warnings_of
+from atoll.cli.listener import addresses_of, role_bindings_of, warnings_of
 from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, UnreachableError
@@ -21,7 +21,7 @@ from atoll_core.logs import configure, fields
 from atoll_core.signals import stopping
 from atoll_core.wire.addresses import Destination, destination, parse_address
 from atoll_core.wire.connect_file import announced
-from atoll_core.wire.security.access_control import Roster
+from atoll_core.wire.security.access_control import RoleBindings
 from atoll_core.wire.security.credentials import credentials_of
 
 if TYPE_CHECKING:
@@ -41,15 +41,15 @@ def router(options: argparse.Namespace) -> int:
     credentials = credentials_of(vars(options), os.environ, "serve")
     wanted = destination(options.listen, credentials)
     upstream = [str(destination(address, credentials)) for address in options.connect]
-    roster = roster_of(options.roster, wanted)
+    role_bindings = role_bindings_of(options.roster, wanted)
     configure(options.log_format, options.log_level)
     from atoll_core.wire.bus.zenoh_bus import open_router
 
     stop = threading.Event()
-    with stopping(stop), open_router(wanted, upstream_settings(upstream), roster) as bus:
+    with stopping(stop), open_router(wanted, upstream_settings(upstream), role_bindings) as bus:
         here = Destination(parse_address(bus.endpoint), credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
-            say(greeting(here, upstream, roster))
+            say(greeting(here, upstream, role_bindings))
             _CoordinatorCheck(bus, credentials.name if credentials is not None else "client").run(stop)
     note("coordinator router: stopped")
     return DONE
@@ -62,23 +62,23 @@ def upstream_settings(upstream: list[str]) -> dict[str, object]:
     return {"connect/endpoints": upstream, "connect/timeout_ms": -1, "connect/exit_on_failure": False}
 
 
-def greeting(here: Destination, upstream: list[str], roster: Roster | None = None) -> str:
+def greeting(here: Destination, upstream: list[str], role_bindings: RoleBindings | None = None) -> str:
     """Return what a person needs who wants to use this router."""
     passes = f", passes on to {', '.join(upstream)}" if upstream else ""
     lines = [f"router of Atoll {VERSION} listens on {here}{passes}", "start a worker with:"]
     lines += [f"  island-worker --connect {address}" for address in addresses_of(here)]
     if not upstream:
         lines += ["start a coordinator with:", f"  coordinator serve --router {addresses_of(here)[0]} --state DIR"]
-    return "\n".join([*lines, *warnings_of(here, roster)])
+    return "\n".join([*lines, *warnings_of(here, role_bindings)])
 
 
 class _CoordinatorCheck:
     """Logs when a coordinator is there, and when it is not: a router without one is of no use."""
 
-    def __init__(self, bus: "ZenohBus", bearer: str) -> None:
+    def __init__(self, bus: "ZenohBus", principal: str) -> None:
         self._bus = bus
-        self._bearer = bearer
-        self._realm: str | None = None
+        self._principal = principal
+        self._cluster: str | None = None
         self._reminded_at = -_REMIND_S
 
     def run(self, stop: threading.Event) -> None:
@@ -87,21 +87,21 @@ class _CoordinatorCheck:
             stop.wait(CHECK_INTERVAL_S)
 
     def _check(self) -> None:
-        realm = coordinator_behind(self._bus, self._bearer)
+        cluster = coordinator_behind(self._bus, self._principal)
         now = time.monotonic()
-        if realm is not None and realm != self._realm:
-            _LOG.info("coordinator found", extra=fields(realm=realm))
-        elif realm is None and (self._realm is not None or now - self._reminded_at >= _REMIND_S):
+        if cluster is not None and cluster != self._cluster:
+            _LOG.info("coordinator found", extra=fields(realm=cluster))
+        elif cluster is None and (self._cluster is not None or now - self._reminded_at >= _REMIND_S):
             _LOG.warning("no coordinator answers behind this router yet")
             self._reminded_at = now
-        self._realm = realm
+        self._cluster = cluster
 
 
-def coordinator_behind(bus: Any, bearer: str = "client") -> str | None:
-    """Return the realm of the coordinator that answers on `bus`; None when there is none, or none that we know."""
+def coordinator_behind(bus: Any, principal: str = "client") -> str | None:
+    """Return the cluster of the coordinator that answers on `bus`; None when there is none, or none that we know."""
     from atoll.client.client import Client
 
     try:
-        return Client(bus, "this router", bearer).greet(CHECK_LIMIT_S)
+        return Client(bus, "this router", principal).greet(CHECK_LIMIT_S)
     except (UnreachableError, RefusedError):
         return None

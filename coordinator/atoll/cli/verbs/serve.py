@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.listener import addresses_of, roster_of, warnings_of
+from atoll.cli.listener import addresses_of, role_bindings_of, warnings_of
 from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, StoreError, UnreachableError, UsageError
@@ -16,7 +16,7 @@ from atoll_core.logs import configure
 from atoll_core.signals import stopping
 from atoll_core.wire.addresses import Destination, destination, parse_address
 from atoll_core.wire.connect_file import announced
-from atoll_core.wire.security.access_control import Roster
+from atoll_core.wire.security.access_control import RoleBindings
 from atoll_core.wire.security.credentials import credentials_of
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0."""
     credentials = credentials_of(vars(options), os.environ, "connect" if options.router is not None else "serve")
     wanted = destination(options.router or options.listen, credentials)
-    roster = roster_of(options.roster, wanted)
+    role_bindings = role_bindings_of(options.roster, wanted)
     configure(options.log_format, options.log_level)
     from atoll_coordinator.service.background.child_main import load_preparation
     from atoll_coordinator.service.background.process_pool import ProcessPool
@@ -41,13 +41,13 @@ def serve(options: argparse.Namespace) -> int:
     stop = threading.Event()
     with stopping(stop), contextlib.closing(ProcessPool()) as pool:
         pool.preload(load_preparation)  # loads while the rest of this is loaded: a restart has jobs that wait for it
-        _serve(options, wanted, roster, pool, stop)
+        _serve(options, wanted, role_bindings, pool, stop)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
 
 
 def _serve(
-    options: argparse.Namespace, wanted: Destination, roster: Roster | None, pool: "ProcessPool", stop: threading.Event
+    options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None, pool: "ProcessPool", stop: threading.Event
 ) -> None:
     """Serve with this pool of processes until `stop` is set."""
     from atoll_coordinator.service.background.ports import Ports
@@ -55,17 +55,17 @@ def _serve(
     from atoll_coordinator.service.store.retention import Retention
 
     behind = options.router is not None
-    with _opened(options.state) as store, _joined(options, wanted, roster) as bus:
+    with _opened(options.state) as store, _joined(options, wanted, role_bindings) as bus:
         ports = Ports(pool, retention=Retention(*options.keep))
-        service = Service(bus, store, ports=ports, roster=roster)
+        service = Service(bus, store, ports=ports, role_bindings=role_bindings)
         service.start()
         here = Destination(parse_address(bus.endpoint), wanted.credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
-            say(greeting(here, options.state, roster, behind))
+            say(greeting(here, options.state, role_bindings, behind))
             service.work(stop)
 
 
-def _joined(options: argparse.Namespace, wanted: Destination, roster: Roster | None) -> "ZenohBus":
+def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None) -> "ZenohBus":
     """Return a bus with a router of our own in it, or one that joined the router at ``options.router``.
 
     Raises:
@@ -76,7 +76,7 @@ def _joined(options: argparse.Namespace, wanted: Destination, roster: Roster | N
     from atoll_core.wire.bus.zenoh_bus import open_client, open_router
 
     if options.router is None:
-        return open_router(wanted, roster=roster)
+        return open_router(wanted, role_bindings=role_bindings)
     bus = open_client(wanted, wait_s=options.wait)
     try:
         refuse_another(bus, bus.endpoint)
@@ -109,11 +109,11 @@ def _opened(state: str) -> "Store":
         raise UsageError(str(error)) from error
 
 
-def greeting(at: Destination, state: str, roster: Roster | None = None, is_behind_router: bool = False) -> str:
+def greeting(at: Destination, state: str, role_bindings: RoleBindings | None = None, is_behind_router: bool = False) -> str:
     """Return what a person needs who wants to use this coordinator: one line for each address to dial."""
     addresses = addresses_of(at, is_behind_router)
     manner = "is behind the router" if is_behind_router else "listens on"
     lines = [f"coordinator {VERSION} {manner} {at}, state in {state}", "start a worker with:"]
     lines += [f"  island-worker --connect {address}" for address in addresses]
     lines += ["submit a job with:", f"  coordinator submit DATA --connect {addresses[0]}"]
-    return "\n".join([*lines, *warnings_of(at, roster)])
+    return "\n".join([*lines, *warnings_of(at, role_bindings)])

@@ -66,9 +66,9 @@ class EventLog:
 
     # ---------------------------------------------------------------------------------------------- jobs
 
-    def record_start(self, realm: str, incarnation: int) -> None:
+    def record_start(self, cluster: str, incarnation: int) -> None:
         """Record that the coordinator has started."""
-        self.record("started", "the coordinator is ready", realm=realm, incarnation=incarnation)
+        self.record("started", "the coordinator is ready", realm=cluster, incarnation=incarnation)
 
     def record_submission(self, body: Submit) -> None:
         """Record that a job was submitted."""

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 from atoll_core.wire.messages.clients import Ask, Cancel, Delete
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.security.access_control import Role, Roster
+from atoll_core.wire.security.access_control import Role, RoleBindings
 
 _MAY: Final[dict[Role, str]] = {
     "coordinator": "serve",
@@ -26,17 +26,17 @@ class Submitters(Protocol):
 
 
 class Authorization:
-    """Decides by a roster; without one (None) everybody may do everything."""
+    """Decides by role bindings; without any (None) everybody may do everything."""
 
-    def __init__(self, roster: Roster | None, submitters: Submitters) -> None:
-        self._roster = roster
+    def __init__(self, role_bindings: RoleBindings | None, submitters: Submitters) -> None:
+        self._role_bindings = role_bindings
         self._submitters = submitters
 
     def refuse_role(self, hello: Hello) -> str | None:
         """Return why a program may not take part as what it says it is; None: it may."""
-        if self._roster is None:
+        if self._role_bindings is None:
             return None
-        role = self._roster.role(hello.name)
+        role = self._role_bindings.role(hello.name)
         if role is None:
             return (
                 f"the coordinator's roster has no name for {hello.name!r}; have the name of your certificate written "
@@ -47,24 +47,24 @@ class Authorization:
             return None
         wanted = "compute islands" if hello.role == "worker" else "submit jobs or look at them"
         return (
-            f"the certificate of {self._roster.bearer(hello.name)!r} has the role {role}, which may {_MAY[role]}, but "
+            f"the certificate of {self._role_bindings.principal(hello.name)!r} has the role {role}, which may {_MAY[role]}, but "
             f"not {wanted}; use another certificate"
         )
 
     def refuse_ask(self, client: str, ask: Ask) -> str | None:
         """Return why `client` may not ask this; None: it may."""
-        if self._roster is None:
+        if self._role_bindings is None:
             return None
-        role = self._roster.role(client)
+        role = self._role_bindings.role(client)
         if role not in ("submitter", "admin"):
             return f"{client!r} is not the name of somebody who may submit jobs or look at them"
         if not isinstance(ask.body, Cancel | Delete) or role == "admin":
             return None
         owner = self._submitters.submitter(ask.body.job)
-        if owner in (None, self._roster.bearer(client)):
+        if owner in (None, self._role_bindings.principal(client)):
             return None
         return f"job {ask.body.job} was submitted by {owner}; only {owner} or an admin may {ask.body.kind} it"
 
     def submitter(self, client: str) -> str | None:
         """Return as whose job one is kept that `client` submits; None: nobody proves who it is."""
-        return self._roster.bearer(client) if self._roster is not None else None
+        return self._role_bindings.principal(client) if self._role_bindings is not None else None

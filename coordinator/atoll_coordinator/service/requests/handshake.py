@@ -50,7 +50,7 @@ class Handshake:
                 _LOG.warning("client refused", extra=fields(client=hello.name, reason=sentence))
             return refusal(sentence)
         return Welcome(
-            realm=self._store.realm,
+            realm=self._store.cluster,
             incarnation=self._store.incarnation,
             protocol=PROTOCOL_VERSION,
             version=VERSION,

@@ -41,9 +41,9 @@ class Room:
 
 
 class Store:
-    """An open store; a context manager. `realm` is its random name, `incarnation` counts how often it was opened."""
+    """An open store; a context manager. `cluster` is its random name, `incarnation` counts how often it was opened."""
 
-    realm: Final[str]
+    cluster: Final[str]
     incarnation: Final[int]
 
     def __init__(
@@ -58,7 +58,7 @@ class Store:
         self._timing = StoreView()
         self._now = now
         columns = "id, incarnation, served"
-        self.realm, self.incarnation, served = connection.execute(f"SELECT {columns} FROM realm").fetchone()
+        self.cluster, self.incarnation, served = connection.execute(f"SELECT {columns} FROM realm").fetchone()
         self._served_since = now() - float(served)
 
     @classmethod

@@ -11,22 +11,22 @@ PULL_TIMEOUT_S = 5.0
 class WorkerChannel:
     """Sends messages to workers, and remembers which pulls have not been answered."""
 
-    def __init__(self, bus: Bus, realm: str) -> None:
+    def __init__(self, bus: Bus, cluster: str) -> None:
         self._bus = bus
-        self._realm = realm
+        self._cluster = cluster
         self._pulls: dict[int, tuple[str, PullReports | PullStates]] = {}
 
     def send(self, worker: str, body: ControlBody) -> None:
         """Send a message to one worker."""
-        self._bus.put(topics.control(self._realm, worker), encode(Control(body=body)))
+        self._bus.put(topics.control(self._cluster, worker), encode(Control(body=body)))
 
     def publish(self, body: ControlBody) -> None:
         """Send a message to all workers."""
-        self._bus.put(topics.control(self._realm), encode(Control(body=body)))
+        self._bus.put(topics.control(self._cluster), encode(Control(body=body)))
 
     def pull(self, worker: str, body: PullReports | PullStates) -> None:
         """Ask a worker for reports or states; the bus receives a reply, also when there is no answer."""
-        key = topics.worker(self._realm, worker, "pull")
+        key = topics.worker(self._cluster, worker, "pull")
         self._pulls[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = (worker, body)
 
     def take_pull(self, token: int) -> tuple[str, PullReports | PullStates] | None:

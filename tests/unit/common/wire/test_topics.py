@@ -15,35 +15,35 @@ PARTS = st.sampled_from(["alive", "status", "report", "pull"])
 
 @given(IDS, IDS, IDS, DIGESTS, st.integers(0, topics.MAX_CHUNKS - 1), PARTS)
 def test_every_key_that_is_built_is_parsed_back(
-    realm: str, name: str, peer: str, digest: str, index: int, part: topics.WorkerPart
+    cluster: str, name: str, peer: str, digest: str, index: int, part: topics.WorkerPart
 ) -> None:
     pairs = [
         (topics.HELLO, topics.HelloKey()),
         (topics.hello(name), topics.HelloKey(name)),
-        (topics.control(realm), topics.ControlKey(realm)),
-        (topics.control(realm, name), topics.ControlKey(realm, name)),
-        (topics.job(realm, name), topics.JobKey(realm, name)),
-        (topics.placement(realm, name), topics.PlacementKey(realm, name)),
-        (topics.blob(realm, digest, index), topics.BlobKey(realm, digest, index)),
-        (topics.worker(realm, name, part), topics.WorkerKey(realm, name, part)),
-        (topics.mail(realm, name, peer), topics.MailKey(realm, name, peer)),
-        (topics.client(realm, name), topics.ClientKey(realm, name)),
+        (topics.control(cluster), topics.ControlKey(cluster)),
+        (topics.control(cluster, name), topics.ControlKey(cluster, name)),
+        (topics.job(cluster, name), topics.JobKey(cluster, name)),
+        (topics.placement(cluster, name), topics.PlacementKey(cluster, name)),
+        (topics.blob(cluster, digest, index), topics.BlobKey(cluster, digest, index)),
+        (topics.worker(cluster, name, part), topics.WorkerKey(cluster, name, part)),
+        (topics.mail(cluster, name, peer), topics.MailKey(cluster, name, peer)),
+        (topics.client(cluster, name), topics.ClientKey(cluster, name)),
     ]
     for key, parsed in pairs:
         assert topics.parse(key) == parsed
 
 
 @given(IDS, IDS, IDS, DIGESTS)
-def test_expressions_receive_the_keys_they_are_meant_for(realm: str, name: str, peer: str, digest: str) -> None:
-    assert matches(topics.all_jobs(realm), topics.placement(realm, name))
-    assert matches(topics.all_jobs(realm), topics.job(realm, name))
-    assert matches(topics.all_blobs(realm), topics.blob(realm, digest, 3))
-    assert matches(topics.all_workers(realm, "status"), topics.worker(realm, name, "status"))
-    assert not matches(topics.all_workers(realm, "status"), topics.worker(realm, name, "report"))
-    assert matches(topics.all_clients(realm), topics.client(realm, name))
+def test_expressions_receive_the_keys_they_are_meant_for(cluster: str, name: str, peer: str, digest: str) -> None:
+    assert matches(topics.all_jobs(cluster), topics.placement(cluster, name))
+    assert matches(topics.all_jobs(cluster), topics.job(cluster, name))
+    assert matches(topics.all_blobs(cluster), topics.blob(cluster, digest, 3))
+    assert matches(topics.all_workers(cluster, "status"), topics.worker(cluster, name, "status"))
+    assert not matches(topics.all_workers(cluster, "status"), topics.worker(cluster, name, "report"))
+    assert matches(topics.all_clients(cluster), topics.client(cluster, name))
     assert matches(topics.all_greetings(), topics.hello(name))
     assert not matches(topics.all_greetings(), topics.HELLO)
-    assert matches(topics.inbox(realm, peer), topics.mail(realm, name, peer))
+    assert matches(topics.inbox(cluster, peer), topics.mail(cluster, name, peer))
 
 
 @pytest.mark.parametrize(
@@ -82,11 +82,11 @@ def test_no_text_breaks_the_parser(key: str) -> None:
 @pytest.mark.parametrize("name", ["", "a/b", "*", "θ", "x" * 65, "v [m/s]"])
 def test_only_ids_stand_in_keys(name: str) -> None:
     with pytest.raises(LocalProtocolError, match="cannot stand in a key"):
-        topics.job("realm", name)
+        topics.job("cluster", name)
 
 
 def test_blob_keys_need_a_digest_and_a_chunk_that_can_be() -> None:
     with pytest.raises(LocalProtocolError):
-        topics.blob("realm", "12", 0)
+        topics.blob("cluster", "12", 0)
     with pytest.raises(LocalProtocolError):
-        topics.blob("realm", "0" * 64, -1)
+        topics.blob("cluster", "0" * 64, -1)

@@ -38,8 +38,8 @@ class ConnectionBench:
         return decode(self.requests.greetings[-1], Greeting).body
 
 
-def welcome(realm: str = "r", incarnation: int = 1) -> bytes:
-    body = Welcome(realm=realm, incarnation=incarnation, protocol=1, version="0", engine=1)
+def welcome(cluster: str = "r", incarnation: int = 1) -> bytes:
+    body = Welcome(realm=cluster, incarnation=incarnation, protocol=1, version="0", engine=1)
     return encode(GreetingAnswer(body=body))
 
 
@@ -73,9 +73,9 @@ def test_another_incarnation_or_realm_voids_what_is_held() -> None:
     bench = ConnectionBench()
     bench.connection.handle_answer("", welcome())
     assert bench.connection.handle_answer("", welcome(incarnation=2)) == Reset(2)
-    assert bench.connection.handle_answer("", welcome(realm="s")) == Reset(0)
-    assert bench.connection.handle_answer("", welcome(realm="r")) == Reset(0)
-    assert bench.requests.realm == "r"
+    assert bench.connection.handle_answer("", welcome(cluster="s")) == Reset(0)
+    assert bench.connection.handle_answer("", welcome(cluster="r")) == Reset(0)
+    assert bench.requests.cluster == "r"
 
 
 def test_a_late_welcome_of_a_former_coordinator_voids_nothing() -> None:
@@ -85,7 +85,7 @@ def test_a_late_welcome_of_a_former_coordinator_voids_nothing() -> None:
     assert bench.connection.handle_answer("", welcome(incarnation=2), 1) == Reset(2)
     sent = len(bench.requests.greetings)
     assert bench.connection.handle_answer("", welcome(), 1) is None
-    assert bench.connection.handle_answer("", welcome(realm="s"), 1) is None
+    assert bench.connection.handle_answer("", welcome(cluster="s"), 1) is None
     assert len(bench.requests.greetings) == sent + 2, "what is there now is asked"
     assert bench.connection.handle_answer("", welcome(incarnation=3), 1) == Reset(3)
     assert bench.connection.handle_answer("", welcome(), 3) == Reset(1), "a store of before is in use again"

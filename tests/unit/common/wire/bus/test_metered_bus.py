@@ -8,7 +8,7 @@ from atoll_core.wire.bus.metered_bus import _KINDS, OTHER, MeteredBus, kind_of
 from atoll_core.wire.messages.views import Traffic
 from tests.simulation.bus.network import SimulatedNetwork
 
-REALM = "r"
+CLUSTER = "r"
 
 
 def counted(bus: MeteredBus) -> dict[str, tuple[int, int, int, int]]:
@@ -20,9 +20,9 @@ def counted(bus: MeteredBus) -> dict[str, tuple[int, int, int, int]]:
 
 def test_every_key_has_a_kind() -> None:
     keys = [
-        topics.HELLO, topics.control(REALM), topics.control(REALM, "w"), topics.job(REALM, "j"),
-        topics.placement(REALM, "j"), topics.blob(REALM, "0" * 64, 3), topics.worker(REALM, "w", "report"),
-        topics.mail(REALM, "w", "v"), topics.client(REALM, "c"), "atoll/r/nonsense", "x" * 1000,
+        topics.HELLO, topics.control(CLUSTER), topics.control(CLUSTER, "w"), topics.job(CLUSTER, "j"),
+        topics.placement(CLUSTER, "j"), topics.blob(CLUSTER, "0" * 64, 3), topics.worker(CLUSTER, "w", "report"),
+        topics.mail(CLUSTER, "w", "v"), topics.client(CLUSTER, "c"), "atoll/r/nonsense", "x" * 1000,
     ]  # fmt: skip
     kinds = ["hello", "control", "control", "job", "placement", "blob", "report", "mail", "ask", OTHER, OTHER]
     assert [kind_of(key) for key in keys] == kinds
@@ -35,10 +35,10 @@ def test_no_kind_of_key_is_forgotten() -> None:
 def test_puts_questions_and_answers_are_counted_on_both_sides() -> None:
     network = SimulatedNetwork()
     server, asker = MeteredBus(network.bus("server", is_router=True)), MeteredBus(network.bus("asker"))
-    server.serve(topics.all_clients(REALM))
-    server.subscribe(topics.all_workers(REALM, "report"))
-    asker.put(topics.worker(REALM, "w", "report"), b"12345")
-    token = asker.get(topics.client(REALM, "c"), b"123")
+    server.serve(topics.all_clients(CLUSTER))
+    server.subscribe(topics.all_workers(CLUSTER, "report"))
+    asker.put(topics.worker(CLUSTER, "w", "report"), b"12345")
+    token = asker.get(topics.client(CLUSTER, "c"), b"123")
     for _ in range(2):
         event = server.receive(1.0)
         assert isinstance(event, Message | Query)

@@ -1,4 +1,4 @@
-"""Who may say what: rosters that are accepted, and rules that fence each name in."""
+"""Who may say what: role bindings that are accepted, and rules that fence each name in."""
 
 import fnmatch
 import itertools
@@ -10,21 +10,21 @@ from atoll_core.errors import UsageError
 from atoll_core.wire import topics
 from atoll_core.wire.security.access_control import (
     Flow,
-    Roster,
+    RoleBindings,
     access_control,
-    checked_roster,
+    checked_role_bindings,
     permissions,
-    read_roster,
+    read_role_bindings,
 )
 
-ROSTER = Roster({"lab1": "worker", "lab2": "worker", "ann": "submitter", "eve": "admin"})
-REALM = "0123456789ab"
+ROLE_BINDINGS = RoleBindings({"lab1": "worker", "lab2": "worker", "ann": "submitter", "eve": "admin"})
+CLUSTER = "0123456789ab"
 DIGEST = "0" * 64
 
 
-def may(name: str, flow: Flow, message: str, key: str, roster: Roster = ROSTER) -> bool:
+def may(name: str, flow: Flow, message: str, key: str, role_bindings: RoleBindings = ROLE_BINDINGS) -> bool:
     """Return whether the rules for `name` let this message pass."""
-    rules = permissions(name, roster.roles[name])
+    rules = permissions(name, role_bindings.roles[name])
     return any(
         each.flow == flow and message in each.messages and any(covers(expression, key) for expression in each.keys)
         for each in rules
@@ -44,14 +44,14 @@ def covers(expression: str, key: str) -> bool:
 @pytest.mark.parametrize("process", ["lab1", "lab1-0", "lab1-host-4711-12"])
 def test_a_worker_speaks_under_its_own_names(process: str) -> None:
     for part in ("status", "report"):
-        assert may("lab1", "ingress", "put", topics.worker(REALM, process, part))  # type: ignore[arg-type]
-    assert may("lab1", "ingress", "put", topics.mail(REALM, process, "lab2-3"))
-    assert may("lab1", "ingress", "liveliness_token", topics.worker(REALM, process, "alive"))
+        assert may("lab1", "ingress", "put", topics.worker(CLUSTER, process, part))  # type: ignore[arg-type]
+    assert may("lab1", "ingress", "put", topics.mail(CLUSTER, process, "lab2-3"))
+    assert may("lab1", "ingress", "liveliness_token", topics.worker(CLUSTER, process, "alive"))
     assert may("lab1", "ingress", "query", topics.hello(process))
     for message in ("declare_queryable", "reply"):
-        assert may("lab1", "ingress", message, topics.worker(REALM, process, "pull"))
+        assert may("lab1", "ingress", message, topics.worker(CLUSTER, process, "pull"))
     for flow, message in (("ingress", "declare_subscriber"), ("egress", "put")):
-        for key in (topics.control(REALM), topics.control(REALM, process), topics.mail(REALM, "lab2", process)):
+        for key in (topics.control(CLUSTER), topics.control(CLUSTER, process), topics.mail(CLUSTER, "lab2", process)):
             assert may("lab1", flow, message, key)  # type: ignore[arg-type]
 
 
@@ -59,37 +59,37 @@ def test_a_worker_speaks_under_its_own_names(process: str) -> None:
 def test_a_worker_does_not_speak_for_others_or_read_their_mail(other: str) -> None:
     for part in ("status", "report", "alive", "pull"):
         for message in ("put", "liveliness_token", "declare_queryable", "reply"):
-            assert not may("lab1", "ingress", message, topics.worker(REALM, other, part))  # type: ignore[arg-type]
-    assert not may("lab1", "ingress", "put", topics.mail(REALM, other, "lab1"))
+            assert not may("lab1", "ingress", message, topics.worker(CLUSTER, other, part))  # type: ignore[arg-type]
+    assert not may("lab1", "ingress", "put", topics.mail(CLUSTER, other, "lab1"))
     assert not may("lab1", "ingress", "query", topics.hello(other))
-    for key in (topics.control(REALM, other), topics.mail(REALM, "lab1", other)):
+    for key in (topics.control(CLUSTER, other), topics.mail(CLUSTER, "lab1", other)):
         assert not may("lab1", "ingress", "declare_subscriber", key)
         assert not may("lab1", "egress", "put", key)
 
 
 def test_a_worker_neither_submits_nor_commands() -> None:
     for client in ("ann-1", "lab1-1", "lab1"):
-        assert not may("lab1", "ingress", "query", topics.client(REALM, client))
-    for key in (topics.control(REALM), topics.control(REALM, "lab1"), topics.control(REALM, "lab2")):
+        assert not may("lab1", "ingress", "query", topics.client(CLUSTER, client))
+    for key in (topics.control(CLUSTER), topics.control(CLUSTER, "lab1"), topics.control(CLUSTER, "lab2")):
         assert not may("lab1", "ingress", "put", key)
-    for key in (topics.job(REALM, "j"), topics.blob(REALM, DIGEST, 0), topics.HELLO):
+    for key in (topics.job(CLUSTER, "j"), topics.blob(CLUSTER, DIGEST, 0), topics.HELLO):
         assert not may("lab1", "ingress", "declare_queryable", key)
         assert not may("lab1", "ingress", "reply", key)
 
 
 @pytest.mark.parametrize("name", ["ann", "eve"])
 def test_a_client_asks_under_its_own_name_and_does_nothing_else(name: str) -> None:
-    assert may(name, "ingress", "query", topics.client(REALM, f"{name}-0123456789ab"))
-    assert may(name, "egress", "reply", topics.client(REALM, f"{name}-0123456789ab"))
-    assert not may(name, "ingress", "query", topics.client(REALM, "bob-1"))
+    assert may(name, "ingress", "query", topics.client(CLUSTER, f"{name}-0123456789ab"))
+    assert may(name, "egress", "reply", topics.client(CLUSTER, f"{name}-0123456789ab"))
+    assert not may(name, "ingress", "query", topics.client(CLUSTER, "bob-1"))
     keys = [
-        topics.control(REALM),
-        topics.control(REALM, "lab1"),
-        topics.job(REALM, "j"),
-        topics.placement(REALM, "j"),
-        topics.blob(REALM, DIGEST, 0),
-        topics.mail(REALM, name, "lab1"),
-        *(topics.worker(REALM, who, part) for who in ("lab1", name) for part in ("status", "report", "alive", "pull")),  # type: ignore[arg-type]
+        topics.control(CLUSTER),
+        topics.control(CLUSTER, "lab1"),
+        topics.job(CLUSTER, "j"),
+        topics.placement(CLUSTER, "j"),
+        topics.blob(CLUSTER, DIGEST, 0),
+        topics.mail(CLUSTER, name, "lab1"),
+        *(topics.worker(CLUSTER, who, part) for who in ("lab1", name) for part in ("status", "report", "alive", "pull")),  # type: ignore[arg-type]
     ]
     messages = ("put", "query", "declare_subscriber", "declare_queryable", "liveliness_token", "reply")
     for key, message, flow in itertools.product(keys, messages, ("ingress", "egress")):
@@ -97,7 +97,7 @@ def test_a_client_asks_under_its_own_name_and_does_nothing_else(name: str) -> No
 
 
 def test_everything_else_is_denied_and_every_rule_belongs_to_one_name() -> None:
-    setting = access_control(ROSTER)
+    setting = access_control(ROLE_BINDINGS)
     assert setting["enabled"] is True
     assert setting["default_permission"] == "deny"
     rules, policies = setting["rules"], setting["policies"]
@@ -113,9 +113,9 @@ def test_everything_else_is_denied_and_every_rule_belongs_to_one_name() -> None:
 
 
 def test_a_name_is_borne_by_the_certificate_that_it_begins_with() -> None:
-    roster = Roster({"lab1": "worker", "gpu-room": "worker"})
-    bearers = {name: roster.bearer(name) for name in ("lab1", "lab1-0", "lab1-a-b", "lab10", "gpu-room-3", "gpu", "")}
-    assert bearers == {
+    role_bindings = RoleBindings({"lab1": "worker", "gpu-room": "worker"})
+    principals = {name: role_bindings.principal(name) for name in ("lab1", "lab1-0", "lab1-a-b", "lab10", "gpu-room-3", "gpu", "")}
+    assert principals == {
         "lab1": "lab1",
         "lab1-0": "lab1",
         "lab1-a-b": "lab1",
@@ -138,17 +138,17 @@ def test_a_name_is_borne_by_the_certificate_that_it_begins_with() -> None:
         ({"lab-gpu-1": "submitter", "lab": "worker"}, "lab and lab-gpu-1"),
     ],
 )
-def test_a_roster_that_cannot_be_is_refused(entries: dict[str, object], reason: str) -> None:
+def test_role_bindings_that_cannot_be_are_refused(entries: dict[str, object], reason: str) -> None:
     with pytest.raises(UsageError, match=reason):
-        checked_roster(entries, "roster.toml")
+        checked_role_bindings(entries, "roster.toml")
 
 
-def test_a_roster_is_read_from_toml(tmp_path: Path) -> None:
+def test_role_bindings_are_read_from_toml(tmp_path: Path) -> None:
     file = tmp_path / "roster.toml"
     file.write_text('# who\nlab1 = "worker"\nann = "submitter"\n')
-    assert read_roster(file).roles == {"lab1": "worker", "ann": "submitter"}
+    assert read_role_bindings(file).roles == {"lab1": "worker", "ann": "submitter"}
     file.write_text("lab1 worker\n")
     with pytest.raises(UsageError, match='should be: name = "role"'):
-        read_roster(file)
+        read_role_bindings(file)
     with pytest.raises(UsageError, match="no such file"):
-        read_roster(tmp_path / "other.toml")
+        read_role_bindings(tmp_path / "other.toml")

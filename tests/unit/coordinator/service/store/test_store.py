@@ -202,13 +202,13 @@ def test_threads_may_share_a_store(store: Store) -> None:
 
 def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_path: Path) -> None:
     with Store.open(tmp_path) as store:
-        realm, incarnation = store.realm, store.incarnation
+        cluster, incarnation = store.cluster, store.incarnation
         store.add_job(JOB)
         begin_term(store, "j1", "x")
         store.commit_cuts("j1", {"x": b"cut"})
         digest = store.put_blob(b"abc")
     with Store.open(tmp_path) as store:
-        assert (store.realm, store.incarnation) == (realm, incarnation + 1)
+        assert (store.cluster, store.incarnation) == (cluster, incarnation + 1)
         assert store.jobs() == (JOB,)
         assert begin_term(store, "j1", "x") == 2
         assert store.cuts("j1") == {"x": b"cut"}
@@ -217,7 +217,7 @@ def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_
 
 def test_two_stores_are_two_realms() -> None:
     with Store.open(None) as one, Store.open(None) as two:
-        assert one.realm != two.realm
+        assert one.cluster != two.cluster
         assert one.incarnation == 1
 
 
@@ -452,7 +452,7 @@ def test_a_store_of_layout_1_is_brought_up_to_date_and_keeps_what_it_has(tmp_pat
     with contextlib.closing(sqlite3.connect(tmp_path / FILE_NAME)) as connection:
         connection.executescript(LAYOUT_1.read_text("utf-8"))
     with Store.open(tmp_path) as store:
-        assert (store.realm, store.incarnation) == ("4f2b61c09a3e", 4)
+        assert (store.cluster, store.incarnation) == ("4f2b61c09a3e", 4)
         assert [job.id for job in store.jobs()] == ["ended", "running"]
         assert store.result("ended") == '{"state": "done"}'
         assert placements_in(store, "running") == {"x": (3, b"placement"), "y": (2, None)}

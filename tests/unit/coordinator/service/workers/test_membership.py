@@ -109,7 +109,7 @@ def test_a_gap_in_our_own_loop_gives_everybody_a_fresh_lease() -> None:
     assert membership.expire(100.0) == []
 
 
-def test_the_same_name_is_free_again_when_its_bearer_is_gone() -> None:
+def test_the_same_name_is_free_again_when_its_holder_is_gone() -> None:
     membership = with_worker()
     refusal = membership.register(hello(instance="b"), 1.0)
     assert refusal is not None

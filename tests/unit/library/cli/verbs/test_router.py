@@ -32,7 +32,7 @@ def site(central: ZenohBus) -> Iterator[ZenohBus]:
 
 @pytest.fixture
 def coordinator(central: ZenohBus, tmp_path: Path) -> Iterator[str]:
-    """A coordinator that joined the central router; its realm."""
+    """A coordinator that joined the central router; its cluster."""
     stop = threading.Event()
     with Store.open(tmp_path) as store, open_client(central.endpoint, 5.0) as bus:
         service = Service(bus, store)
@@ -40,7 +40,7 @@ def coordinator(central: ZenohBus, tmp_path: Path) -> Iterator[str]:
         loop = threading.Thread(target=service.work, args=(stop,))
         loop.start()
         try:
-            yield store.realm
+            yield store.cluster
         finally:
             stop.set()
             loop.join()
@@ -58,9 +58,9 @@ def test_a_router_knows_whether_a_coordinator_is_behind_it(
     central: ZenohBus, site: ZenohBus, request: pytest.FixtureRequest
 ) -> None:
     assert router.coordinator_behind(central) is None
-    realm = request.getfixturevalue("coordinator")
-    assert router.coordinator_behind(central) == realm
-    assert router.coordinator_behind(site) == realm
+    cluster = request.getfixturevalue("coordinator")
+    assert router.coordinator_behind(central) == cluster
+    assert router.coordinator_behind(site) == cluster
 
 
 def test_a_second_coordinator_behind_one_router_is_refused(
