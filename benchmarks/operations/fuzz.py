@@ -27,7 +27,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire import topics
 from atoll_core.wire.codec import decode
-from atoll_core.wire.messages.clients import Answer, Ask
+from atoll_core.wire.messages.clients import Answer, Request
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
@@ -127,7 +127,7 @@ def asked_kind(key: str) -> Any:
         case topics.HelloKey():
             return Greeting
         case topics.ClientKey():
-            return Ask
+            return Request
         case topics.WorkerKey(part="pull"):
             return Pull
     return None
@@ -270,7 +270,7 @@ def key_for(message: Overheard, cluster: str, understood: bool, mutator: Mutator
         parts[1] = cluster
     if not understood:
         return "/".join(parts)
-    if message.kind in (Greeting, Ask, Control, GreetingAnswer, Answer, PullAnswer):
+    if message.kind in (Greeting, Request, Control, GreetingAnswer, Answer, PullAnswer):
         return None
     if message.kind is Pull:
         return topics.worker(cluster, f"w{mutator.below(2)}", "pull")

@@ -29,7 +29,7 @@ def worker_status(
         incarnation=connection.welcome.incarnation,
         state=state,
         progress=compute.progress,
-        holdings=session.holdings(),
+        holdings=session.assignment_statuses(),
         failures=session.failures(),
         jobs=tuple(dict.fromkeys((*session.jobs(), *datasets.jobs()))),
         detail=detail,

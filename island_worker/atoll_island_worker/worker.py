@@ -223,7 +223,7 @@ class Worker:
                 self._datasets.forget(body.job)
             case messages.Shutdown():
                 self._connection.shut_down(body)
-            case messages.Introduce():
+            case messages.Reregister():
                 self._connection.greet()
 
     def _on_greeting_answer(self, request: Request, payload: bytes | None) -> None:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 
 from atoll.client.client import Client
-from atoll_coordinator.service.background.ports import Ports
+from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
@@ -44,8 +44,8 @@ def served() -> Iterator[tuple[Service, Client, ZenohBus, list[Worker]]]:
     """Have a coordinator and two workers at work; yield it, a client, a stranger's bus, and the workers."""
     stop, made = threading.Event(), list[Worker]()
     with Store.open(None) as store, open_router("tcp/127.0.0.1:0") as router:
-        ports = Ports(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
-        service = Service(router, store, expected_workers=2, dismisses_workers=True, ports=ports)
+        dependencies = Dependencies(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
+        service = Service(router, store, expected_workers=2, dismisses_workers=True, dependencies=dependencies)
         threads = [threading.Thread(target=service.run, args=(stop,))]
         threads += [threading.Thread(target=work, args=(router.endpoint, f"w{index}", made)) for index in range(2)]
         for thread in threads:
@@ -100,7 +100,7 @@ def test_garbage_on_every_key_while_a_job_runs_changes_nothing() -> None:
         wait_until(lambda: client.status("another").state == "done", client)
         assert service.controller.breakages.total == 0
         assert service.rejects.total > 0
-    assert {"Ask", "EpochReport", "Greeting", "Mail", "Pull", "WorkerStatus"} <= said.keys()
+    assert {"Request", "EpochReport", "Greeting", "Mail", "Pull", "WorkerStatus"} <= said.keys()
 
 
 def odd_sayings(stranger: ZenohBus, cluster: str) -> Iterator[str]:

@@ -12,7 +12,7 @@ import pytest
 from atoll.cli.main import main
 from atoll.cli.verbs.router import upstream_settings
 from atoll.client.client import Client, connected
-from atoll_coordinator.service.background.ports import Ports
+from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
@@ -23,7 +23,7 @@ from atoll_core.wire.bus import zenoh_bus
 from atoll_core.wire.bus.interface import Message, Presence, Query, Reply
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Ask, Jobs
+from atoll_core.wire.messages.clients import Request, Jobs
 from atoll_core.wire.messages.handshake import Greeting, Hello
 from atoll_core.wire.messages.workers import CloseJob, Control, Shutdown
 from atoll_core.wire.security.access_control import RoleBindings, read_role_bindings
@@ -157,8 +157,8 @@ def served(lab: Lab, role_bindings: RoleBindings, workers: tuple[str, ...] = ())
     """Have a coordinator, and workers that only hash, serve until the end."""
     stop, made = threading.Event(), list[Worker]()
     with Store.open(None) as store, open_router(serving(lab), role_bindings=role_bindings) as bus:
-        ports = Ports(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
-        service = Service(bus, store, expected_workers=len(workers), dismisses_workers=True, ports=ports, role_bindings=role_bindings)
+        dependencies = Dependencies(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
+        service = Service(bus, store, expected_workers=len(workers), dismisses_workers=True, dependencies=dependencies, role_bindings=role_bindings)
         threads = [threading.Thread(target=service.run, args=(stop,))]
         threads += [threading.Thread(target=work, args=(lab, bus, name, made)) for name in workers]
         for thread in threads:
@@ -225,11 +225,11 @@ def speak_for_others(hostile: ZenohBus, cluster: str) -> None:
     hostile.watch(topics.all_workers(cluster, "alive"))
     hello = Hello(role="worker", name="lab1-0", instance="x", protocol=0, version="", engine=0)
     for key, body in (
-        (topics.client(cluster, "ann-1"), Ask(body=Jobs())),
-        (topics.client(cluster, "lab2-1"), Ask(body=Jobs())),
+        (topics.client(cluster, "ann-1"), Request(body=Jobs())),
+        (topics.client(cluster, "lab2-1"), Request(body=Jobs())),
         (topics.hello("lab1-0"), Greeting(body=hello)),
         (topics.hello("ann-1"), Greeting(body=hello)),
-        (topics.worker(cluster, "lab9", "pull"), Ask(body=Jobs())),
+        (topics.worker(cluster, "lab9", "pull"), Request(body=Jobs())),
     ):
         hostile.get(key, encode(body), timeout_s=0.2)
 

@@ -19,7 +19,7 @@ import atoll_coordinator.service
 from atoll.terminal.output import say
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.monitoring.breakages import Breakages
-from atoll_coordinator.service.requests.router import RequestRouter
+from atoll_coordinator.service.requests.dispatch import RequestDispatcher
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
@@ -40,8 +40,8 @@ LEFT_OUT_ALWAYS = {
     (Controller, "guarded"),  # what ends a job over which something breaks, and what does nothing but call that
     (Controller, "_change"),
     (Controller, "_advance_checkpoint"),
-    (RequestRouter, "_answer"),
-    (RequestRouter, "_tell_worker"),
+    (RequestDispatcher, "_answer"),
+    (RequestDispatcher, "_tell_worker"),
     (Controller, "_end_broken"),
     (Controller, "_end_without_job"),
     (Scheduler, "plan"),  # is called with all jobs

@@ -17,7 +17,7 @@ from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.handshake import Handshake
-from atoll_coordinator.service.requests.router import RequestRouter
+from atoll_coordinator.service.requests.dispatch import RequestDispatcher
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Collector
 from atoll_coordinator.service.search.pull_budget import PullBudget
@@ -40,8 +40,8 @@ from tests.simulation.harness.simulated_cluster import World
 HANDLERS: list[tuple[type, str]] = [
     (Service, "_check_time"),
     (Service, "_add_states"),
-    (RequestRouter, "_chunk"),
-    (RequestRouter, "_states"),
+    (RequestDispatcher, "_chunk"),
+    (RequestDispatcher, "_states"),
     (Handshake, "answer"),
     (Authorization, "refuse_ask"),
     (JobDeletion, "delete_expired"),
@@ -85,7 +85,7 @@ HANDLERS: list[tuple[type, str]] = [
     (WorkerController, "add_heartbeat"),
     (WorkerController, "expire"),
     (WorkerController, "check_stalls"),
-    (WorkerController, "_update_holding"),
+    (WorkerController, "_update_assignment_status"),
     (WorkerController, "_correct"),
     (Membership, "record_presence"),
     (Membership, "record_heartbeat"),
@@ -97,11 +97,11 @@ OF_ONE_JOB: list[tuple[type, str]] = [
     (Scheduler, "is_broken"),
     (Scheduler, "choose_workers"),
     (CrashLoops, "loop"),
-    (WorkerController, "_update_holding"),
+    (WorkerController, "_update_assignment_status"),
     (WorkerController, "_add_death"),
     (WorkerController, "_placed"),
     (Archipelago, "place"),
-    (Archipelago, "update_holding"),
+    (Archipelago, "update_assignment_status"),
     (Archipelago, "due_commit"),
     (Archipelago, "missing_reports"),
     (Archipelago, "next_pulls"),
@@ -116,7 +116,7 @@ OF_ONE_JOB: list[tuple[type, str]] = [
     (Controller, "_mark_durable"),
     (Job, "start_search"),
     (Job, "add_report"),
-    (RequestRouter, "_states"),
+    (RequestDispatcher, "_states"),
     (Store, "state"),
 ]
 """What is called with one job, or with a part of it."""
@@ -331,8 +331,8 @@ def _claim_work(status: Tree, size: int) -> None:
 
 
 def _claim_waits(status: Tree, size: int) -> None:
-    for holding in status["holdings"]:
-        holding |= {"waited_s": 9.9e11, "commit": size, "snapshots": [size] * 8}
+    for assignment_status in status["holdings"]:
+        assignment_status |= {"waited_s": 9.9e11, "commit": size, "snapshots": [size] * 8}
 
 
 @pytest.mark.parametrize("size", [2**53 - 1, 2**62, 2**63 - 1, 2**63, 2**64 - 1])

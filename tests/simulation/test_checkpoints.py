@@ -25,7 +25,7 @@ SLICES = 2 * ISLANDS * EPOCHS * 2
 """Of a whole job with two variables."""
 
 HELD = 2 * ISLANDS
-"""Turns that are taken for nothing but a snapshot when all islands are held."""
+"""Turns that are taken for nothing but a snapshot when all islands wait at a barrier."""
 
 
 @pytest.fixture(autouse=True)
@@ -110,7 +110,7 @@ def test_a_worker_that_dies_while_its_states_are_pulled_does_not_change_the_answ
         world = world_of(workers=2, seed=3, plan=Plan(delay_s=(0.005, 0.02)))
         when(
             world,
-            lambda world=world: any(each.snapshots for each in world.workers["w1"].session.holdings()),  # type: ignore[misc]
+            lambda world=world: any(each.snapshots for each in world.workers["w1"].session.assignment_statuses()),  # type: ignore[misc]
             lambda world=world, step=step: world.at(world.network.now + 0.004 * step, lambda: world.crash("w1")),  # type: ignore[misc]
         )
         assert comparable(world.run(config(3))) == undisturbed(3)
@@ -377,7 +377,7 @@ def test_without_anybody_left_the_states_are_kept_and_the_job_waits() -> None:
     world.client.pause(8.0)
     assert alone.exit_code == 0
     assert "waits for a worker" in (world.client.status("job").reason or "")
-    assert not alone.session.holdings()
+    assert not alone.session.assignment_statuses()
     assert committed(world) > 0
     world.start_worker("next", slowness=5.0)
     assert world.finish().state == "done"
@@ -394,7 +394,7 @@ def test_only_the_workers_of_a_held_archipelago_are_told_to_close_it() -> None:
     world.submit(config())
     world.at(world.network.now + 2.0, world.workers["w0"].leave)
     world.client.pause(8.0)
-    assert not world.workers["w0"].session.holdings()
+    assert not world.workers["w0"].session.assignment_statuses()
     told = [decode(event.payload, Control).body for event in heard if isinstance(event, Message)]
     assert any(isinstance(body, Placements) for body in told)
     assert not any(isinstance(body, Close) for body in told)

@@ -12,7 +12,7 @@ from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, Migratio
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Ask, Submit
+from atoll_core.wire.messages.clients import Request, Submit
 from atoll_core.wire.security.access_control import RoleBindings
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.harness.participants import Cast
@@ -25,7 +25,7 @@ TABLE = b"x,y"
 
 @pytest.mark.parametrize("before", [True, False])
 def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
-    ask = encode(Ask(body=Submit(job="j", name="n", config=JobConfig(), table=hashlib.sha256(TABLE).hexdigest())))
+    request = encode(Request(body=Submit(job="j", name="n", config=JobConfig(), table=hashlib.sha256(TABLE).hexdigest())))
     for commits in count(1):
         disk = Disk()
         store = disk.open(lambda seconds: None)
@@ -34,7 +34,7 @@ def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
         service = Service(network.bus("coordinator", is_router=True), store, role_bindings=RoleBindings({"ann": "submitter"}))
         disk.die_at(commits, before)
         try:
-            service._requests.answer(Query(topics.client(store.cluster, "ann-1"), ask, None))
+            service._requests.answer(Query(topics.client(store.cluster, "ann-1"), request, None))
             is_over = True
         except CoordinatorDied:
             is_over = False

@@ -19,7 +19,7 @@ from atoll_core.wire.messages.workers import (
     Control,
     EpochReport,
     Finished,
-    Holding,
+    AssignmentStatus,
     IslandFailure,
     IslandReport,
     Mail,
@@ -154,9 +154,9 @@ def test_no_worker_fails_what_is_placed_on_another() -> None:
     assert placement is not None
     place = {"job": "job", "variable": "x", "term": placement.term}
     failure = IslandFailure(**place, island=0, sentence="planted")
-    holding = Holding(**place, islands=1, reported=3, commit=0)
+    assignment_status = AssignmentStatus(**place, islands=1, reported=3, commit=0)
     before = world.service.rejects.total
-    for claim in ({"failures": (failure,)}, {"holdings": (holding,)}):
+    for claim in ({"failures": (failure,)}, {"holdings": (assignment_status,)}):
         status = WorkerStatus(instance="b", incarnation=world.store.incarnation, state="computing", progress=1, **claim)
         bystander.put(topics.worker(world.store.cluster, "bystander", "status"), encode(status))
         world.network.run(world.network.now + 0.5)
@@ -308,7 +308,7 @@ def test_a_cancelled_job_keeps_its_best_equations() -> None:
     assert all(each["front"] for each in world.result()["equations"])
     assert world.client.cancel("job").state == "cancelled"
     world.client.pause(3.0)
-    assert all(not worker.session.holdings() for worker in world.workers.values())
+    assert all(not worker.session.assignment_statuses() for worker in world.workers.values())
 
 
 # ------------------------------------------------------------------------------------ foreign messages

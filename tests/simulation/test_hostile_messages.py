@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.operations.fuzz import Mutator, Overheard, Score, fuzz_decoder, fuzz_sessions, overhear
 
-KINDS = {"Answer", "Ask", "Control", "EpochReport", "Greeting", "GreetingAnswer", "Mail", "Pull", "PullAnswer"}
+KINDS = {"Answer", "Request", "Control", "EpochReport", "Greeting", "GreetingAnswer", "Mail", "Pull", "PullAnswer"}
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from functools import cache, partial
 from atoll_coordinator.service.workers.membership import STANDING_S
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.wire.messages.views import EventView
-from atoll_core.wire.messages.workers import Holding, WorkerStatus
+from atoll_core.wire.messages.workers import AssignmentStatus, WorkerStatus
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import hits_of
 
@@ -204,9 +204,9 @@ def test_a_stranger_who_makes_up_what_it_holds_fills_no_memory() -> None:
     member = membership.member("w0")
     assert member is not None
     for number in range(200):
-        holding = Holding(job=f"made-up-{number}", variable="x", term=1, islands=1, reported=0, commit=0, waited_s=1.0)
+        assignment_status = AssignmentStatus(job=f"made-up-{number}", variable="x", term=1, islands=1, reported=0, commit=0, waited_s=1.0)
         status = WorkerStatus(
-            instance=member.hello.instance, incarnation=1, state="ready", progress=number, holdings=(holding,)
+            instance=member.hello.instance, incarnation=1, state="ready", progress=number, holdings=(assignment_status,)
         )
         controller.add_heartbeat("w0", status, world.network.now)
     assert len(controller.counters._waited_s) < 5

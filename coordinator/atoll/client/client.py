@@ -28,7 +28,7 @@ from atoll_core.wire.bus.interface import Bus, Reply
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import (
     Answer,
-    Ask,
+    Request,
     Cancel,
     Delete,
     Deleted,
@@ -253,7 +253,7 @@ class Client:
 
     def _ask(self, body: Body, kind: type[A], what: str, limit_s: float = ANSWER_LIMIT_S) -> A:
         cluster = self._cluster or self.greet()
-        payload = self._exchange(topics.client(cluster, self._name), encode(Ask(body=body)), what, limit_s)
+        payload = self._exchange(topics.client(cluster, self._name), encode(Request(body=body)), what, limit_s)
         answer = _understood(lambda: decode(payload, Answer)).body
         if isinstance(answer, Failure):
             raise _ERRORS[answer.failure](answer.sentence)

@@ -53,13 +53,13 @@ class LocalCoordinator:
             self._listening.set()
 
     def _serve(self) -> None:
-        from atoll_coordinator.service.background.ports import Ports
+        from atoll_coordinator.service.background.dependencies import Dependencies
         from atoll_coordinator.service.service import Service
         from atoll_coordinator.service.store.store import Store
         from atoll_core.wire.bus.zenoh_bus import open_router
 
         with Store.open(None) as store, open_router(self._endpoint) as bus:
-            ports = Ports(self._pool)
-            service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True, ports=ports)
+            dependencies = Dependencies(self._pool)
+            service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True, dependencies=dependencies)
             self._listening.set()
             service.run(self._stop)

@@ -252,8 +252,8 @@ class Controller:
             StoreError: There is: another coordinator has taken over.
         """
         is_known = self.workers.add_heartbeat(worker, status, now)
-        for holding in status.holdings if is_known else ():
-            self._advance_checkpoint(holding.job, holding.variable, now)
+        for assignment_status in status.holdings if is_known else ():
+            self._advance_checkpoint(assignment_status.job, assignment_status.variable, now)
 
     def add_report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""

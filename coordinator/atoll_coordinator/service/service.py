@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
-from atoll_coordinator.service.background.ports import Ports
+from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.background.runner import CheckpointWritten, TaskRunner
 from atoll_coordinator.service.background.tasks import JobPrepared, JobRefined, PreparationBegun, PreparationFailed
 from atoll_coordinator.service.controller import Controller
@@ -17,7 +17,7 @@ from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.handshake import Handshake
-from atoll_coordinator.service.requests.router import RequestRouter
+from atoll_coordinator.service.requests.dispatch import RequestDispatcher
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S
@@ -66,7 +66,7 @@ class Service:
         *,
         expected_workers: int = 1,
         dismisses_workers: bool = False,
-        ports: Ports | None = None,
+        dependencies: Dependencies | None = None,
         role_bindings: RoleBindings | None = None,
     ) -> None:
         """Set up a coordinator.
@@ -76,7 +76,7 @@ class Service:
             store: open; decides cluster and incarnation.
             expected_workers: how many workers the first placement waits for, within limits.
             dismisses_workers: whether workers are shut down when this ends; otherwise they wait for its return.
-            ports: the pool of processes, the time of day and so on; the real ones unless given.
+            dependencies: the pool of processes, the time of day and so on; the real ones unless given.
             role_bindings: names and roles, where certificates prove names; None: every name may be anybody.
         """
         self.rejects: Final = Rejects(_LOG)
@@ -85,17 +85,17 @@ class Service:
         self._dropped = 0
         self._store = store
         self._dismisses_workers = dismisses_workers
-        ports = ports or Ports()
-        self._tasks = TaskRunner(ports, store, self._bus.post)
+        dependencies = dependencies or Dependencies()
+        self._tasks = TaskRunner(dependencies, store, self._bus.post)
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
-        self.controller: Final = Controller(store, self._workers, self._tasks, ports.clock, expected_workers)
+        self.controller: Final = Controller(store, self._workers, self._tasks, dependencies.clock, expected_workers)
         authorization = Authorization(role_bindings, store)
-        self._deletion = JobDeletion(self.controller, store, ports.retention)
+        self._deletion = JobDeletion(self.controller, store, dependencies.retention)
         clients = ClientRequests(self.controller, store, authorization, self._deletion, bus.now, self.view)
         self._uploads = clients.uploads
-        handshake = Handshake(self.controller, store, authorization, self.rejects, bus.now, ports.clock)
-        self._requests = RequestRouter(self.controller, store, handshake, clients, self.rejects, bus.now)
+        handshake = Handshake(self.controller, store, authorization, self.rejects, bus.now, dependencies.clock)
+        self._requests = RequestDispatcher(self.controller, store, handshake, clients, self.rejects, bus.now)
 
     # ------------------------------------------------------------------------------------------- life
 

@@ -17,7 +17,7 @@ from atoll_core.wire.messages.workers import (
     CloseJob,
     Commit,
     Finished,
-    Holding,
+    AssignmentStatus,
     IslandFailure,
     Migrants,
     NewerTerm,
@@ -120,9 +120,9 @@ class Session:
             return "computing"
         return "waiting" if any(shard.is_waiting() for shard in self._shards.values()) else "ready"
 
-    def holdings(self) -> tuple[Holding, ...]:
+    def assignment_statuses(self) -> tuple[AssignmentStatus, ...]:
         """Return what the heartbeat says of every shard."""
-        return tuple(shard.holding() for shard in self._shards.values())
+        return tuple(shard.assignment_status() for shard in self._shards.values())
 
     def failures(self) -> tuple[IslandFailure, ...]:
         """Return what broke and has not been closed yet."""

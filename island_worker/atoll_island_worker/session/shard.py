@@ -14,7 +14,7 @@ from atoll_core.wire.messages.workers import (
     Block,
     Commit,
     Finished,
-    Holding,
+    AssignmentStatus,
     Migrants,
     NotYet,
     Placement,
@@ -70,10 +70,10 @@ class Shard:
         """The last epoch of which anything is needed, as far as known here."""
         return self.placement.epochs - 1 if self.stop is None else self.stop.epoch
 
-    def holding(self) -> Holding:
+    def assignment_status(self) -> AssignmentStatus:
         """Return what the heartbeat says of this shard."""
         placed = self.placement
-        return Holding(
+        return AssignmentStatus(
             job=placed.job,
             variable=placed.variable,
             term=placed.term,

@@ -94,7 +94,7 @@ class Guest:
             if self._cluster is None:
                 yield from self.greet()
             was_over = self.participants.is_over
-            payload = yield topics.client(self._cluster or "", self.plan.name), encode(clients.Ask(body=body))
+            payload = yield topics.client(self._cluster or "", self.plan.name), encode(clients.Request(body=body))
             if payload is not None:
                 answer = decode(payload, clients.Answer)
                 its_fault = isinstance(answer.body, clients.Failure) and answer.body.failure == "internal"

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, Final
 
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.service.background.ports import Ports
+from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.retention import Retention
 from atoll_core.config import JobConfig
@@ -110,10 +110,10 @@ class Participants:
         store = self._store = self.disk.open(bus.spend, bus.now)
         pool = LocalPool(partial(self._do_later, bus, store))
         writer = partial(self._write_later, bus, store)
-        ports = Ports(
+        dependencies = Dependencies(
             pool, self._time_of_day, self.cast.prepare, lambda *_: Refinement(), retention=RETENTION, writer=writer
         )
-        service = self.service = Service(bus, store, ports=ports)
+        service = self.service = Service(bus, store, dependencies=dependencies)
         self._watch_reports(service)
 
         def step(event: Event) -> None:

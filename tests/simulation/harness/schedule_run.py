@@ -228,7 +228,7 @@ class ScheduleRun:
         worker, compute = self.participants.workers[name], self.participants.computes[name]
         session, queue = worker.session, compute._queue
         held = {
-            "shards": session.holdings(),
+            "shards": session.assignment_statuses(),
             "failures": session.failures(),
             "states of jobs": session.jobs(),
             "pending messages": session._pending._messages,

@@ -16,7 +16,7 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
-from atoll_coordinator.service.background.ports import Ports
+from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.background.tasks import Preparer, Refiner
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
@@ -100,8 +100,8 @@ class World:
 
     def start_service(self) -> Service:
         bus = self.network.bus("coordinator", is_router=not self.has_own_router)
-        ports = Ports(LocalPool(), self.clock, self.prepare, self.refiner, writer=call)
-        service = Service(bus, self.store, expected_workers=self.expected, ports=ports)
+        dependencies = Dependencies(LocalPool(), self.clock, self.prepare, self.refiner, writer=call)
+        service = Service(bus, self.store, expected_workers=self.expected, dependencies=dependencies)
 
         def step(event: Event) -> None:
             service.step(event)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from atoll_coordinator.service.background.child_main import load_refinement
-from atoll_coordinator.service.background.ports import Ports
+from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import JobConfig
@@ -103,7 +103,7 @@ class Order:
             bus = SimulatedNetwork(0).bus("coordinator", is_router=True)
             pool = LocalPool()
             pool.preload = self.preload  # type: ignore[method-assign]
-            TaskRunner(Ports(pool, preparer=self.prepare), store, bus.post).prepare("j", b"", JobConfig())
+            TaskRunner(Dependencies(pool, preparer=self.prepare), store, bus.post).prepare("j", b"", JobConfig())
         return self.done
 
 

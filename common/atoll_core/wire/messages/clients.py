@@ -101,8 +101,8 @@ class GetEvents(Model):
     limit: Annotated[int, Field(ge=1, le=1000)] = 200
 
 
-class Ask(Model):
-    """Question of a client."""
+class Request(Model):
+    """A request of a client."""
 
     body: Annotated[
         Upload | Submit | Jobs | FindJob | Status | Workers | GetResult | Cancel | Delete | GetEvents,

@@ -3,7 +3,7 @@
 An *envelope* names who speaks to whom; its `body` is one of a closed union, told apart by `kind`:
 
 Control (coordinator to workers); WorkerStatus, EpochReport (worker to coordinator); Mail (worker to worker); Pull,
-PullAnswer (to a worker). Greeting and GreetingAnswer (hello) are in `atoll_core.wire.messages.handshake`, Ask and
+PullAnswer (to a worker). Greeting and GreetingAnswer (hello) are in `atoll_core.wire.messages.handshake`, Request and
 Answer (clients) in `atoll_core.wire.messages.clients`. docs/protocol.md lists the bodies of all.
 
 Epochs count from 0, islands from 0; a *term* belongs to one (job, variable) and rises with each of its placements.
@@ -56,8 +56,8 @@ class JobAnnouncement(Model):
 class Schedule(Model):
     """The next two checkpoints of an archipelago: epochs before which islands take a snapshot.
 
-    No island begins an epoch beyond `last`, nor `last` itself when it `holds`: then all of them wait there for another
-    placement.
+    No island begins an epoch beyond `last`, nor `last` itself when it `holds`: then it is a barrier, at which all of them
+    wait for another placement.
     """
 
     next: Count
@@ -144,13 +144,13 @@ class Shutdown(Model):
     refused: bool = False
 
 
-class Introduce(Model):
+class Reregister(Model):
     """The coordinator does not know this worker (it started anew, perhaps): greet again."""
 
     kind: Literal["introduce"] = "introduce"
 
 
-ControlBody = JobAnnouncement | Placements | Commit | Close | CloseJob | Introduce | Shutdown
+ControlBody = JobAnnouncement | Placements | Commit | Close | CloseJob | Reregister | Shutdown
 
 
 class Control(Model):
@@ -162,8 +162,8 @@ class Control(Model):
 # ---------------------------------------------------------------------------------------------- heartbeat
 
 
-class Holding(Model):
-    """What a worker holds of one archipelago.
+class AssignmentStatus(Model):
+    """What a worker has of one archipelago, and how far that is.
 
     All epochs below `reported` have been finished and reported by all of its islands there; `commit` is the last
     commit it knows of; `snapshots` are the epochs after it of which there is a snapshot of every island there.
@@ -210,7 +210,7 @@ class WorkerStatus(Model):
     incarnation: Count
     state: WorkerState
     progress: Count
-    holdings: tuple[Holding, ...] = ()
+    holdings: tuple[AssignmentStatus, ...] = ()
     failures: tuple[IslandFailure, ...] = ()
     jobs: tuple[Id, ...] = ()
     detail: Sentence = ""

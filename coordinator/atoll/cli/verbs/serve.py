@@ -50,14 +50,14 @@ def _serve(
     options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None, pool: "ProcessPool", stop: threading.Event
 ) -> None:
     """Serve with this pool of processes until `stop` is set."""
-    from atoll_coordinator.service.background.ports import Ports
+    from atoll_coordinator.service.background.dependencies import Dependencies
     from atoll_coordinator.service.service import Service
     from atoll_coordinator.service.store.retention import Retention
 
     behind = options.router is not None
     with _opened(options.state) as store, _joined(options, wanted, role_bindings) as bus:
-        ports = Ports(pool, retention=Retention(*options.keep))
-        service = Service(bus, store, ports=ports, role_bindings=role_bindings)
+        dependencies = Dependencies(pool, retention=Retention(*options.keep))
+        service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings)
         service.start()
         here = Destination(parse_address(bus.endpoint), wanted.credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):

@@ -6,7 +6,7 @@ from functools import partial
 
 from atoll_coordinator.model.refinement import Pools
 from atoll_coordinator.service.background.child_main import load_refinement, ready_preparation
-from atoll_coordinator.service.background.ports import Ports
+from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.background.tasks import (
     PreparationBegun,
     preparation_failed,
@@ -30,16 +30,16 @@ class CheckpointWritten:
 
 
 class TaskRunner:
-    """Runs tasks where the ports say. `post` may be called by any thread."""
+    """Runs tasks where the dependencies say. `post` may be called by any thread."""
 
-    def __init__(self, ports: Ports, store: Store, post: Callable[[object], None]) -> None:
-        self._ports = ports
+    def __init__(self, dependencies: Dependencies, store: Store, post: Callable[[object], None]) -> None:
+        self._dependencies = dependencies
         self._store = store
         self._post = post
 
     def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
         """Make a checkpoint durable after those that came before it; `CheckpointWritten` is posted."""
-        self._ports.writer(lambda: self._post(self._write(checkpoint, progress, elapsed)))
+        self._dependencies.writer(lambda: self._post(self._write(checkpoint, progress, elapsed)))
 
     def _write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> CheckpointWritten:
         """Make a checkpoint durable; runs in the writer's thread."""
@@ -59,22 +59,22 @@ class TaskRunner:
 
         def finish(outcome: object) -> None:
             self._post(outcome)
-            self._ports.pool.preload(load_refinement)
+            self._dependencies.pool.preload(load_refinement)
 
         to_send = what_to_send(config, is_certain=False)
-        task = partial(prepare_job, self._ports.preparer, job, table, config)
+        task = partial(prepare_job, self._dependencies.preparer, job, table, config)
 
         def fail(why: str) -> None:
             self._post(preparation_failed(job, why, to_send))
 
         def begin(_: None) -> None:
             self._post(PreparationBegun(job))
-            self._ports.pool.submit(job, task, finish, fail)
+            self._dependencies.pool.submit(job, task, finish, fail)
 
         if config.budget.max_time is None:
-            self._ports.pool.submit(job, task, finish, fail)
+            self._dependencies.pool.submit(job, task, finish, fail)
         else:
-            self._ports.pool.submit(job, ready_preparation, begin, fail)
+            self._dependencies.pool.submit(job, ready_preparation, begin, fail)
 
     def refine(self, job: str, prepared: Prepared, pools: Pools, seconds: float | None = None) -> None:
         """Make the equations of the pools, in so many seconds if that is not None.
@@ -82,15 +82,15 @@ class TaskRunner:
         `JobRefined` is posted unless the job is cancelled.
         """
         to_send = what_to_send(prepared.config, is_certain=False)
-        task = partial(refine_job, self._ports.refiner, job, prepared, pools, seconds)
-        self._ports.pool.submit(
+        task = partial(refine_job, self._dependencies.refiner, job, prepared, pools, seconds)
+        self._dependencies.pool.submit(
             job, task, self._post, lambda why: self._post(refinement_failed(job, why, to_send)), is_queued=True
         )
 
     def cancel(self, job: str) -> None:
         """End the tasks of a job; nothing is posted for them."""
-        self._ports.pool.cancel(job)
+        self._dependencies.pool.cancel(job)
 
     def close(self) -> None:
         """End all tasks, but not what is being written."""
-        self._ports.pool.close()
+        self._dependencies.pool.close()

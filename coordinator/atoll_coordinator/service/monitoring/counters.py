@@ -2,7 +2,7 @@
 
 from atoll_coordinator.service.jobs.job import Job
 from atoll_core.wire.messages.views import JobCounters
-from atoll_core.wire.messages.workers import Holding
+from atoll_core.wire.messages.workers import AssignmentStatus
 
 
 class CounterRegistry:
@@ -19,9 +19,9 @@ class CounterRegistry:
             update={name: getattr(counters, name) + count for name, count in counts.items()}
         )
 
-    def set_waited(self, worker: str, holding: Holding) -> None:
+    def set_waited(self, worker: str, assignment_status: AssignmentStatus) -> None:
         """Set how long the islands of a current placement have waited on a worker."""
-        self._waited_s[holding.job, holding.variable, holding.term, worker] = holding.waited_s
+        self._waited_s[assignment_status.job, assignment_status.variable, assignment_status.term, worker] = assignment_status.waited_s
 
     def counters(self, job: Job) -> JobCounters:
         """Return the counters of a job."""

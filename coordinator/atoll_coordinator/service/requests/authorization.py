@@ -6,7 +6,7 @@ so, as the answer to its greeting. Who may end which job cannot be said by rules
 
 from typing import Final, Protocol
 
-from atoll_core.wire.messages.clients import Ask, Cancel, Delete
+from atoll_core.wire.messages.clients import Request, Cancel, Delete
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.security.access_control import Role, RoleBindings
 
@@ -51,19 +51,19 @@ class Authorization:
             f"not {wanted}; use another certificate"
         )
 
-    def refuse_ask(self, client: str, ask: Ask) -> str | None:
+    def refuse_request(self, client: str, request: Request) -> str | None:
         """Return why `client` may not ask this; None: it may."""
         if self._role_bindings is None:
             return None
         role = self._role_bindings.role(client)
         if role not in ("submitter", "admin"):
             return f"{client!r} is not the name of somebody who may submit jobs or look at them"
-        if not isinstance(ask.body, Cancel | Delete) or role == "admin":
+        if not isinstance(request.body, Cancel | Delete) or role == "admin":
             return None
-        owner = self._submitters.submitter(ask.body.job)
+        owner = self._submitters.submitter(request.body.job)
         if owner in (None, self._role_bindings.principal(client)):
             return None
-        return f"job {ask.body.job} was submitted by {owner}; only {owner} or an admin may {ask.body.kind} it"
+        return f"job {request.body.job} was submitted by {owner}; only {owner} or an admin may {request.body.kind} it"
 
     def submitter(self, client: str) -> str | None:
         """Return as whose job one is kept that `client` submits; None: nobody proves who it is."""

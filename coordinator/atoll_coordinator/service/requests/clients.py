@@ -10,7 +10,7 @@ from atoll_coordinator.service.requests.uploads import Uploads
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.messages.clients import (
-    Ask,
+    Request,
     Cancel,
     Delete,
     Deleted,
@@ -60,29 +60,29 @@ class ClientRequests:
         self._now = now
         self._coordinator = coordinator
 
-    def answer(self, client: str, ask: Ask) -> Body:
+    def answer(self, client: str, request: Request) -> Body:
         """Return the answer to a question of `client`.
 
         Raises:
             StoreError: A job was to be cancelled, and that could not be made durable.
         """
-        refusal = self._authorization.refuse_ask(client, ask)
+        refusal = self._authorization.refuse_request(client, request)
         if refusal is not None:
             return Failure(failure="refused", sentence=refusal)
         try:
-            return self._answer(ask, self._authorization.submitter(client))
+            return self._answer(request, self._authorization.submitter(client))
         except TableMissingError as error:
             return Failure(failure="no-table", sentence=str(error))
         except (RefusedError, RemoteProtocolError) as error:
             return Failure(failure="refused", sentence=str(error)[:4000])
         except StoreError as error:
             # The job has left its search already, and only a coordinator that starts again finds its way back.
-            if isinstance(ask.body, Cancel):
+            if isinstance(request.body, Cancel):
                 raise
             return Failure(failure="internal", sentence=str(error)[:4000])
 
-    def _answer(self, ask: Ask, submitter: str | None) -> Body:
-        body = ask.body
+    def _answer(self, request: Request, submitter: str | None) -> Body:
+        body = request.body
         match body:
             case Upload():
                 return self.uploads.take(body)

@@ -21,7 +21,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.workers import (
     Commit,
     EpochReport,
-    Holding,
+    AssignmentStatus,
     Placement,
     PullReports,
     PullStates,
@@ -89,7 +89,7 @@ class Archipelago:
         self._schedule = Schedule(next=0, last=0)
         self._gathering: Gathering | None = None
         self._snapshots: dict[str, tuple[int, ...]] = {}
-        self._wants_hold = False
+        self._wants_barrier = False
         self._since_plan = PLAN_COMMITS
         self._durable_at = 0.0
         self._forget = 0
@@ -115,7 +115,7 @@ class Archipelago:
         return self._kept_cut or self.collector.cut
 
     @property
-    def is_held(self) -> bool:
+    def is_at_barrier(self) -> bool:
         """Whether all islands wait, with all that they are durable, for another placement."""
         return self.placement is not None and self._schedule.holds and self.durable == self._schedule.last
 
@@ -132,7 +132,7 @@ class Archipelago:
     @property
     def is_planned(self) -> bool:
         """Whether another placement has been asked for already."""
-        return self._wants_hold or self._schedule.holds
+        return self._wants_barrier or self._schedule.holds
 
     @property
     def may_plan(self) -> bool:
@@ -153,7 +153,7 @@ class Archipelago:
         self.placement, self.placed_at = placement, now
         self._schedule, self._gathering = placement.schedule, None
         self._snapshots.clear()
-        self._wants_hold = False
+        self._wants_barrier = False
         self._durable_at = now
         self._forget = placement.epoch
         self._latest = [placement.epoch - 1] * len(placement.workers)
@@ -162,10 +162,10 @@ class Archipelago:
         """Nobody computes it any more."""
         self.placement, self._gathering = None, None
 
-    def request_hold(self) -> None:
+    def request_barrier(self) -> None:
         """Have all islands wait, soon, at a checkpoint; without effect when that has been asked for."""
         if not self.is_planned:
-            self._wants_hold = True
+            self._wants_barrier = True
             self._since_plan = 0
 
     # ----------------------------------------------------------------------------------------- reports
@@ -190,21 +190,21 @@ class Archipelago:
         self._update_latest((each.island for each in report.islands), report.epoch)
         return advanced
 
-    def update_holding(self, worker: str, holding: Holding) -> None:
+    def update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> None:
         """Take in how far a worker says its islands have come, and of which checkpoints it has snapshots."""
         if self.placement is not None:
-            self._update_latest(self.placement.islands_of(worker), holding.reported - 1)
-            self._snapshots[worker] = holding.snapshots
+            self._update_latest(self.placement.islands_of(worker), assignment_status.reported - 1)
+            self._snapshots[worker] = assignment_status.snapshots
 
-    def missing_reports(self, worker: str, holding: Holding) -> PullReports | None:
+    def missing_reports(self, worker: str, assignment_status: AssignmentStatus) -> PullReports | None:
         """Return the question for reports that a worker sent and that did not come; None when there are none."""
         placement = self.placement
-        if placement is None or self.cut is not None or holding.term != placement.term:
+        if placement is None or self.cut is not None or assignment_status.term != placement.term:
             return None
-        first = self.collector.first_missing(placement.islands_of(worker), holding.reported)
+        first = self.collector.first_missing(placement.islands_of(worker), assignment_status.reported)
         if first is None:
             return None
-        last = min(holding.reported, first + MOST_PULLED_EPOCHS)
+        last = min(assignment_status.reported, first + MOST_PULLED_EPOCHS)
         return PullReports(job=self.job, variable=self.variable, term=placement.term, first=first, last=last)
 
     def due_commit(self) -> Commit | None:
@@ -264,8 +264,8 @@ class Archipelago:
         if self.placement is None or self.placement.term != checkpoint.term:
             return None
         self._since_plan += 1
-        self._schedule = schedule_after(self._schedule, checkpoint.epoch, self.interval, self._wants_hold)
-        self._wants_hold = False
+        self._schedule = schedule_after(self._schedule, checkpoint.epoch, self.interval, self._wants_barrier)
+        self._wants_barrier = False
         return self.commit()
 
     def commit(self) -> Commit | None:

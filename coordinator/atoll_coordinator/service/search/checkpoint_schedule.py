@@ -37,16 +37,16 @@ def interval_of(epoch_s: float, size: int, former: int) -> int:
     return max(LEAST_INTERVAL, min(most, round(pause_s / epoch_s) if epoch_s > 0.0 else most))
 
 
-def schedule_after(schedule: Schedule, epoch: int, interval: int, holds: bool) -> Schedule:
+def schedule_after(schedule: Schedule, epoch: int, interval: int, wants_barrier: bool) -> Schedule:
     """Return the checkpoints that follow when the one for `epoch` is durable.
 
-    The one that workers know already stays; the new one lies `interval` epochs behind it or, when all islands are to
-    wait there, one epoch: no island can have passed an epoch that no worker knows of.
+    The one that workers know already stays; the new one lies `interval` epochs behind it or, when it is to be a
+    barrier, one epoch: no island can have passed an epoch that no worker knows of.
     """
     if schedule.holds:
         return Schedule(next=schedule.last, last=schedule.last, holds=True)
     is_known = epoch < schedule.last
-    if holds:
+    if wants_barrier:
         return Schedule(next=schedule.last if is_known else schedule.last + 1, last=schedule.last + 1, holds=True)
     following = schedule.last if is_known else schedule.last + interval
     return Schedule(next=following, last=following + interval)

@@ -28,8 +28,8 @@ from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.workers import (
     Close,
-    Holding,
-    Introduce,
+    AssignmentStatus,
+    Reregister,
     IslandFailure,
     Placement,
     Placements,
@@ -113,7 +113,7 @@ class WorkerController:
         self._check_places(worker, status, now)
         was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
         if not self.membership.record_heartbeat(worker, status, now):
-            self._channel.send(worker, Introduce())
+            self._channel.send(worker, Reregister())
             return False
         if was_lost and not self.membership.is_lost(worker):
             self._events.record_return(worker)
@@ -123,9 +123,9 @@ class WorkerController:
         for failure in status.failures:
             with self._guarded(failure.job, "taking in that an island failed", now):
                 self._add_failure(worker, failure, now)
-        for holding in status.holdings:
-            with self._guarded(holding.job, "taking in how far islands are", now):
-                self._update_holding(worker, holding)
+        for assignment_status in status.holdings:
+            with self._guarded(assignment_status.job, "taking in how far islands are", now):
+                self._update_assignment_status(worker, assignment_status)
         self._correct(worker, status, now)
         if status.state == "leaving":
             self._let_leave(worker, now)
@@ -150,12 +150,12 @@ class WorkerController:
     def _check_places(self, worker: str, status: WorkerStatus, now: float) -> None:
         """Raise RemoteProtocolError when a worker speaks for islands that are placed elsewhere."""
         wrong: list[str] = []
-        claims: tuple[Holding | IslandFailure, ...] = (*status.holdings, *status.failures)
+        claims: tuple[AssignmentStatus | IslandFailure, ...] = (*status.holdings, *status.failures)
         for each in claims:
             with self._guarded(each.job, "looking where islands are placed", now):
                 archipelago = self._placed(each.job, each.variable, each.term)
                 islands = archipelago.islands_of(worker) if archipelago is not None else None
-                if islands is not None and isinstance(each, Holding) and not islands:
+                if islands is not None and isinstance(each, AssignmentStatus) and not islands:
                     wrong.append(f"worker {worker} holds {each.variable} of job {each.job}, which is placed elsewhere")
                 elif islands is not None and isinstance(each, IslandFailure) and each.island not in islands:
                     island = f"island {each.island} of {each.variable} of job {each.job}"
@@ -169,12 +169,12 @@ class WorkerController:
             to_send = what_to_send(self._jobs[failure.job].config)
             self._fail_job(failure.job, "internal", f"{failure.sentence} (on worker {worker}){to_send}", now)
 
-    def _update_holding(self, worker: str, holding: Holding) -> None:
+    def _update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> None:
         """Take in how far a worker is with what is placed on it; publish a commit that is due by that."""
-        archipelago = self._placed(holding.job, holding.variable, holding.term)
+        archipelago = self._placed(assignment_status.job, assignment_status.variable, assignment_status.term)
         if archipelago is not None:
-            archipelago.update_holding(worker, holding)
-            self.counters.set_waited(worker, holding)
+            archipelago.update_assignment_status(worker, assignment_status)
+            self.counters.set_waited(worker, assignment_status)
             commit = archipelago.due_commit()
             if commit is not None:
                 self._channel.publish(commit)
@@ -228,9 +228,9 @@ class WorkerController:
         for key in plan.broken:
             with guarded(key[0]):
                 self._events.record_broken_placement(key)
-        for held in plan.released:
-            for worker in dict.fromkeys(held.workers):
-                self._channel.send(worker, Close(job=held.job, variable=held.variable, term=held.term))
+        for placement in plan.released:
+            for worker in dict.fromkeys(placement.workers):
+                self._channel.send(worker, Close(job=placement.job, variable=placement.variable, term=placement.term))
         for assignment, placement in self._begin_terms(plan.assignments, guarded):
             with guarded(placement.job):
                 self._place(assignment, placement, now)

@@ -9,7 +9,7 @@ from atoll_core.wire.messages.workers import (
     Close,
     CloseJob,
     Commit,
-    Holding,
+    AssignmentStatus,
     Placement,
     Placements,
     PullReports,
@@ -27,9 +27,9 @@ def corrections(
     Each job is looked at under `guarded`, so that one over which something breaks leaves no other uncorrected.
     """
     messages: list[Correction] = []
-    for holding in status.holdings:
-        with guarded(holding.job):
-            messages += _correct_holding(jobs, worker, holding)
+    for assignment_status in status.holdings:
+        with guarded(assignment_status.job):
+            messages += _correct_assignment(jobs, worker, assignment_status)
     messages += [CloseJob(job=job) for job in status.jobs if not _is_open(jobs, job)]
     held = {(each.job, each.variable) for each in status.holdings}
     missing: list[Placement] = []
@@ -48,30 +48,30 @@ def _missing(job: Job, worker: str, held: Collection[ArchipelagoKey]) -> list[Pl
     ]
 
 
-def _correct_holding(jobs: Mapping[str, Job], worker: str, holding: Holding) -> list[Correction]:
-    job = jobs.get(holding.job)
-    if job is None or not _is_open(jobs, holding.job):
-        return [CloseJob(job=holding.job)]
-    archipelago = job.archipelagos.get(holding.variable)
+def _correct_assignment(jobs: Mapping[str, Job], worker: str, assignment_status: AssignmentStatus) -> list[Correction]:
+    job = jobs.get(assignment_status.job)
+    if job is None or not _is_open(jobs, assignment_status.job):
+        return [CloseJob(job=assignment_status.job)]
+    archipelago = job.archipelagos.get(assignment_status.variable)
     if archipelago is None or job.state != "running":
         return []
     if archipelago.cut is not None:
-        return [Close(job=holding.job, variable=holding.variable, term=holding.term)]
+        return [Close(job=assignment_status.job, variable=assignment_status.variable, term=assignment_status.term)]
     placement = archipelago.placement
-    if placement is None or holding.term > placement.term:
+    if placement is None or assignment_status.term > placement.term:
         return []
-    if holding.term < placement.term:
+    if assignment_status.term < placement.term:
         return [Placements(placements=(placement,))]
-    return _catch_up(worker, archipelago, holding)
+    return _catch_up(worker, archipelago, assignment_status)
 
 
-def _catch_up(worker: str, archipelago: Archipelago, holding: Holding) -> list[Correction]:
+def _catch_up(worker: str, archipelago: Archipelago, assignment_status: AssignmentStatus) -> list[Correction]:
     """Return the pull of reports that were lost, and a commit that was."""
     messages: list[Correction] = []
-    pull, commit = archipelago.missing_reports(worker, holding), archipelago.commit()
+    pull, commit = archipelago.missing_reports(worker, assignment_status), archipelago.commit()
     if pull is not None:
         messages.append(pull)
-    if commit is not None and holding.commit < commit.epoch:
+    if commit is not None and assignment_status.commit < commit.epoch:
         messages.append(commit)
     return messages
 

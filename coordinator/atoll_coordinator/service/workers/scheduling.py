@@ -45,7 +45,7 @@ class Assignment:
 
 @dataclass(slots=True)
 class Plan:
-    """What changes: terms that begin, placements broken by a lost worker, held ones that have nobody to go to."""
+    """What changes: terms that begin, placements broken by a lost worker, those at a barrier that have nobody to go to."""
 
     assignments: list[Assignment] = field(default_factory=list)
     broken: list[ArchipelagoKey] = field(default_factory=list)
@@ -65,7 +65,7 @@ class Scheduler:
     def plan(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> Plan:
         """Plan terms for all archipelagos that have no workers, or lost ones, or could use more. `now` in bus seconds.
 
-        Archipelagos whose placements end are unplaced, and those that are to move are asked to hold. Each is looked at
+        Archipelagos whose placements end are unplaced, and those that are to move get a barrier. Each is looked at
         under `guarded`, so that one over which something breaks keeps no other from its workers.
         """
         self._quarantine.reserve([each for job in jobs for each in job.open_archipelagos], guarded)
@@ -81,15 +81,15 @@ class Scheduler:
         if changing:
             self._update_expected(now)
         load = _load(each for job in jobs for each in job.open_archipelagos)
-        held: dict[ArchipelagoKey, Placement | None] = {}
+        at_barrier: dict[ArchipelagoKey, Placement | None] = {}
         for _, archipelago in changing:
             with guarded(archipelago.job):
-                if archipelago.is_held:
-                    held[archipelago.key] = archipelago.placement
+                if archipelago.is_at_barrier:
+                    at_barrier[archipelago.key] = archipelago.placement
                 self._end_placement(archipelago, plan, load, now)
         for job, archipelago in changing:
             with guarded(archipelago.job):
-                self._assign(job, archipelago, held.get(archipelago.key), plan, load, now)
+                self._assign(job, archipelago, at_barrier.get(archipelago.key), plan, load, now)
         return plan
 
     def _end_placement(self, archipelago: Archipelago, plan: Plan, load: Counter[str], now: float) -> None:
@@ -101,32 +101,32 @@ class Scheduler:
             self._prepare_change(archipelago, load, now)
 
     def _assign(
-        self, job: Job, archipelago: Archipelago, held: Placement | None, plan: Plan, load: Counter[str], now: float
+        self, job: Job, archipelago: Archipelago, at_barrier: Placement | None, plan: Plan, load: Counter[str], now: float
     ) -> None:
-        """Plan the next term of an archipelago, or its release if there is none and it was `held`."""
+        """Plan the next term of an archipelago, or its release if there is none and it was `at_barrier`."""
         workers = self.choose_workers(archipelago, load, now)
         if workers is not None:
             load.subtract(_islands(archipelago))
             load.update(workers)
             plan.assignments.append(Assignment(job, archipelago, workers))
-        elif held is not None:
-            plan.released.append(held)
+        elif at_barrier is not None:
+            plan.released.append(at_barrier)
 
     def _prepare_change(self, archipelago: Archipelago, load: Counter[str], now: float) -> None:
         """Prepare a change of placement that loses nothing, because workers leave or are idle.
 
-        All islands are held at a checkpoint; when it is durable they are placed anew, or, if there is nobody left, kept
+        All islands wait at a barrier; when it is durable they are placed anew, or, if there is nobody left, kept
         until somebody comes. Soon after a placement it is quicker to compute the little that there is again.
         """
-        if archipelago.is_held:
+        if archipelago.is_at_barrier:
             _unplace(archipelago, load)
         elif any(self._membership.is_leaving(worker) for worker in archipelago.workers):
             if archipelago.has_no_commit and self._is_young(archipelago, now) and self._membership.ready():
                 _unplace(archipelago, load)
             else:
-                archipelago.request_hold()
+                archipelago.request_barrier()
         elif archipelago.may_plan and not self._is_young(archipelago, now) and self._better(archipelago, load):
-            archipelago.request_hold()
+            archipelago.request_barrier()
 
     def is_broken(self, archipelago: Archipelago) -> bool:
         """Tell whether islands of this placement have nobody to compute them, or may not be where they are."""

@@ -69,7 +69,7 @@ def test_a_worker_is_accepted_only_after_a_greeting_with_a_fingerprint() -> None
     assert bench.connection.is_accepted
 
 
-def test_another_incarnation_or_realm_voids_what_is_held() -> None:
+def test_another_incarnation_or_cluster_voids_what_is_held() -> None:
     bench = ConnectionBench()
     bench.connection.handle_answer("", welcome())
     assert bench.connection.handle_answer("", welcome(incarnation=2)) == Reset(2)

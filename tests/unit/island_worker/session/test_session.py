@@ -168,7 +168,7 @@ def test_a_loaded_job_is_not_fetched_again_when_it_was_placed_elsewhere_in_betwe
 
 def test_a_placement_elsewhere_is_not_ours(session: Session) -> None:
     assert session.handle(placed("other", "peer")) == []
-    assert session.holdings() == ()
+    assert session.assignment_statuses() == ()
     assert session.state() == "ready"
 
 
@@ -176,7 +176,7 @@ def test_the_same_or_an_older_placement_changes_nothing(session: Session) -> Non
     begun(session, "me", "peer", term=3)
     assert session.handle(placed("me", "peer", term=3)) == []
     assert session.handle(placed("me", term=2)) == []
-    assert session.holdings()[0].term == 3
+    assert session.assignment_statuses()[0].term == 3
 
 
 def test_a_higher_term_discards_what_was_computed_and_begins_anew(session: Session) -> None:
@@ -315,7 +315,7 @@ def test_a_task_that_is_not_needed_ends_its_island_and_lets_the_others_report(se
     session.handle(Mailed("peer", finished(1, 0, generation=10)))
     assert reported(list(session.handle(stopped(key(0, 0), 10)))) == []
     assert reported(list(session.handle(Abandoned(key(2, 0))))) == [(0, [0])]
-    assert session.holdings()[0].reported == 1
+    assert session.assignment_statuses()[0].reported == 1
 
 
 def test_a_hit_that_comes_before_its_placement_counts(session: Session) -> None:
@@ -517,7 +517,7 @@ def test_closing_one_variable_keeps_the_others(session: Session) -> None:
     begun(session, "me")
     session.handle(placed("me", variable="y"))
     assert session.handle(Close(job="job", variable="x", term=1)) == [Discard(ShardKey("job", "x", 1))]
-    assert [holding.variable for holding in session.holdings()] == ["y"]
+    assert [assignment_status.variable for assignment_status in session.assignment_statuses()] == ["y"]
     assert session.wants("job")
 
 
@@ -526,7 +526,7 @@ def test_a_close_of_a_lower_term_that_arrives_late_closes_nothing(session: Sessi
     session.handle(placed("me", term=2))
     assert session.handle(mail(0, (1, 0, b"early"), term=3)) == [FetchPlacements("job")]
     assert session.handle(Close(job="job", variable="x", term=1)) == []
-    assert [holding.term for holding in session.holdings()] == [2]
+    assert [assignment_status.term for assignment_status in session.assignment_statuses()] == [2]
     assert session.handle(mail(0, (1, 0, b"more"), term=3)) == []
     assert session.handle(Close(job="job", variable="x", term=3)) == [Discard(ShardKey("job", "x", 2))]
 
@@ -582,9 +582,9 @@ def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durab
     to_the_first_checkpoint(session)
     assert session.handle(Snapshot(key(0, 2), b"state 0", is_at_barrier=False)) == []
     assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
-    assert session.holdings()[0].snapshots == ()
+    assert session.assignment_statuses()[0].snapshots == ()
     assert session.handle(Snapshot(key(1, 2), b"state 1", is_at_barrier=False)) == [SendHeartbeat()]
-    assert session.holdings()[0].snapshots == (2,)
+    assert session.assignment_statuses()[0].snapshots == (2,)
     answer = Respond("h", states(i0=b"state 0", i1=b"state 1"))
     assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [answer]
     assert session.handle(PullAsked("h", pull_states(2, 0, offset=7))) == [Respond("h", NotYet())]
@@ -592,7 +592,7 @@ def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durab
         Respond("h", NewerTerm(job="job", variable="x", term=1))
     ]
     session.handle(committed(2, 4, 6))
-    assert session.holdings()[0].snapshots == ()
+    assert session.assignment_statuses()[0].snapshots == ()
     assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
 
 
@@ -633,7 +633,7 @@ def test_a_hit_ends_held_islands(session: Session) -> None:
 def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Session) -> None:
     session.handle(placed("me", "peer", "me", term=5, epoch=6))
     assert session.handle(JobReady("job")) == []
-    assert session.holdings()[0].reported == 6
+    assert session.assignment_statuses()[0].reported == 6
     asked = pull_states(6, 0, 2, term=5)
     actions = session.handle(StatesCame(asked, states(i0=b"zero")))
     assert tasks(actions) == [key(0, 6, term=5)]

@@ -13,7 +13,7 @@ from atoll_core.wire.bus.interface import Event, Message, Reply
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import (
     Answer,
-    Ask,
+    Request,
     Cancel,
     Failure,
     FailureKind,
@@ -67,7 +67,7 @@ def client_with(handle: Callable[[Body], AnswerBody | None]) -> tuple[Client, An
     def answer(key: str, payload: bytes) -> bytes | None:
         if key.startswith("atoll/hello/client-"):
             return encode(GreetingAnswer(body=WELCOME))
-        body = handle(decode(payload, Ask).body)
+        body = handle(decode(payload, Request).body)
         return None if body is None else encode(Answer(body=body))
 
     bus = AnsweringBus(answer)

@@ -6,7 +6,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Answer, Ask, Cancel, Failure, Submit, Upload, Uploaded
+from atoll_core.wire.messages.clients import Answer, Request, Cancel, Failure, Submit, Upload, Uploaded
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
 from atoll_core.wire.messages.workers import (
@@ -19,7 +19,7 @@ from atoll_core.wire.messages.workers import (
     EpochReport,
     Finished,
     HitStatement,
-    Holding,
+    AssignmentStatus,
     IslandFailure,
     IslandReport,
     JobAnnouncement,
@@ -75,7 +75,7 @@ STATUS = WorkerStatus(
     incarnation=1,
     state="computing",
     progress=5,
-    holdings=(Holding(**AT, islands=2, reported=4, commit=0),),
+    holdings=(AssignmentStatus(**AT, islands=2, reported=4, commit=0),),
     failures=(IslandFailure(**AT, island=0, sentence="broke"),),
 )
 
@@ -100,9 +100,9 @@ ALL = [
     PullAnswer(body=States(pieces=(Piece(island=3, size=9, digest=DIGEST, offset=4, data=b"state"),))),
     PullAnswer(body=NotYet()),
     PullAnswer(body=NewerTerm(job="j", variable="x", term=0)),
-    Ask(body=Upload(blob=DIGEST, size=3, index=0, sha256=DIGEST, data=b"abc")),
-    Ask(body=Submit(job="j", name="n", config=JobConfig(seed=2**62), table=DIGEST)),
-    Ask(body=Cancel(job="j")),
+    Request(body=Upload(blob=DIGEST, size=3, index=0, sha256=DIGEST, data=b"abc")),
+    Request(body=Submit(job="j", name="n", config=JobConfig(seed=2**62), table=DIGEST)),
+    Request(body=Cancel(job="j")),
     Answer(body=Uploaded(blob=DIGEST, missing=(1, 2))),
     Answer(body=Failure(failure="refused", sentence="no")),
 ]

@@ -23,7 +23,7 @@ import pytest
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.service.background import process_pool as module
 from atoll_coordinator.service.background.child_process import ProcessDiedError, cause_of
-from atoll_coordinator.service.background.ports import Ports
+from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.background.process_pool import ProcessPool, TaskCancelledError
 from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.background.tasks import (
@@ -252,11 +252,11 @@ def test_who_waits_for_its_turn_is_stopped_too(pool: ProcessPool, tmp_path: Path
 
 def test_a_service_that_ends_ends_its_children(pool: ProcessPool) -> None:
     pid = pool.run("j", strange.pid)
-    ports = Ports(pool)
+    dependencies = Dependencies(pool)
     stop = threading.Event()
     stop.set()
     with Store.open(None) as store:
-        service = Service(SimulatedNetwork(0).bus("coordinator", is_router=True), store, ports=ports)
+        service = Service(SimulatedNetwork(0).bus("coordinator", is_router=True), store, dependencies=dependencies)
         service.run(stop)
     assert is_gone(pid)
 
@@ -334,8 +334,8 @@ def posted(pool: ProcessPool, refiner: Any = None) -> list[object]:
     """Return what a task runner posts that prepares (without `refiner`) or refines a job."""
     said: list[object] = []
     is_posted = threading.Event()
-    ports = Ports(pool, preparer=strange.prepare_and_die, refiner=refiner)
-    work = TaskRunner(ports, None, lambda what: (said.append(what), is_posted.set()))  # type: ignore[arg-type]
+    dependencies = Dependencies(pool, preparer=strange.prepare_and_die, refiner=refiner)
+    work = TaskRunner(dependencies, None, lambda what: (said.append(what), is_posted.set()))  # type: ignore[arg-type]
     nothing: Preparation = None  # type: ignore[assignment]
     if refiner is None:
         work.prepare("j", b"", JobConfig())
@@ -379,7 +379,7 @@ def test_a_machine_without_threads_to_spare_is_an_answer_too(
     monkeypatch.setattr(threading.Thread, "start", no_thread)
     nothing: Preparation = None  # type: ignore[assignment]
     said: list[object] = []
-    work = TaskRunner(Ports(pool), None, said.append)  # type: ignore[arg-type]
+    work = TaskRunner(Dependencies(pool), None, said.append)  # type: ignore[arg-type]
     work.prepare("j", b"", JobConfig())
     work.refine("j", Prepared(nothing, JobConfig(), "", 0), {})
     unprepared, refined = said
@@ -402,7 +402,7 @@ def test_an_unforeseen_error_of_a_task_is_an_answer_too(
 def test_checkpoints_are_written_in_the_order_in_which_they_came_and_not_here(pool: ProcessPool) -> None:
     done: list[tuple[int, int]] = []
     ready = threading.Event()
-    writer = Ports(pool).writer
+    writer = Dependencies(pool).writer
     for number in range(20):
         writer(lambda number=number: done.append((number, threading.get_ident())))  # type: ignore[misc]
     writer(ready.set)
@@ -417,7 +417,7 @@ def test_a_checkpoint_that_cannot_be_written_is_posted_with_its_error(pool: Proc
             raise StoreError("the disk is full")
 
     said: list[Any] = []
-    runner = TaskRunner(Ports(pool, writer=call), FullStore(), said.append)  # type: ignore[arg-type]
+    runner = TaskRunner(Dependencies(pool, writer=call), FullStore(), said.append)  # type: ignore[arg-type]
     checkpoint = Checkpoint("j", "x", 1, 8, None, {})  # type: ignore[arg-type]
     runner.write(checkpoint, b"", 1.0)
     assert [str(each.error) for each in said] == ["the disk is full"]

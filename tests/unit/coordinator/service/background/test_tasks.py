@@ -14,7 +14,7 @@ from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.selection.shortcut import with_laws
 from atoll_coordinator.model.sparse import laws
 from atoll_coordinator.service.background import runner
-from atoll_coordinator.service.background.ports import Ports
+from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.background.tasks import (
     JobPrepared,
     PreparationFailed,
@@ -100,8 +100,8 @@ def test_the_time_of_a_job_begins_when_its_process_is_loaded(
     happened: list[str] = []
     monkeypatch.setattr(runner, "ready_preparation", lambda: happened.append("ready"))
     config = SUMS.model_copy(update={"budget": SUMS.budget.model_copy(update={"max_time": limit})})
-    ports = Ports(LocalPool(), preparer=lambda *_: happened.append("prepare"))  # type: ignore[arg-type, return-value]
+    dependencies = Dependencies(LocalPool(), preparer=lambda *_: happened.append("prepare"))  # type: ignore[arg-type, return-value]
     with Store.open(None) as store:
-        tasks = runner.TaskRunner(ports, store, lambda item: happened.append(type(item).__name__))
+        tasks = runner.TaskRunner(dependencies, store, lambda item: happened.append(type(item).__name__))
         tasks.prepare("j", b"", config)
     assert happened[:-1] == expected

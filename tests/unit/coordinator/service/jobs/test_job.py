@@ -29,7 +29,7 @@ from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.views import FINAL_STATES
-from atoll_core.wire.messages.workers import Addition, EpochReport, Holding, IslandReport, Placement, SliceCounters
+from atoll_core.wire.messages.workers import Addition, EpochReport, AssignmentStatus, IslandReport, Placement, SliceCounters
 
 VALUES = np.linspace(0.0, 1.0, 30)
 DATASET = Dataset(
@@ -312,12 +312,12 @@ def test_reports_that_a_heartbeat_promises_and_that_did_not_come_are_pulled() ->
     job = running()
     job.add_report("w0", report(0, 0), 1.0)
     job.add_report("w0", report(0, 2), 1.0)
-    holding = Holding(job="job", variable="x", term=2, islands=1, reported=3, commit=0)
-    pull = job.archipelagos["x"].missing_reports("w0", holding)
+    assignment_status = AssignmentStatus(job="job", variable="x", term=2, islands=1, reported=3, commit=0)
+    pull = job.archipelagos["x"].missing_reports("w0", assignment_status)
     assert pull is not None
     assert (pull.first, pull.last, pull.term) == (1, 3, 2)
     job.add_report("w0", report(0, 1), 1.0)
-    assert job.archipelagos["x"].missing_reports("w0", holding) is None
+    assert job.archipelagos["x"].missing_reports("w0", assignment_status) is None
 
 
 def test_cuts_that_were_committed_before_a_restart_stand() -> None:

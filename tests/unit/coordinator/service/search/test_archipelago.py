@@ -10,7 +10,7 @@ from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.workers import (
     Commit,
     EpochReport,
-    Holding,
+    AssignmentStatus,
     IslandReport,
     Placement,
     Schedule,
@@ -54,12 +54,12 @@ def state(island: int, epoch: int) -> State:
     return State.of(f"{island} at {epoch}".encode())
 
 
-def hold(made: Archipelago, *snapshots: int, term: int = 1) -> None:
+def report_snapshots(made: Archipelago, *snapshots: int, term: int = 1) -> None:
     for worker in WORKERS:
-        holding = Holding(
+        assignment_status = AssignmentStatus(
             job="job", variable="x", term=term, islands=1, reported=0, commit=made.durable, snapshots=snapshots
         )
-        made.update_holding(worker, holding)
+        made.update_assignment_status(worker, assignment_status)
 
 
 def answer(made: Archipelago) -> None:
@@ -70,7 +70,7 @@ def answer(made: Archipelago) -> None:
 
 
 def commit(made: Archipelago, epoch: int, now: float, term: int = 1) -> tuple[Checkpoint, Commit]:
-    hold(made, epoch, term=term)
+    report_snapshots(made, epoch, term=term)
     answer(made)
     checkpoint = made.take_complete_checkpoint()
     assert checkpoint is not None
@@ -84,7 +84,7 @@ def test_a_checkpoint_is_written_when_its_states_and_all_reports_before_it_are_t
     made = archipelago()
     place(made, 1)
     assert made.next_pulls(9) == []
-    hold(made, 8)
+    report_snapshots(made, 8)
     answer(made)
     report(made, 0, 7)
     assert made.take_complete_checkpoint() is None
@@ -106,9 +106,9 @@ def test_only_checkpoints_that_were_told_of_are_gathered() -> None:
     made = archipelago()
     place(made, 1)
     report(made, 0, 12)
-    hold(made, 7)
+    report_snapshots(made, 7)
     assert made.next_pulls(9) == []
-    hold(made, 8, 16)
+    report_snapshots(made, 8, 16)
     assert {pull.epoch for _, pull in made.next_pulls(9)} == {16}
 
 
@@ -146,7 +146,7 @@ def test_reports_before_the_term_are_refused() -> None:
 def test_answers_of_a_former_term_are_dropped() -> None:
     made = archipelago()
     place(made, 1)
-    hold(made, 8)
+    report_snapshots(made, 8)
     asks = made.next_pulls(9)
     place(made, 2)
     for worker, pull in asks:
@@ -159,7 +159,7 @@ def test_a_write_that_ends_under_another_term_is_not_told() -> None:
     made = archipelago()
     place(made, 1)
     report(made, 0, 8)
-    hold(made, 8)
+    report_snapshots(made, 8)
     answer(made)
     checkpoint = made.take_complete_checkpoint()
     assert checkpoint is not None
@@ -168,20 +168,20 @@ def test_a_write_that_ends_under_another_term_is_not_told() -> None:
     assert made.durable == 8
 
 
-def test_a_hold_that_was_asked_for_is_announced_with_the_next_commit_and_ends_with_its_own() -> None:
+def test_a_barrier_that_was_asked_for_is_announced_with_the_next_commit_and_ends_with_its_own() -> None:
     made = archipelago()
     place(made, 1)
-    made.request_hold()
-    assert (made.is_planned, made.is_held) == (True, False)
+    made.request_barrier()
+    assert (made.is_planned, made.is_at_barrier) == (True, False)
     report(made, 0, 17)
     _, told = commit(made, 8, 1.0)
     assert told.schedule == Schedule(next=16, last=17, holds=True)
     commit(made, 16, 2.0)
-    assert not made.is_held
+    assert not made.is_at_barrier
     commit(made, 17, 3.0)
-    assert made.is_held
+    assert made.is_at_barrier
     place(made, 2)
-    assert (made.is_held, made.is_planned) == (False, False)
+    assert (made.is_at_barrier, made.is_planned) == (False, False)
     assert made.placement is not None
     assert made.placement.epoch == 17
 
@@ -190,7 +190,7 @@ def test_newcomers_have_to_wait_for_some_commits_after_a_planned_change() -> Non
     made = archipelago()
     place(made, 1)
     assert made.may_plan
-    made.request_hold()
+    made.request_barrier()
     place(made, 2)
     epoch, commits = 0, 0
     while not made.may_plan:

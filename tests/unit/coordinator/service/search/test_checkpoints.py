@@ -59,11 +59,11 @@ def test_epochs_that_took_no_time_let_the_interval_grow() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(4, 50), st.booleans()), min_size=1, max_size=20))
-def test_no_epoch_that_may_have_begun_becomes_a_checkpoint_or_a_hold(steps: list[tuple[bool, int, bool]]) -> None:
+def test_no_epoch_that_may_have_begun_becomes_a_checkpoint_or_a_barrier(steps: list[tuple[bool, int, bool]]) -> None:
     """Whoever knows only the former schedule can have come as far as that allows."""
     schedule = Schedule(next=8, last=16)
-    for skips, interval, holds in steps:
-        after = schedule_after(schedule, schedule.last if skips else schedule.next, interval, holds)
+    for skips, interval, wants_barrier in steps:
+        after = schedule_after(schedule, schedule.last if skips else schedule.next, interval, wants_barrier)
         for epoch in {after.next, after.last} - {schedule.last}:
             assert epoch > schedule.limit
         if after.holds:
@@ -72,11 +72,11 @@ def test_no_epoch_that_may_have_begun_becomes_a_checkpoint_or_a_hold(steps: list
         schedule = after
 
 
-def test_a_hold_lies_one_epoch_behind_what_is_known_and_stays() -> None:
-    assert schedule_after(Schedule(next=8, last=16), 8, 20, holds=True) == Schedule(next=16, last=17, holds=True)
-    assert schedule_after(Schedule(next=8, last=16), 16, 20, holds=True) == Schedule(next=17, last=17, holds=True)
-    held = Schedule(next=16, last=17, holds=True)
-    assert schedule_after(held, 16, 20, holds=False) == Schedule(next=17, last=17, holds=True)
+def test_a_barrier_lies_one_epoch_behind_what_is_known_and_stays() -> None:
+    assert schedule_after(Schedule(next=8, last=16), 8, 20, wants_barrier=True) == Schedule(next=16, last=17, holds=True)
+    assert schedule_after(Schedule(next=8, last=16), 16, 20, wants_barrier=True) == Schedule(next=17, last=17, holds=True)
+    barrier = Schedule(next=16, last=17, holds=True)
+    assert schedule_after(barrier, 16, 20, wants_barrier=False) == Schedule(next=17, last=17, holds=True)
 
 
 def test_the_latest_epoch_is_taken_of_which_all_have_snapshots() -> None:

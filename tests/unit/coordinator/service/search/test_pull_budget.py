@@ -9,7 +9,7 @@ from atoll_coordinator.service.search.collector import Limits, SearchState, Stag
 from atoll_coordinator.service.search.pull_budget import MAX_PULLS, PullBudget
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.messages.workers import Holding, Placement, PullStates, States
+from atoll_core.wire.messages.workers import AssignmentStatus, Placement, PullStates, States
 from atoll_core.wire.state_transfer import State, split_states
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
@@ -27,10 +27,10 @@ def archipelago(variable: str, workers: int) -> Archipelago:
     )  # fmt: skip
     made.place(placement, 0.0)
     for name in names:
-        holding = Holding(
+        assignment_status = AssignmentStatus(
             job="job", variable=variable, term=1, islands=1, reported=8, commit=0, snapshots=(FIRST_INTERVAL,)
         )
-        made.update_holding(name, holding)
+        made.update_assignment_status(name, assignment_status)
     made.collector._past[FIRST_INTERVAL] = SearchState(epochs=FIRST_INTERVAL)
     return made
 

@@ -11,7 +11,7 @@ from atoll_coordinator.service.workers.membership import (
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.views import WorkerState
-from atoll_core.wire.messages.workers import Holding, WorkerStatus
+from atoll_core.wire.messages.workers import AssignmentStatus, WorkerStatus
 
 
 def hello(name: str = "w0", instance: str = "a", fingerprint: str = "f", **changes: object) -> Hello:
@@ -22,8 +22,8 @@ def hello(name: str = "w0", instance: str = "a", fingerprint: str = "f", **chang
 
 
 def status(state: WorkerState = "ready", instance: str = "a") -> WorkerStatus:
-    holding = Holding(job="j", variable="x", term=1, islands=4, reported=0, commit=0)
-    return WorkerStatus(instance=instance, incarnation=1, state=state, progress=1, holdings=(holding,))
+    assignment_status = AssignmentStatus(job="j", variable="x", term=1, islands=4, reported=0, commit=0)
+    return WorkerStatus(instance=instance, incarnation=1, state=state, progress=1, holdings=(assignment_status,))
 
 
 def with_worker(name: str = "w0") -> Membership:

@@ -10,7 +10,7 @@ from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Limits, Stagnation
 from atoll_coordinator.service.workers.reconciliation import Correction, corrections
 from atoll_core.search.commit_order import CommitOrder
-from atoll_core.wire.messages.workers import Close, CloseJob, Holding, Placement, Placements, PullReports, WorkerStatus
+from atoll_core.wire.messages.workers import Close, CloseJob, AssignmentStatus, Placement, Placements, PullReports, WorkerStatus
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 TERM = 2
@@ -35,17 +35,17 @@ def job(made: Archipelago, state: str = "running") -> Job:
     return cast(Job, SimpleNamespace(**fields))
 
 
-def answer(jobs: dict[str, Job], *holdings: Holding, datasets: tuple[str, ...] = ()) -> list[Correction]:
-    status = WorkerStatus(instance="i", incarnation=1, state="computing", progress=1, holdings=holdings, jobs=datasets)
+def answer(jobs: dict[str, Job], *statuses: AssignmentStatus, datasets: tuple[str, ...] = ()) -> list[Correction]:
+    status = WorkerStatus(instance="i", incarnation=1, state="computing", progress=1, holdings=statuses, jobs=datasets)
     return corrections(jobs, "a", status)
 
 
-def holding(**changes: Any) -> Holding:
-    return Holding(**{"job": "job", "variable": "x", "term": TERM, "islands": 2, "reported": 0, "commit": 0, **changes})
+def assignment_status(**changes: Any) -> AssignmentStatus:
+    return AssignmentStatus(**{"job": "job", "variable": "x", "term": TERM, "islands": 2, "reported": 0, "commit": 0, **changes})
 
 
 def test_a_worker_that_holds_what_is_placed_on_it_is_sent_nothing() -> None:
-    assert answer({"job": job(archipelago("a", "b"))}, holding(), datasets=("job",)) == []
+    assert answer({"job": job(archipelago("a", "b"))}, assignment_status(), datasets=("job",)) == []
 
 
 def test_a_missing_placement_is_sent_again() -> None:
@@ -56,34 +56,34 @@ def test_a_missing_placement_is_sent_again() -> None:
 
 def test_an_old_term_is_answered_with_the_placement_and_a_later_one_with_nothing() -> None:
     made = archipelago("b", "b")
-    assert answer({"job": job(made)}, holding(term=1)) == [Placements(placements=(made.placement,))]
-    assert answer({"job": job(made)}, holding(term=3)) == []
+    assert answer({"job": job(made)}, assignment_status(term=1)) == [Placements(placements=(made.placement,))]
+    assert answer({"job": job(made)}, assignment_status(term=3)) == []
 
 
 def test_what_is_placed_nowhere_may_be_held() -> None:
-    assert answer({"job": job(archipelago())}, holding()) == []
+    assert answer({"job": job(archipelago())}, assignment_status()) == []
 
 
 def test_what_was_cut_is_closed_under_the_term_that_is_held() -> None:
     made = archipelago("a", "a")
     made.collector.cut_now("cancelled")
-    assert answer({"job": job(made)}, holding()) == [Close(job="job", variable="x", term=TERM)]
+    assert answer({"job": job(made)}, assignment_status()) == [Close(job="job", variable="x", term=TERM)]
 
 
 @pytest.mark.parametrize("state", ["refining", "done", None])
 def test_a_job_whose_search_has_ended_is_closed_with_its_dataset(state: str | None) -> None:
     jobs = {"job": job(archipelago("a", "a"), state)} if state is not None else {}
-    assert answer(jobs, holding(), datasets=("job",)) == [CloseJob(job="job")] * 2
+    assert answer(jobs, assignment_status(), datasets=("job",)) == [CloseJob(job="job")] * 2
 
 
 @pytest.mark.parametrize("state", ["queued", "preparing"])
 def test_a_job_that_is_prepared_again_keeps_its_dataset(state: str) -> None:
-    assert answer({"job": job(archipelago(), state)}, holding(), datasets=("job",)) == []
+    assert answer({"job": job(archipelago(), state)}, assignment_status(), datasets=("job",)) == []
 
 
 def test_lost_reports_are_pulled_and_a_lost_commit_is_sent_again() -> None:
     made = archipelago("a", "b")
     made.durable = 4
-    pull, commit = answer({"job": job(made)}, holding(reported=3))
+    pull, commit = answer({"job": job(made)}, assignment_status(reported=3))
     assert pull == PullReports(job="job", variable="x", term=TERM, first=0, last=3)
     assert commit == made.commit()

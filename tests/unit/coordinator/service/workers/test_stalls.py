@@ -11,7 +11,7 @@ from atoll_coordinator.service.workers.stalls import PATIENCE_S, StallDetector, 
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.messages.workers import Doing, Holding, IslandReport, Placement, SliceCounters, WorkerStatus
+from atoll_core.wire.messages.workers import Doing, AssignmentStatus, IslandReport, Placement, SliceCounters, WorkerStatus
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
 LONG_S = 100.0
@@ -29,7 +29,7 @@ def worker(membership: Membership, name: str, now: float, beats: int = 1, **says
     status = WorkerStatus(
         instance="i", incarnation=1, state=says["state"], progress=says["progress"],
         holdings=(
-            Holding(
+            AssignmentStatus(
                 job="job", variable=says["variable"], term=says["term"], islands=2, reported=says["reported"], commit=0
             ),
         ),

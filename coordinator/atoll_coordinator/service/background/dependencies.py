@@ -32,7 +32,7 @@ def iso_now() -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Ports:
+class Dependencies:
     """The outside world of a service, beside its bus and its store.
 
     `pool` runs tasks, `writer` does what it is given in the order in which it came, one piece at a time, and `clock`

@@ -1,4 +1,4 @@
-"""Routes the queries of workers and clients by their key, and answers those for jobs, states and datasets."""
+"""Dispatches the queries of workers and clients by their key, and answers those for jobs, states and datasets."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from atoll_core.errors import RemoteProtocolError, StoreError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Answer, Ask, Failure
+from atoll_core.wire.messages.clients import Answer, Request, Failure
 from atoll_core.wire.messages.handshake import GreetingAnswer
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import Control, Pull, PullAnswer, PullStates, States
@@ -19,7 +19,7 @@ from atoll_core.wire.rejects import Rejects
 from atoll_core.wire.state_transfer import State, split_states
 
 
-class RequestRouter:
+class RequestDispatcher:
     """Hands each query to the one who answers it."""
 
     def __init__(
@@ -114,12 +114,12 @@ class RequestRouter:
 
     def _answer_client(self, event: Query, client: str) -> Body:
         try:
-            ask = decode(event.payload, Ask, MAX_MESSAGE)
+            request = decode(event.payload, Request, MAX_MESSAGE)
         except RemoteProtocolError as error:
             self._rejects.count(event.key, error)
             return Failure(failure="protocol", sentence=f"the coordinator did not understand the question: {error}")
         try:
-            return self._clients.answer(client, ask)
+            return self._clients.answer(client, request)
         except StoreError as error:
             self.store_error = error
             return Failure(failure="internal", sentence=str(error)[:4000])
