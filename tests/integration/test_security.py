@@ -23,7 +23,7 @@ from atoll_core.wire.bus import zenoh_bus
 from atoll_core.wire.bus.interface import Message, Presence, Query, Reply
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Request, Jobs
+from atoll_core.wire.messages.clients import Jobs, Request
 from atoll_core.wire.messages.handshake import Greeting, Hello
 from atoll_core.wire.messages.workers import CloseJob, Control, Shutdown
 from atoll_core.wire.security.access_control import RoleBindings, read_role_bindings
@@ -158,7 +158,14 @@ def served(lab: Lab, role_bindings: RoleBindings, workers: tuple[str, ...] = ())
     stop, made = threading.Event(), list[Worker]()
     with Store.open(None) as store, open_router(serving(lab), role_bindings=role_bindings) as bus:
         dependencies = Dependencies(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
-        service = Service(bus, store, expected_workers=len(workers), dismisses_workers=True, dependencies=dependencies, role_bindings=role_bindings)
+        service = Service(
+            bus,
+            store,
+            expected_workers=len(workers),
+            dismisses_workers=True,
+            dependencies=dependencies,
+            role_bindings=role_bindings,
+        )
         threads = [threading.Thread(target=service.run, args=(stop,))]
         threads += [threading.Thread(target=work, args=(lab, bus, name, made)) for name in workers]
         for thread in threads:
@@ -301,7 +308,9 @@ def test_the_coordinators_own_certificate_is_enough_for_a_probe(lab: Lab, role_b
         assert main(["ping", "--connect", address, *lab.options("coordinator"), "--wait", "20"]) == 0
 
 
-def test_jobs_are_read_by_every_submitter_and_cancelled_by_their_own_or_an_admin(lab: Lab, role_bindings: RoleBindings) -> None:
+def test_jobs_are_read_by_every_submitter_and_cancelled_by_their_own_or_an_admin(
+    lab: Lab, role_bindings: RoleBindings
+) -> None:
     with served(lab, role_bindings) as (_, router), contextlib.ExitStack() as stack:
         if True:
             ann, bob, eve = (stack.enter_context(bearing(lab, router, name)) for name in ("ann", "bob", "eve"))

@@ -16,8 +16,8 @@ from atoll_coordinator.service.monitoring.counters import CounterRegistry
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
-from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
+from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Collector
 from atoll_coordinator.service.search.pull_budget import PullBudget

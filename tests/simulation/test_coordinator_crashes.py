@@ -25,13 +25,17 @@ TABLE = b"x,y"
 
 @pytest.mark.parametrize("before", [True, False])
 def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
-    request = encode(Request(body=Submit(job="j", name="n", config=JobConfig(), table=hashlib.sha256(TABLE).hexdigest())))
+    request = encode(
+        Request(body=Submit(job="j", name="n", config=JobConfig(), table=hashlib.sha256(TABLE).hexdigest()))
+    )
     for commits in count(1):
         disk = Disk()
         store = disk.open(lambda seconds: None)
         store.put_blob(TABLE)
         network = SimulatedNetwork(0, None)
-        service = Service(network.bus("coordinator", is_router=True), store, role_bindings=RoleBindings({"ann": "submitter"}))
+        service = Service(
+            network.bus("coordinator", is_router=True), store, role_bindings=RoleBindings({"ann": "submitter"})
+        )
         disk.die_at(commits, before)
         try:
             service._requests.answer(Query(topics.client(store.cluster, "ann-1"), request, None))

@@ -15,11 +15,11 @@ from atoll_core.wire.messages.clients import Submit
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import (
+    AssignmentStatus,
     Block,
     Control,
     EpochReport,
     Finished,
-    AssignmentStatus,
     IslandFailure,
     IslandReport,
     Mail,
@@ -369,7 +369,12 @@ def test_questions_that_are_not_understood_are_answered_at_once() -> None:
     world.network.run(1.0)
     stranger = bus_of(world, "stranger")
     cluster = world.store.cluster
-    keys = [topics.client(cluster, "c"), topics.worker(cluster, "w0", "pull"), f"atoll/{cluster}/job/x/y/z", topics.HELLO]
+    keys = [
+        topics.client(cluster, "c"),
+        topics.worker(cluster, "w0", "pull"),
+        f"atoll/{cluster}/job/x/y/z",
+        topics.HELLO,
+    ]
     tokens = [stranger.get(key, b"nonsense", timeout_s=60.0) for key in keys]
     replies = [stranger.receive(1.0) for _ in tokens]
     assert {reply.token for reply in replies if isinstance(reply, Reply)} == set(tokens)

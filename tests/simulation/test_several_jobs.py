@@ -204,7 +204,9 @@ def test_a_stranger_who_makes_up_what_it_holds_fills_no_memory() -> None:
     member = membership.member("w0")
     assert member is not None
     for number in range(200):
-        assignment_status = AssignmentStatus(job=f"made-up-{number}", variable="x", term=1, islands=1, reported=0, commit=0, waited_s=1.0)
+        assignment_status = AssignmentStatus(
+            job=f"made-up-{number}", variable="x", term=1, islands=1, reported=0, commit=0, waited_s=1.0
+        )
         status = WorkerStatus(
             instance=member.hello.instance, incarnation=1, state="ready", progress=number, holdings=(assignment_status,)
         )

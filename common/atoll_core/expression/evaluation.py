@@ -16,7 +16,7 @@ from atoll_core.expression.operators import (
     TRIGONOMETRIC_LIMIT,
     VARIABLE,
     Functions,
-    Slope,
+    Partial,
     definitions,
     slope_definitions,
 )
@@ -90,20 +90,20 @@ def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[i
                 continue
             at = values[lefts[i]], values[rights[i]], values[i]
             if depends[lefts[i]]:
-                _gather(adjoint, lefts[i], mine * _slope(DEFINITIONS[code].left, *at))
+                _gather(adjoint, lefts[i], mine * _partial(DEFINITIONS[code].left, *at))
             if ARITY[code] == 2 and depends[rights[i]]:
-                _gather(adjoint, rights[i], mine * _slope(DEFINITIONS[code].right, *at))
+                _gather(adjoint, rights[i], mine * _partial(DEFINITIONS[code].right, *at))
     found = [adjoint[place] for place in places]
     zero = np.zeros_like(values[-1])
     return values[-1], np.array([zero if each is None else each for each in found]).reshape(len(found), len(zero))
 
 
-def _slope(slope: Slope, a: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray | float:
+def _partial(partial: Partial, a: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray | float:
     """Return the derivative by an argument, from both arguments and the value."""
-    amount: FloatArray | float = float(slope.sign)
-    for factor in slope.factors:
+    amount: FloatArray | float = float(partial.sign)
+    for factor in partial.factors:
         amount = amount * factor(a, b, v)
-    return amount if slope.divisor is None else amount / slope.divisor(a, b, v)
+    return amount if partial.divisor is None else amount / partial.divisor(a, b, v)
 
 
 def _dependent(codes: list[int], lefts: list[int], rights: list[int], places: Sequence[int]) -> list[bool]:

@@ -98,24 +98,24 @@ class Functions(NamedTuple):
     base_log: Callable[[Any, Any], Any]
 
 
-SlopePart = Callable[[Any, Any, Any], Any]
+PartialFactor = Callable[[Any, Any, Any], Any]
 """A number made of an operator's arguments and its value."""
 
 
-class Slope(NamedTuple):
-    """The derivative of an operator's value by one argument: ``sign * factors[0] * ... / divisor``, 0 by sign 0."""
+class Partial(NamedTuple):
+    """The partial derivative of an operator's value by one argument: ``sign * factors[0] * ... / divisor``, 0 by sign 0."""
 
     sign: int = 1
-    factors: tuple[SlopePart, ...] = ()
-    divisor: SlopePart | None = None
+    factors: tuple[PartialFactor, ...] = ()
+    divisor: PartialFactor | None = None
 
 
 class Definition(NamedTuple):
-    """What an operator computes from its arguments (the second means nothing when it has one), and its slopes."""
+    """What an operator computes from its arguments (of one, the second means nothing), and its partial derivatives."""
 
     value: Callable[[Any, Any], Any]
-    left: Slope
-    right: Slope = Slope()
+    left: Partial
+    right: Partial = Partial()
 
 
 def definitions(functions: Functions) -> dict[int, Definition]:
@@ -123,29 +123,29 @@ def definitions(functions: Functions) -> dict[int, Definition]:
 
     This is the one place where an operator gets its meaning. The kernels of the search, numpy's evaluation, the
     trajectory fits and the folding of constants differ in the functions they use, and in the order in which they
-    multiply a slope with what they carry.
+    multiply a partial derivative with what they carry.
     """
     sin, cos, exp, log, sqrt, magnitude, tanh, power, sign, base_log = functions
     return {
-        ADD: Definition(lambda a, b: a + b, Slope(), Slope()),
-        SUBTRACT: Definition(lambda a, b: a - b, Slope(), Slope(-1)),
-        MULTIPLY: Definition(lambda a, b: a * b, Slope(1, (_b,)), Slope(1, (_a,))),
-        DIVIDE: Definition(lambda a, b: a / b, Slope(1, (), _b), Slope(-1, (_v,), _b)),
-        SIN: Definition(lambda a, b: sin(a), Slope(1, (lambda a, b, v: cos(a),))),
-        COS: Definition(lambda a, b: cos(a), Slope(-1, (lambda a, b, v: sin(a),))),
-        EXP: Definition(lambda a, b: exp(a), Slope(1, (_v,))),
-        LOG: Definition(lambda a, b: log(a), Slope(1, (), _a)),
-        SQRT: Definition(lambda a, b: sqrt(a), Slope(1, (), lambda a, b, v: v + v)),
-        ABS: Definition(lambda a, b: magnitude(a), Slope(1, (lambda a, b, v: sign(a),))),
-        TANH: Definition(lambda a, b: tanh(a), Slope(1, (lambda a, b, v: 1.0 - v * v,))),
+        ADD: Definition(lambda a, b: a + b, Partial(), Partial()),
+        SUBTRACT: Definition(lambda a, b: a - b, Partial(), Partial(-1)),
+        MULTIPLY: Definition(lambda a, b: a * b, Partial(1, (_b,)), Partial(1, (_a,))),
+        DIVIDE: Definition(lambda a, b: a / b, Partial(1, (), _b), Partial(-1, (_v,), _b)),
+        SIN: Definition(lambda a, b: sin(a), Partial(1, (lambda a, b, v: cos(a),))),
+        COS: Definition(lambda a, b: cos(a), Partial(-1, (lambda a, b, v: sin(a),))),
+        EXP: Definition(lambda a, b: exp(a), Partial(1, (_v,))),
+        LOG: Definition(lambda a, b: log(a), Partial(1, (), _a)),
+        SQRT: Definition(lambda a, b: sqrt(a), Partial(1, (), lambda a, b, v: v + v)),
+        ABS: Definition(lambda a, b: magnitude(a), Partial(1, (lambda a, b, v: sign(a),))),
+        TANH: Definition(lambda a, b: tanh(a), Partial(1, (lambda a, b, v: 1.0 - v * v,))),
         POW: Definition(
             lambda a, b: power(a, b),
-            Slope(1, (_b, lambda a, b, v: power(a, b - 1.0))),
-            Slope(1, (_v, lambda a, b, v: base_log(a, v))),
+            Partial(1, (_b, lambda a, b, v: power(a, b - 1.0))),
+            Partial(1, (_v, lambda a, b, v: base_log(a, v))),
         ),
-        INVERSE: Definition(lambda a, b: 1.0 / a, Slope(-1, (_v, _v))),
-        SQUARE: Definition(lambda a, b: a * a, Slope(1, (lambda a, b, v: a + a,))),
-        NEGATE: Definition(lambda a, b: -a, Slope(-1)),
+        INVERSE: Definition(lambda a, b: 1.0 / a, Partial(-1, (_v, _v))),
+        SQUARE: Definition(lambda a, b: a * a, Partial(1, (lambda a, b, v: a + a,))),
+        NEGATE: Definition(lambda a, b: -a, Partial(-1)),
     }
 
 

@@ -31,7 +31,7 @@ _SIN, _COS, _EXP, _LOG, _TANH, _POW = map(_strict, ("sin", "cos", "exp", "log", 
 _OPERATORS: Final = definitions(
     Functions(_SIN, _COS, _EXP, _LOG, np.sqrt, np.abs, _TANH, _POW, np.sign, lambda x, _: _LOG(x))
 )
-"""The operators as the kernels compute them, for single numbers; slopes are not needed."""
+"""The operators as the kernels compute them, for single numbers; derivatives are not needed."""
 
 
 def simplify_program(program: Program, *, merges_constants: bool = True) -> Program:

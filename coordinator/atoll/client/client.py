@@ -28,7 +28,6 @@ from atoll_core.wire.bus.interface import Bus, Reply
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import (
     Answer,
-    Request,
     Cancel,
     Delete,
     Deleted,
@@ -42,6 +41,7 @@ from atoll_core.wire.messages.clients import (
     JobList,
     Jobs,
     JobStatus,
+    Request,
     Result,
     Status,
     Submit,

@@ -60,6 +60,8 @@ class LocalCoordinator:
 
         with Store.open(None) as store, open_router(self._endpoint) as bus:
             dependencies = Dependencies(self._pool)
-            service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True, dependencies=dependencies)
+            service = Service(
+                bus, store, expected_workers=self._workers, dismisses_workers=True, dependencies=dependencies
+            )
             self._listening.set()
             service.run(self._stop)

@@ -16,8 +16,8 @@ from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
-from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
+from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S

@@ -13,11 +13,11 @@ from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
 from atoll_core.wire.messages.views import WorkerState
 from atoll_core.wire.messages.workers import (
+    AssignmentStatus,
     Close,
     CloseJob,
     Commit,
     Finished,
-    AssignmentStatus,
     IslandFailure,
     Migrants,
     NewerTerm,

@@ -11,10 +11,10 @@ from typing import Final
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
 from atoll_core.wire.messages.workers import (
+    AssignmentStatus,
     Block,
     Commit,
     Finished,
-    AssignmentStatus,
     Migrants,
     NotYet,
     Placement,

@@ -1,6 +1,7 @@
-"""The operators that are functions, and their slopes, over one block of rows: compiled once, called by address.
+"""The operators that are functions, and their partial derivatives, over one block of rows.
 
-They are long, and a compiler that works through all callees anew in every caller would spend its minute on them.
+They are compiled once and called by address: they are long, and a compiler that works through all callees anew in
+every caller would spend its minute on them.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,15 +20,15 @@ from atoll_core.expression.kernels.elementary import (
     strict_tanh,
 )
 from atoll_core.expression.kernels.lanes import LANES, get, put, square_root
-from atoll_core.expression.operators import ABS, COS, EXP, LOG, POW, SIN, TANH, Functions, SlopePart, definitions
+from atoll_core.expression.operators import ABS, COS, EXP, LOG, POW, SIN, TANH, Functions, PartialFactor, definitions
 
 Int = int | np.int64
 
 _LANES: Final = np.int64(LANES)
 LEFT: Final = 32
-"""Added to an operator's code: its slope by the left argument."""
+"""Added to an operator's code: its partial derivative by the left argument."""
 RIGHT: Final = 64
-"""Added to an operator's code: its slope by the right argument; takes the value in the place of that argument."""
+"""Added to an operator's code: its partial derivative by the right argument, whose place the value takes."""
 
 
 @inlined
@@ -56,14 +57,16 @@ _CODES: Final = definitions(
 )  # fmt: skip
 
 
-def left_slope_code(code: int) -> int:
-    """Return the code of the function of a block that gives an operator's slope by its left argument."""
+def left_partial_code(code: int) -> int:
+    """Return the code of the function of a block that gives an operator's partial derivative by its left argument."""
     factors = _CODES[code].left.factors
     return LEFT + code if len(factors) > 1 else int(factors[0](0.0, 0.0, 0.0))
 
 
-def product(factors: Sequence[SlopePart], compiled: Callable[[SlopePart], SlopePart] = lambda part: part) -> SlopePart:
-    """Return the function that multiplies one or two factors of a slope, each `compiled` if it is called by another."""
+def product(
+    factors: Sequence[PartialFactor], compiled: Callable[[PartialFactor], PartialFactor] = lambda part: part
+) -> PartialFactor:
+    """Return the product of one or two factors of a partial derivative, each `compiled` if it is called by another."""
     if len(factors) == 1:
         return factors[0]
     first, second = map(compiled, factors)
@@ -83,7 +86,7 @@ def _value(code: int) -> Any:
 
 
 def _left(code: int) -> Any:
-    """Return the loop of its slope by the left argument."""
+    """Return the loop of its partial derivative by the left argument."""
     factor = inlined(product(STRICT[code].left.factors, inlined))
 
     @inlined
@@ -95,7 +98,7 @@ def _left(code: int) -> Any:
 
 
 def _right(code: int) -> Any:
-    """Return the loop of its slope by the right argument, see `RIGHT`."""
+    """Return the loop of its partial derivative by the right argument, see `RIGHT`."""
     factor = inlined(product(STRICT[code].right.factors, inlined))
 
     @inlined

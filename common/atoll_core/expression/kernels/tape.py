@@ -17,7 +17,7 @@ from atoll_core.expression.kernels.functions import (
     STRICT,
     apply_function,
     functions_address,
-    left_slope_code,
+    left_partial_code,
     product,
 )
 from atoll_core.expression.kernels.lanes import LANES, copy, fill, lane_operation, place
@@ -39,7 +39,7 @@ from atoll_core.expression.operators import (
     SUBTRACT,
     TANH,
     VARIABLE,
-    Slope,
+    Partial,
 )
 
 Floats = npt.NDArray[np.float64]
@@ -126,14 +126,14 @@ def forward(
         forward_block(count, code, left, right, constants, wanted, inputs, waves, start, values, functions)
 
 
-def _pulled(slope: Slope) -> Any:
-    """Return what a slope adds to an adjoint, as an operation on places: see `_pull_left`."""
-    factor, divisor = product(slope.factors) if slope.factors else None, slope.divisor
+def _pulled(partial: Partial) -> Any:
+    """Return what a partial derivative adds to an adjoint, as an operation on places: see `_pull_left`."""
+    factor, divisor = product(partial.factors) if partial.factors else None, partial.divisor
 
     def pulled(target: Any, g: Any, a: Any, b: Any, v: Any) -> Any:
         amount = g if factor is None else g * factor(a, b, v)
         amount = amount if divisor is None else amount / divisor(a, b, v)
-        return target + amount if slope.sign > 0 else target - amount
+        return target + amount if partial.sign > 0 else target - amount
 
     return _pull_by(pulled)
 
@@ -143,7 +143,7 @@ def _pull_by(function: Any) -> Any:
 
 
 def _pulled_by_function(sign: int, code: int, *, takes_value: bool = False) -> Any:
-    """Return the same for a slope that is one factor, the function of this code."""
+    """Return the same for a partial derivative that is one factor, the function of this code."""
     operation = lane_operation(lambda t, g, s: t + g * s if sign > 0 else t - g * s, onto=True)
 
     @inlined
@@ -159,10 +159,10 @@ _pull_left: Final = choose(
      for op in (ADD, SUBTRACT, MULTIPLY, DIVIDE, SQUARE, INVERSE, NEGATE, EXP, LOG, SQRT)}
     # g (1 - v v) without the number 1
     | {TANH: _pull_by(lambda t, g, a, b, v: (t + g) - (g * v) * v)}
-    | {op: _pulled_by_function(STRICT[op].left.sign, left_slope_code(op)) for op in (SIN, COS, ABS, POW)},
+    | {op: _pulled_by_function(STRICT[op].left.sign, left_partial_code(op)) for op in (SIN, COS, ABS, POW)},
     nothing,
 )  # fmt: skip
-"""Add to `target` the adjoint `g` times an operator's slope by its left argument, where it has the value `v`:
+"""Add to `target` the adjoint `g` times an operator's partial derivative by its left argument, where its value is `v`:
 ``(op, target, g, a, b, v, scratch, functions)``."""
 
 _pull_right: Final = choose(

@@ -68,7 +68,10 @@ def open_router(
         UsageError: nobody can listen there, or a setting is unknown to zenoh.
     """
     wanted = listen if isinstance(listen, Destination) else destination(listen)
-    guards = {**_guards(wanted), **({"access_control": access_control(role_bindings)} if role_bindings is not None else {})}
+    guards = {
+        **_guards(wanted),
+        **({"access_control": access_control(role_bindings)} if role_bindings is not None else {}),
+    }
     for attempt in itertools.count(1):
         address = bindable(wanted.address)
         try:

@@ -56,8 +56,8 @@ class JobAnnouncement(Model):
 class Schedule(Model):
     """The next two checkpoints of an archipelago: epochs before which islands take a snapshot.
 
-    No island begins an epoch beyond `last`, nor `last` itself when it `holds`: then it is a barrier, at which all of them
-    wait for another placement.
+    No island begins an epoch beyond `last`, nor `last` itself when it `holds`: then it is a barrier, where all wait for
+    another placement.
     """
 
     next: Count

@@ -47,7 +47,11 @@ def serve(options: argparse.Namespace) -> int:
 
 
 def _serve(
-    options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None, pool: "ProcessPool", stop: threading.Event
+    options: argparse.Namespace,
+    wanted: Destination,
+    role_bindings: RoleBindings | None,
+    pool: "ProcessPool",
+    stop: threading.Event,
 ) -> None:
     """Serve with this pool of processes until `stop` is set."""
     from atoll_coordinator.service.background.dependencies import Dependencies
@@ -109,7 +113,9 @@ def _opened(state: str) -> "Store":
         raise UsageError(str(error)) from error
 
 
-def greeting(at: Destination, state: str, role_bindings: RoleBindings | None = None, is_behind_router: bool = False) -> str:
+def greeting(
+    at: Destination, state: str, role_bindings: RoleBindings | None = None, is_behind_router: bool = False
+) -> str:
     """Return what a person needs who wants to use this coordinator: one line for each address to dial."""
     addresses = addresses_of(at, is_behind_router)
     manner = "is behind the router" if is_behind_router else "listens on"

@@ -21,7 +21,9 @@ class CounterRegistry:
 
     def set_waited(self, worker: str, assignment_status: AssignmentStatus) -> None:
         """Set how long the islands of a current placement have waited on a worker."""
-        self._waited_s[assignment_status.job, assignment_status.variable, assignment_status.term, worker] = assignment_status.waited_s
+        self._waited_s[assignment_status.job, assignment_status.variable, assignment_status.term, worker] = (
+            assignment_status.waited_s
+        )
 
     def counters(self, job: Job) -> JobCounters:
         """Return the counters of a job."""

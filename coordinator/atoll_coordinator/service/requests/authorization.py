@@ -6,7 +6,7 @@ so, as the answer to its greeting. Who may end which job cannot be said by rules
 
 from typing import Final, Protocol
 
-from atoll_core.wire.messages.clients import Request, Cancel, Delete
+from atoll_core.wire.messages.clients import Cancel, Delete, Request
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.security.access_control import Role, RoleBindings
 
@@ -47,8 +47,8 @@ class Authorization:
             return None
         wanted = "compute islands" if hello.role == "worker" else "submit jobs or look at them"
         return (
-            f"the certificate of {self._role_bindings.principal(hello.name)!r} has the role {role}, which may {_MAY[role]}, but "
-            f"not {wanted}; use another certificate"
+            f"the certificate of {self._role_bindings.principal(hello.name)!r} has the role {role}, which may "
+            f"{_MAY[role]}, but not {wanted}; use another certificate"
         )
 
     def refuse_request(self, client: str, request: Request) -> str | None:

@@ -10,7 +10,6 @@ from atoll_coordinator.service.requests.uploads import Uploads
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.messages.clients import (
-    Request,
     Cancel,
     Delete,
     Deleted,
@@ -24,6 +23,7 @@ from atoll_core.wire.messages.clients import (
     JobList,
     Jobs,
     JobStatus,
+    Request,
     Result,
     Status,
     Submit,

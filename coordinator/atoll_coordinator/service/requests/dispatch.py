@@ -11,7 +11,7 @@ from atoll_core.errors import RemoteProtocolError, StoreError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Answer, Request, Failure
+from atoll_core.wire.messages.clients import Answer, Failure, Request
 from atoll_core.wire.messages.handshake import GreetingAnswer
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import Control, Pull, PullAnswer, PullStates, States

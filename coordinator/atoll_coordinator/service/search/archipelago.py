@@ -19,9 +19,9 @@ from atoll_coordinator.service.search.collector import Collector, Limits, Measur
 from atoll_coordinator.service.search.cut import Cut
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.workers import (
+    AssignmentStatus,
     Commit,
     EpochReport,
-    AssignmentStatus,
     Placement,
     PullReports,
     PullStates,

@@ -27,13 +27,13 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.workers import (
-    Close,
     AssignmentStatus,
-    Reregister,
+    Close,
     IslandFailure,
     Placement,
     Placements,
     PullReports,
+    Reregister,
     Shutdown,
     WorkerStatus,
 )

@@ -6,10 +6,10 @@ from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
 from atoll_core.wire.messages.workers import (
+    AssignmentStatus,
     Close,
     CloseJob,
     Commit,
-    AssignmentStatus,
     Placement,
     Placements,
     PullReports,

@@ -45,7 +45,7 @@ class Assignment:
 
 @dataclass(slots=True)
 class Plan:
-    """What changes: terms that begin, placements broken by a lost worker, those at a barrier that have nobody to go to."""
+    """What changes: terms that begin, placements broken by a lost worker, those at a barrier that lead nowhere."""
 
     assignments: list[Assignment] = field(default_factory=list)
     broken: list[ArchipelagoKey] = field(default_factory=list)
@@ -101,7 +101,13 @@ class Scheduler:
             self._prepare_change(archipelago, load, now)
 
     def _assign(
-        self, job: Job, archipelago: Archipelago, at_barrier: Placement | None, plan: Plan, load: Counter[str], now: float
+        self,
+        job: Job,
+        archipelago: Archipelago,
+        at_barrier: Placement | None,
+        plan: Plan,
+        load: Counter[str],
+        now: float,
     ) -> None:
         """Plan the next term of an archipelago, or its release if there is none and it was `at_barrier`."""
         workers = self.choose_workers(archipelago, load, now)

@@ -40,7 +40,11 @@ def test_a_share_has_the_islands_that_the_placement_gives_its_worker() -> None:
     shard = Shard(placement, "a")
     assert list(shard.islands) == [0, 2]
     assert shard.stop_epoch == 4
-    assert (shard.assignment_status().islands, shard.assignment_status().reported, shard.assignment_status().term) == (2, 0, 2)
+    assert (shard.assignment_status().islands, shard.assignment_status().reported, shard.assignment_status().term) == (
+        2,
+        0,
+        2,
+    )
     shard.validate()
 
 

@@ -13,7 +13,6 @@ from atoll_core.wire.bus.interface import Event, Message, Reply
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import (
     Answer,
-    Request,
     Cancel,
     Failure,
     FailureKind,
@@ -22,6 +21,7 @@ from atoll_core.wire.messages.clients import (
     JobList,
     Jobs,
     JobStatus,
+    Request,
     Result,
     Status,
     Submit,

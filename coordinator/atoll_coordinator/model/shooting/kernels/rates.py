@@ -19,7 +19,7 @@ from atoll_core.expression.operators import (
     TRIGONOMETRIC_LIMIT,
     VARIABLE,
     Functions,
-    Slope,
+    Partial,
     definitions,
 )
 
@@ -97,13 +97,13 @@ _OPERATORS: Final = definitions(Functions(_sin, _cos, _exp, _log, _sqrt, abs, _t
 """The operators by the C library's functions, which take less time than those of the search."""
 
 
-def _pulled(slope: Slope) -> Any:
+def _pulled(partial: Partial) -> Any:
     """Return what an adjoint `g` adds to that of an argument: a function of g, both arguments and the value."""
-    sign = slope.sign
+    sign = partial.sign
     carried = inlined(lambda g, a, b, v: sign * g)
-    for factor in slope.factors:
+    for factor in partial.factors:
         carried = inlined(_times(carried, inlined(factor)))
-    return carried if slope.divisor is None else inlined(_over(carried, inlined(slope.divisor)))
+    return carried if partial.divisor is None else inlined(_over(carried, inlined(partial.divisor)))
 
 
 def _times(carried: Any, factor: Any) -> Any:

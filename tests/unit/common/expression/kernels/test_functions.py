@@ -14,7 +14,7 @@ from atoll_core.expression.kernels.elementary import (
     strict_sin,
     strict_tanh,
 )
-from atoll_core.expression.kernels.functions import LEFT, RIGHT, apply_function, functions_address, left_slope_code
+from atoll_core.expression.kernels.functions import LEFT, RIGHT, apply_function, functions_address, left_partial_code
 from atoll_core.expression.kernels.lanes import LANES, place
 from atoll_core.expression.operators import ABS, COS, EXP, LOG, OPERATORS, POW, SIN, TANH
 
@@ -70,13 +70,13 @@ def test_awkward_numbers_have_no_influence_on_their_neighbours(operator):
         assert_lanes(operator, np.resize(AWKWARD, LANES), np.resize(np.roll(AWKWARD, turn), LANES))
 
 
-def test_slopes_have_codes_of_their_own():
+def test_partial_derivatives_have_codes_of_their_own():
     codes = [start + operator.code for start in (0, LEFT, RIGHT) for operator in OPERATORS]
     assert len(set(codes)) == len(codes)
 
 
-def test_the_slope_of_a_function_may_be_another_one():
-    assert [left_slope_code(code) for code in (SIN, COS, ABS, POW)] == [COS, SIN, LEFT + ABS, LEFT + POW]
+def test_the_partial_derivative_of_a_function_may_be_another_one():
+    assert [left_partial_code(code) for code in (SIN, COS, ABS, POW)] == [COS, SIN, LEFT + ABS, LEFT + POW]
 
 
 def test_compiled_functions_have_an_address_and_interpreted_ones_have_none():

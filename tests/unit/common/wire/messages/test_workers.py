@@ -6,11 +6,12 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Answer, Request, Cancel, Failure, Submit, Upload, Uploaded
+from atoll_core.wire.messages.clients import Answer, Cancel, Failure, Request, Submit, Upload, Uploaded
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
 from atoll_core.wire.messages.workers import (
     Addition,
+    AssignmentStatus,
     Block,
     Close,
     CloseJob,
@@ -19,7 +20,6 @@ from atoll_core.wire.messages.workers import (
     EpochReport,
     Finished,
     HitStatement,
-    AssignmentStatus,
     IslandFailure,
     IslandReport,
     JobAnnouncement,

@@ -89,7 +89,11 @@ def test_a_client_asks_under_its_own_name_and_does_nothing_else(name: str) -> No
         topics.placement(CLUSTER, "j"),
         topics.blob(CLUSTER, DIGEST, 0),
         topics.mail(CLUSTER, name, "lab1"),
-        *(topics.worker(CLUSTER, who, part) for who in ("lab1", name) for part in ("status", "report", "alive", "pull")),  # type: ignore[arg-type]
+        *(
+            topics.worker(CLUSTER, who, part)
+            for who in ("lab1", name)
+            for part in ("status", "report", "alive", "pull")
+        ),  # type: ignore[arg-type]
     ]
     messages = ("put", "query", "declare_subscriber", "declare_queryable", "liveliness_token", "reply")
     for key, message, flow in itertools.product(keys, messages, ("ingress", "egress")):
@@ -114,7 +118,9 @@ def test_everything_else_is_denied_and_every_rule_belongs_to_one_name() -> None:
 
 def test_a_name_is_borne_by_the_certificate_that_it_begins_with() -> None:
     role_bindings = RoleBindings({"lab1": "worker", "gpu-room": "worker"})
-    principals = {name: role_bindings.principal(name) for name in ("lab1", "lab1-0", "lab1-a-b", "lab10", "gpu-room-3", "gpu", "")}
+    principals = {
+        name: role_bindings.principal(name) for name in ("lab1", "lab1-0", "lab1-a-b", "lab10", "gpu-room-3", "gpu", "")
+    }
     assert principals == {
         "lab1": "lab1",
         "lab1-0": "lab1",

@@ -20,7 +20,6 @@ from atoll_core.errors import RefusedError, StoreError
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import (
     Answer,
-    Request,
     Cancel,
     Delete,
     Deleted,
@@ -31,6 +30,7 @@ from atoll_core.wire.messages.clients import (
     JobList,
     Jobs,
     JobStatus,
+    Request,
     Status,
     Submit,
     Upload,

@@ -12,7 +12,7 @@ from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError
-from atoll_core.wire.messages.clients import Request, Cancel, Delete, Submit
+from atoll_core.wire.messages.clients import Cancel, Delete, Request, Submit
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.security.access_control import RoleBindings
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
@@ -149,5 +149,8 @@ def test_the_store_is_asked_now_and_then(store: Store) -> None:
 def test_a_job_is_ended_by_its_submitter_or_an_admin(store: Store, body: Delete | Cancel, verb: str) -> None:
     add(store, "a", "10")
     may = Authorization(RoleBindings({"ann": "submitter", "bob": "submitter", "eve": "admin"}), store)
-    assert may.refuse_request("bob-1", Request(body=body)) == f"job a was submitted by ann; only ann or an admin may {verb} it"
+    assert (
+        may.refuse_request("bob-1", Request(body=body))
+        == f"job a was submitted by ann; only ann or an admin may {verb} it"
+    )
     assert may.refuse_request("ann-1", Request(body=body)) is may.refuse_request("eve-1", Request(body=body)) is None

@@ -8,9 +8,9 @@ from atoll_coordinator.service.search.collector import Limits, Stagnation
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.workers import (
+    AssignmentStatus,
     Commit,
     EpochReport,
-    AssignmentStatus,
     IslandReport,
     Placement,
     Schedule,

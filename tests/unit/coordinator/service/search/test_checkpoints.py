@@ -73,8 +73,12 @@ def test_no_epoch_that_may_have_begun_becomes_a_checkpoint_or_a_barrier(steps: l
 
 
 def test_a_barrier_lies_one_epoch_behind_what_is_known_and_stays() -> None:
-    assert schedule_after(Schedule(next=8, last=16), 8, 20, wants_barrier=True) == Schedule(next=16, last=17, holds=True)
-    assert schedule_after(Schedule(next=8, last=16), 16, 20, wants_barrier=True) == Schedule(next=17, last=17, holds=True)
+    assert schedule_after(Schedule(next=8, last=16), 8, 20, wants_barrier=True) == Schedule(
+        next=16, last=17, holds=True
+    )
+    assert schedule_after(Schedule(next=8, last=16), 16, 20, wants_barrier=True) == Schedule(
+        next=17, last=17, holds=True
+    )
     barrier = Schedule(next=16, last=17, holds=True)
     assert schedule_after(barrier, 16, 20, wants_barrier=False) == Schedule(next=17, last=17, holds=True)
 

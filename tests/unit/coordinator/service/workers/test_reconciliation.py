@@ -10,7 +10,15 @@ from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Limits, Stagnation
 from atoll_coordinator.service.workers.reconciliation import Correction, corrections
 from atoll_core.search.commit_order import CommitOrder
-from atoll_core.wire.messages.workers import Close, CloseJob, AssignmentStatus, Placement, Placements, PullReports, WorkerStatus
+from atoll_core.wire.messages.workers import (
+    AssignmentStatus,
+    Close,
+    CloseJob,
+    Placement,
+    Placements,
+    PullReports,
+    WorkerStatus,
+)
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 TERM = 2
@@ -41,7 +49,9 @@ def answer(jobs: dict[str, Job], *statuses: AssignmentStatus, datasets: tuple[st
 
 
 def assignment_status(**changes: Any) -> AssignmentStatus:
-    return AssignmentStatus(**{"job": "job", "variable": "x", "term": TERM, "islands": 2, "reported": 0, "commit": 0, **changes})
+    return AssignmentStatus(
+        **{"job": "job", "variable": "x", "term": TERM, "islands": 2, "reported": 0, "commit": 0, **changes}
+    )
 
 
 def test_a_worker_that_holds_what_is_placed_on_it_is_sent_nothing() -> None:

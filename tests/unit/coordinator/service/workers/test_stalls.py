@@ -11,7 +11,14 @@ from atoll_coordinator.service.workers.stalls import PATIENCE_S, StallDetector, 
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.messages.workers import Doing, AssignmentStatus, IslandReport, Placement, SliceCounters, WorkerStatus
+from atoll_core.wire.messages.workers import (
+    AssignmentStatus,
+    Doing,
+    IslandReport,
+    Placement,
+    SliceCounters,
+    WorkerStatus,
+)
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
 LONG_S = 100.0
