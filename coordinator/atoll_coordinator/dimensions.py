@@ -60,15 +60,15 @@ def units_of(program: Program, names: Sequence[str], units: Mapping[str, Unit], 
         units: of variables, by name; of others they are not known.
         left: that of the left-hand side, None where it is not known.
     """
-    opened = make_coefficients_explicit(program)
-    strict = _Inference(opened.program, names, {name: expanded(unit) for name, unit in units.items()}, units)
+    explicit = make_coefficients_explicit(program)
+    strict = _Inference(explicit.program, names, {name: expanded(unit) for name, unit in units.items()}, units)
     strict.close(None if left is None else expanded(left), left)
-    shown = _Inference(opened.program, names, {name: dict(unit.powers) for name, unit in units.items()}, units)
+    shown = _Inference(explicit.program, names, {name: dict(unit.powers) for name, unit in units.items()}, units)
     shown.close(None if left is None else dict(left.powers), left)
     written: dict[int, Unit | None] = {}
     implied: list[tuple[str, Unit]] = []
-    terms = iter(opened.terms)
-    for origin, unit in zip(opened.origins, shown.constants(), strict=True):
+    terms = iter(explicit.terms)
+    for origin, unit in zip(explicit.origins, shown.constants(), strict=True):
         if origin is not None:
             written[origin] = unit
             continue

@@ -14,7 +14,7 @@ from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.writing import shortest as search
 from atoll_core.expression.writing.agreement import agree, points_of, shortest_over
-from atoll_core.expression.writing.opened import factored_forms, open_terms, raised_quotients, terms_of
+from atoll_core.expression.writing.expansion import factored_forms, expand_program, raised_quotients, terms_of
 from atoll_core.expression.writing.shortest import collected, shortest
 from atoll_core.expression.writing.sums import FAILURES, UndefinedError
 from tests.property.programs import NAMES, programs
@@ -42,7 +42,7 @@ def write_in_every_way(program: Program) -> None:
     try:
         list(raised_quotients(terms_of(program)))
     except UndefinedError:
-        assert open_terms(program) is None
+        assert expand_program(program) is None
     for bounds in BOUNDS:
         bounds.governed(program)
         if not bounds.are_kept(program):
@@ -105,7 +105,7 @@ def test_a_mistake_in_rewriting_leaves_the_expression_and_is_logged_once(
         for number in (math.pi, math.e):  # both are unknown to the caches
             program = from_infix(f"x*(y + {number!r}*x) + x*y*0.123", NAMES)
             assert shortest(program) == collected(program) == simplify_program(program)
-            assert open_terms(program) is None
+            assert expand_program(program) is None
             assert not list(factored_forms(program))
     assert sum(FAILURES.values()) > 2
     assert [record.levelname for record in caplog.records].count("WARNING") == len(FAILURES)

@@ -1,8 +1,8 @@
 """Bounds on the constants of an equation that is not known yet: what users say, and what it means for a program.
 
 A bound is a text such as ``c > 0`` (every constant), ``0 < c < 10``, ``|c| < 5`` (every size), ``x*y < 0`` (the
-coefficient of the term x*y) or ``inner > 0`` (the numbers inside terms). Constants are those of the opened equation
-(`atoll_core.expression.writing.opened`), each with its sign: in ``3*x - 2*x*y`` they are 3 and -2. A bound says nothing
+coefficient of the term x*y) or ``inner > 0`` (the numbers inside terms). Constants are those of the expanded equation
+(`atoll_core.expression.writing.expansion`), each with its sign: in ``3*x - 2*x*y`` they are 3 and -2. A bound says nothing
 of terms that an equation does not have. Ends of ranges belong to them: a constant may come to lie on its bound.
 """
 
@@ -19,7 +19,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.writing.opened import Role, Shape, inner_numbers, open_terms, shape_of, terms_of
+from atoll_core.expression.writing.expansion import Role, Shape, inner_numbers, expand_program, shape_of, terms_of
 from atoll_core.expression.writing.sums import ONE, UndefinedError
 
 EVERY: Final = "c"
@@ -138,7 +138,7 @@ class EquationBounds:
         return lower, min((bound.upper for bound in its), default=math.inf)
 
     def laid_out(self, program: Program) -> Program | None:
-        """Return `program` with brackets opened and bounded factors of one as constants; None when it cannot be.
+        """Return `program` with brackets expanded and bounded factors of one as constants; None when it cannot be.
 
         One that is laid out already stays as it is, whatever the values of its constants.
         """
@@ -148,8 +148,8 @@ class EquationBounds:
 
     def written(self, program: Program) -> Program | None:
         """Return `program` laid out anew, so that signs stand where a reader expects them; None when it cannot be."""
-        opened = open_terms(program, self._is_written)
-        return None if opened is None else opened.program
+        expansion = expand_program(program, self._is_written)
+        return None if expansion is None else expansion.program
 
     def _is_written(self, shape: Shape, value: float) -> bool:
         """Tell whether a coefficient of one or minus one must be a constant."""
@@ -158,7 +158,7 @@ class EquationBounds:
     def _roles_of(self, program: Program) -> tuple[Role, ...] | None:
         """Return the roles of the constants of a program that is laid out, None of any other.
 
-        That is told by its structure alone: one that is opened to itself when its constants are any small numbers.
+        That is told by its structure alone: one that is expanded to itself when its constants are any small numbers.
         """
         places = constant_places(program)
         numbers = {place: _FIRST + _STEP * number for number, place in enumerate(places)}
@@ -238,9 +238,9 @@ class EquationBounds:
 
 @lru_cache(maxsize=8192)
 def _roles(bounds: tuple[Bound, ...], program: Program) -> tuple[Role, ...] | None:
-    """Return the roles of the constants of a program that is opened to itself, None of any other."""
-    opened = open_terms(program, EquationBounds(bounds)._is_written)
-    return opened.roles if opened is not None and structure(opened.program) == structure(program) else None
+    """Return the roles of the constants of a program that is expanded to itself, None of any other."""
+    expansion = expand_program(program, EquationBounds(bounds)._is_written)
+    return expansion.roles if expansion is not None and structure(expansion.program) == structure(program) else None
 
 
 def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Sequence[str]) -> EquationBounds | None:

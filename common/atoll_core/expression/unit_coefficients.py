@@ -2,7 +2,7 @@
 
 ``3*x - x**2`` says that the factor of x**2 is 1 as surely as that of x is 3. Standard errors come from the fit of all
 such factors together, before any of them was made simple: each term of a sum has a factor, and so has a product that is
-not part of a sum. Factors inside functions are not opened, nor is one of those that would only scale each other.
+not part of a sum. Factors inside functions are not made explicit, nor is one of those that would only scale each other.
 """
 
 from collections.abc import Collection, Iterator
@@ -21,7 +21,7 @@ ONE: Final = 1.0
 class ExplicitCoefficients:
     """A program with its factors of one as constants.
 
-    `origins` has for each constant of `program`, in node order, its number among those of the program that was opened;
+    `origins` has for each constant of `program`, in node order, its number among those of the program as it was;
     None for a factor of one. `terms` has for each of these, in the same order, what it is a factor of.
     """
 
@@ -33,12 +33,12 @@ class ExplicitCoefficients:
 def make_coefficients_explicit(program: Program) -> ExplicitCoefficients:
     """Return `program` with its factors of one as constants; the same function."""
     draft = _Draft(program.nodes())
-    output = draft.open(len(program) - 1, has_factor=False)
+    output = draft.rewrite(len(program) - 1, has_factor=False)
     return draft.finished(output)
 
 
 def write_factors(explicit: ExplicitCoefficients, fitted: Program, chosen: Collection[int]) -> Program:
-    """Return the program that was opened with some factors written out.
+    """Return the program as it was, with some factors written out.
 
     Args:
         explicit: with all its factors of one as constants.
@@ -52,7 +52,7 @@ def write_factors(explicit: ExplicitCoefficients, fitted: Program, chosen: Colle
 
 
 def as_written(program: Program) -> ExplicitCoefficients:
-    """Return `program` unopened."""
+    """Return `program` without any made explicit."""
     return ExplicitCoefficients(program, tuple(range(int((program.operators == CONSTANT).sum()))), ())
 
 
@@ -69,24 +69,24 @@ class _Draft:
         self._origins: dict[int, int | None] = {}
         self._terms: dict[int, int] = {}
 
-    def open(self, index: int, *, has_factor: bool) -> int:
-        """Return the new place of an old node, opened; `has_factor` tells whether a constant scales it already."""
+    def rewrite(self, index: int, *, has_factor: bool) -> int:
+        """Return the new place of an old node, made explicit; `has_factor` tells whether a constant scales it already."""
         code, left, right, _ = self._old[index]
         if code == CONSTANT:
             return self._copy(index)
         if code in (ADD, SUBTRACT):
             return self._sum(index, next(self._without_factor(index), None) if has_factor else None)
         if code == NEGATE:
-            return self._new.append(NEGATE, self.open(left, has_factor=has_factor))
+            return self._new.append(NEGATE, self.rewrite(left, has_factor=has_factor))
         if code == MULTIPLY:
             return self._product(index, has_factor=has_factor)
         if code == DIVIDE:
-            above = self.open(left, has_factor=has_factor)
+            above = self.rewrite(left, has_factor=has_factor)
             return self._new.append(DIVIDE, above, self._scaled(right))
         return self._copy(index) if has_factor else self._factored(self._copy(index))
 
     def finished(self, output: int) -> ExplicitCoefficients:
-        """Return what was opened."""
+        """Return the program that ends with the node `output`."""
         program = self._new.program(output)
         places = [index for index, node in enumerate(self._new.nodes[: output + 1]) if node[0] == CONSTANT]
         terms = [self._new.program(self._terms[place]) for place in places if self._origins[place] is None]
@@ -97,7 +97,7 @@ class _Draft:
         code, left, right, _ = self._old[index]
         if code in (ADD, SUBTRACT):
             return self._new.append(code, self._sum(left, spared), self._sum(right, spared))
-        return self.open(index, has_factor=index == spared)
+        return self.rewrite(index, has_factor=index == spared)
 
     def _without_factor(self, index: int) -> Iterator[int]:
         """Yield the terms of a sum that have no constant factor."""
@@ -116,11 +116,11 @@ class _Draft:
         first, second = (left, right) if self._holds_sum(left) else (right, left)
         if not self._holds_sum(first):
             return self._factored(self._copy(index))
-        return self._new.append(MULTIPLY, self.open(first, has_factor=False), self._scaled(second))
+        return self._new.append(MULTIPLY, self.rewrite(first, has_factor=False), self._scaled(second))
 
     def _scaled(self, index: int) -> int:
         """Return the new place of a node that is scaled already."""
-        return self.open(index, has_factor=True)
+        return self.rewrite(index, has_factor=True)
 
     def _holds_factor(self, index: int) -> bool:
         """Tell whether a product, quotient or negative has a constant factor."""

@@ -67,13 +67,13 @@ class Varied:
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """The numbers of a field that can be varied: all constants and factors of one are parameters of `opened`.
+    """The numbers of a field that can be varied: all constants and factors of one are parameters of `explicit`.
 
     `origins` has for each of these its index among the parameters of `field`, None for a factor of one.
     """
 
     field: VectorField
-    opened: VectorField
+    explicit: VectorField
     origins: tuple[int | None, ...]
 
     @classmethod
@@ -95,8 +95,8 @@ class Coefficients:
         """The names of the factors of one that nobody writes: ``y:x*y`` is the coefficient of x*y in dy/dt."""
         values = self._values(self.field.values_of_parameters)
         return tuple(
-            f"{parameter.variable}:{self.opened.term_of(index, values)}"
-            for index, (parameter, origin) in enumerate(zip(self.opened.parameters, self.origins, strict=True))
+            f"{parameter.variable}:{self.explicit.term_of(index, values)}"
+            for index, (parameter, origin) in enumerate(zip(self.explicit.parameters, self.origins, strict=True))
             if origin is None
         )
 
@@ -118,14 +118,14 @@ class Coefficients:
         if written[0] == 0.0 and any(written):
             raise UsageError(f"{parts[0]} is 0, so that the others have no ratio to it; name another one first")
         factors = tuple(value / written[0] if written[0] else 1.0 for value in written)
-        return flow.at_field(self.opened, values), Varied(name, written[0], tuple(indices), factors)
+        return flow.at_field(self.explicit, values), Varied(name, written[0], tuple(indices), factors)
 
     def _values(self, parameters: FloatArray) -> FloatArray:
-        """Return the values of the parameters of `opened`."""
+        """Return the values of the parameters of `explicit`."""
         return np.array([1.0 if origin is None else float(parameters[origin]) for origin in self.origins])
 
     def _indices(self, name: str) -> list[int]:
-        """Return which parameters of `opened` are meant: all uses of one constant, or the coefficient of one term."""
+        """Return which parameters of `explicit` are meant: all uses of one constant, or the coefficient of one term."""
         its = self.field.parameters
         origin = next((index for index, each in enumerate(its) if name in (each.name, str(index + 1))), None)
         if origin is not None:
@@ -151,10 +151,10 @@ class Coefficients:
         values = values_of(program, np.ascontiguousarray(points.T))
         states, inputs = points[:, : len(self.field.states)], points[:, len(self.field.states) :]
         own = self._values(self.field.values_of_parameters)
-        slopes = self.opened.parameter_derivatives(states, inputs, own)
+        slopes = self.explicit.parameter_derivatives(states, inputs, own)
         found = []
-        for index, each in enumerate(self.opened.parameters):
-            slope = slopes[:, self.opened.states.index(each.variable), index]
+        for index, each in enumerate(self.explicit.parameters):
+            slope = slopes[:, self.explicit.states.index(each.variable), index]
             apart = min(np.abs(slope - values).max(), np.abs(slope + values).max())
             if (not separator or variable == each.variable) and apart <= _SAME * np.abs(values).max():
                 found.append(index)

@@ -76,11 +76,11 @@ def _explicit(result: Result, equation: Equation, known: Covariance) -> Program 
     if equation.program is None:
         return None
     origins = [place.constant for place in known.constants if place.variable == equation.variable]
-    explicit = _opened(program_of(equation, result.names), origins)
+    explicit = _explicit_program(program_of(equation, result.names), origins)
     return None if explicit is None else explicit.program
 
 
-def _opened(program: Program, origins: Sequence[int | None]) -> ExplicitCoefficients | None:
+def _explicit_program(program: Program, origins: Sequence[int | None]) -> ExplicitCoefficients | None:
     """Return the program whose constants, in node order, are these of the covariance; None where there is none."""
     explicit = (make_coefficients_explicit(program), as_written(program))
     return next((one for one in explicit if [*one.origins] == [*origins]), None)

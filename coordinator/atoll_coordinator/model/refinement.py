@@ -15,7 +15,7 @@ from atoll_coordinator.stochastic.paths import Ensemble
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import MAX_NODES, Program
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
-from atoll_core.expression.writing.opened import Shape
+from atoll_core.expression.writing.expansion import Shape
 from atoll_core.search.pareto import FrontEntry
 
 Grade = Literal["exact", "good", "doubtful", "no model"]

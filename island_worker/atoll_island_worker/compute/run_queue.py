@@ -90,24 +90,24 @@ class RunQueue:
     def turn(self) -> list[Snapshot | Outcome]:
         """Compute one slice of the task whose turn it is; return its snapshot and what came of tasks done by it."""
         key = min(self._open, key=self._rank)
-        opened = self._open[key]
+        open_task = self._open[key]
         self.current = key
         began = self._clock()
         snapshots: list[Snapshot | Outcome] = []
         outcome: Outcome | None = None
         try:
-            snapshots += self._begin_if_new(opened)
-            outcome = None if opened.task.is_at_barrier else self._advance(opened)
+            snapshots += self._begin_if_new(open_task)
+            outcome = None if open_task.task.is_at_barrier else self._advance(open_task)
         except RemoteProtocolError as error:
             outcome = Rejected(key, str(error))
         except Exception as error:  # it is the job that fails, not the worker
             outcome = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}")
         self._charged[key.job] += (self._clock() - began) / self._weights.get(key.job, 1.0)
-        if outcome is None and not opened.task.is_at_barrier:
+        if outcome is None and not open_task.task.is_at_barrier:
             return snapshots + self._settle([key])
         del self._open[key]
         return snapshots + (
-            [outcome, *self._stop_others(outcome, opened.task.commit_order)] if outcome is not None else []
+            [outcome, *self._stop_others(outcome, open_task.task.commit_order)] if outcome is not None else []
         )
 
     def discard(self, shard: ShardKey) -> None:
@@ -118,27 +118,27 @@ class RunQueue:
 
     def discard_job(self, job: str) -> None:
         """Forget the tasks of a job and what it was charged."""
-        self._open = {key: opened for key, opened in self._open.items() if key.job != job}
+        self._open = {key: open_task for key, open_task in self._open.items() if key.job != job}
         self._hits = {shard: hit for shard, hit in self._hits.items() if shard.job != job}
         self._charged.pop(job, None)
         self._weights.pop(job, None)
 
     def _rank(self, key: TaskKey) -> tuple[float, int, int, int, str, str, int]:
-        opened = self._open[key]
-        at = Position(key.epoch, opened.generation, key.island)
-        epoch, group, generation, island = opened.task.commit_order.rank(at)
+        open_task = self._open[key]
+        at = Position(key.epoch, open_task.generation, key.island)
+        epoch, group, generation, island = open_task.task.commit_order.rank(at)
         return (self._charged.get(key.job, 0.0), epoch, group, generation, key.job, key.variable, island)
 
-    def _begin_if_new(self, opened: _Open) -> list[Snapshot]:
+    def _begin_if_new(self, open_task: _Open) -> list[Snapshot]:
         """Begin a task that has not begun, and return the snapshot that it wants."""
-        if opened.work is not None:
+        if open_task.work is not None:
             return []
-        opened.work = self._begin(opened.task)
-        data = opened.work.snapshot
-        return [Snapshot(opened.task.key, data, opened.task.is_at_barrier)] if data is not None else []
+        open_task.work = self._begin(open_task.task)
+        data = open_task.work.snapshot
+        return [Snapshot(open_task.task.key, data, open_task.task.is_at_barrier)] if data is not None else []
 
-    def _advance(self, opened: _Open) -> Outcome | None:
-        return opened.work.computed() if opened.work is not None and opened.work.advance() else None
+    def _advance(self, open_task: _Open) -> Outcome | None:
+        return open_task.work.computed() if open_task.work is not None and open_task.work.advance() else None
 
     def _stop_others(self, outcome: Outcome, commit_order: CommitOrder) -> list[Outcome]:
         if not isinstance(outcome, Computed) or outcome.report.hit is None:
@@ -150,19 +150,19 @@ class RunQueue:
         """Close those of these tasks of which no more is needed, and return what came of them."""
         outcomes: list[Outcome] = []
         for key in keys:
-            opened, hit = self._open[key], self._hits.get(key.shard)
-            if hit is None or self._is_needed(opened, hit):
+            open_task, hit = self._open[key], self._hits.get(key.shard)
+            if hit is None or self._is_needed(open_task, hit):
                 continue
             del self._open[key]
-            has_begun = opened.work is not None and key.epoch == hit.epoch
-            outcomes.append(opened.work.computed() if has_begun and opened.work else Abandoned(key))
+            has_begun = open_task.work is not None and key.epoch == hit.epoch
+            outcomes.append(open_task.work.computed() if has_begun and open_task.work else Abandoned(key))
         return outcomes
 
-    def _is_needed(self, opened: _Open, hit: Position) -> bool:
-        key = opened.task.key
+    def _is_needed(self, open_task: _Open, hit: Position) -> bool:
+        key = open_task.task.key
         if key.epoch != hit.epoch:
             return key.epoch < hit.epoch
-        return opened.generation < opened.task.commit_order.needed(hit, key.island)
+        return open_task.generation < open_task.task.commit_order.needed(hit, key.island)
 
 
 def brief(error: BaseException) -> str:

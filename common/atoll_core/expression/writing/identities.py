@@ -35,7 +35,7 @@ from atoll_core.expression.writing.sums import (
 )
 
 _MOST_TERMS: Final = 7
-"""Sums of more terms are only collected; no product is opened that would leave more."""
+"""Sums of more terms are only collected; no product is expanded that would leave more."""
 _EQUAL: Final = 1e-12
 """Relative difference of coefficients that count as equal."""
 
@@ -63,7 +63,7 @@ def _one(term: Term) -> Sum:
     return (term,)
 
 
-def _opened(its: Sum, best: Best) -> Iterator[Sum]:
+def _expanded(its: Sum, best: Best) -> Iterator[Sum]:
     """One power of a bracket times the rest, term by term; all brackets at once."""
     everything: list[tuple[float, Sum]] = []
     is_open = True
@@ -72,9 +72,9 @@ def _opened(its: Sum, best: Best) -> Iterator[Sum]:
         whole: Sum = ((tuple(item for item in monomial if item not in parts), coefficient),)
         for atom, exponent in parts:
             rest = product([coefficient, *merged([*monomial, (atom, -1)])])
-            opened = distribute(rest, atom[1])
-            if len(opened) + len(its) <= _MOST_TERMS:
-                yield add((1.0, _without(its, (monomial, coefficient))), (1.0, opened))
+            expanded = distribute(rest, atom[1])
+            if len(expanded) + len(its) <= _MOST_TERMS:
+                yield add((1.0, _without(its, (monomial, coefficient))), (1.0, expanded))
             for _ in range(exponent):
                 whole = distribute(whole, atom[1])
                 if len(whole) > _MOST_TERMS:
@@ -256,8 +256,8 @@ def _double_angles(its: Sum, best: Best) -> Iterator[Sum]:
                 half = add((0.5, atom[1]))
                 if any(wave[1] == half for wave in waves):
                     rest = product([coefficient, *merged([*monomial, (atom, -1)])])
-                    for opened in _by_half(atom[0], half):
-                        yield add((1.0, _without(its, term)), (1.0, distribute(rest, opened)))
+                    for expanded in _by_half(atom[0], half):
+                        yield add((1.0, _without(its, term)), (1.0, distribute(rest, expanded)))
 
 
 def _by_half(code: int, half: Sum) -> list[Sum]:
@@ -366,7 +366,7 @@ def _whole_squares(its: Sum, best: Best) -> Iterator[Sum]:
 
 _IDENTITIES: Final = (
     _inner,
-    _opened,
+    _expanded,
     _factored,
     _over_one_line,
     _divisors_multiplied,

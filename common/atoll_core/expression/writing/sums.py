@@ -119,7 +119,7 @@ def add(*parts: tuple[float, Sum]) -> Sum:
 
 
 def collect(terms: Iterable[tuple[Monomial, float]]) -> Sum:
-    """Return the sum of terms, like ones joined, lone brackets opened, what cancels left out.
+    """Return the sum of terms, like ones joined, lone brackets expanded, what cancels left out.
 
     Raises UndefinedError where what is added is too large: whether it cancels cannot be told.
     """

@@ -234,8 +234,8 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> F
         shown = _show(comparison, best, tidy)
         if shown is None:
             continue
-        opened = _without_refuted(whole.task, comparison, shown)
-        other = None if opened is None else _show(comparison, best, opened)
+        written = _without_refuted(whole.task, comparison, shown)
+        other = None if written is None else _show(comparison, best, written)
         if other is not None and other.fit.misfit <= shown.fit.misfit:
             shown = other
         shown = _shortened(whole.task, comparison, best, shown)
@@ -321,11 +321,11 @@ def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: Sh
     known = describe_constants(comparison, shown.explicit, programs, estimate_errors(comparison, shown.free))
     if not any(its.refuted_factors for its in known):
         return None
-    opened = []
+    written = []
     for each, fitted, its, program in zip(shown.explicit, shown.free.programs, known, programs, strict=True):
         made = write_factors(each, fitted, its.refuted_factors) if its.refuted_factors else program
-        opened.append(made if task.may_be_shown(made) else program)
-    return tuple(opened)
+        written.append(made if task.may_be_shown(made) else program)
+    return tuple(written)
 
 
 _Outside = Callable[[RoundedSystem], frozenset[int]]

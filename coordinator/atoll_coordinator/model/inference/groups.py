@@ -47,7 +47,7 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.unit_coefficients import as_written
-from atoll_core.expression.writing.opened import factored_forms
+from atoll_core.expression.writing.expansion import factored_forms
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """Terms that several equations share, fitted together: a flux that leaves one state and enters another (ADR 0058).
 
-Brackets opened, each term has a factor and numbers inside. Two terms of the same shape are one flux where the same
+Brackets expanded, each term has a factor and numbers inside. Two terms of the same shape are one flux where the same
 numbers stand inside, and where one factor is a simple multiple of the other they are its stoichiometry. What the data
 allow is told by the quadratic form that the misfit is near its minimum, one decision after another, as for simple
 numbers; a fit with all of it decides.
@@ -22,7 +22,7 @@ from atoll_coordinator.model.shooting.system import Place, SharedNumber
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places
-from atoll_core.expression.writing.opened import Opened, Role, Shape, open_sum, raised_quotients, shape_of, terms_of
+from atoll_core.expression.writing.expansion import Expansion, Role, Shape, write_expansion, raised_quotients, shape_of, terms_of
 from atoll_core.expression.writing.sums import Sum, UndefinedError
 
 _ROUNDING: Final = 2.0**-50
@@ -58,16 +58,16 @@ class FittedTogether:
 
 
 def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence[Program]) -> FittedTogether | None:
-    """Return `shown` with brackets opened and shared terms fitted together; None where that is no shorter description.
+    """Return `shown` with brackets expanded and shared terms fitted together; None where that is no shorter description.
 
     Equations that are given or have bounds are left as they are.
     """
     sums = _sums(comparison, shown)
-    opened = [None if its is None else open_sum(its) for its in sums]
-    common = _common(opened)
+    expansions = [None if its is None else write_expansion(its) for its in sums]
+    common = _common(expansions)
     if not common:
         return None
-    programs = [its.program if its is not None else shown[equation] for equation, its in enumerate(opened)]
+    programs = [its.program if its is not None else shown[equation] for equation, its in enumerate(expansions)]
     free, apart = comparison.fit_beside(near, programs), comparison.fit_beside(near, shown)
     if free is None or apart is None:
         return None
@@ -121,7 +121,7 @@ def _saving(shape: Shape, sums: Sequence[Sum | None]) -> float:
     A part that a program uses again costs as little within one equation.
     """
     monomials = (monomial for its in sums for monomial, _ in its or () if shape_of(monomial) == shape)
-    made = open_sum(((next(monomials), 1.0),))
+    made = write_expansion(((next(monomials), 1.0),))
     return 0.0 if made is None else structure_length(made.program) - SETTINGS.criterion.common
 
 
@@ -135,10 +135,10 @@ def _terms(comparison: ModelComparison, equation: int, program: Program) -> Sum 
         return None
 
 
-def _common(opened: Sequence[Opened | None]) -> dict[Shape, list[_Occurrence]]:
+def _common(expansions: Sequence[Expansion | None]) -> dict[Shape, list[_Occurrence]]:
     """Return the terms that two equations or more have, by shape; those are left out that one has several times."""
     found: dict[Shape, list[_Occurrence]] = {}
-    for equation, its in enumerate(opened):
+    for equation, its in enumerate(expansions):
         for shape, occurrence in _occurrences(equation, its) if its is not None else ():
             found.setdefault(shape, []).append(occurrence)
     return {
@@ -148,17 +148,17 @@ def _common(opened: Sequence[Opened | None]) -> dict[Shape, list[_Occurrence]]:
     }
 
 
-def _occurrences(equation: int, opened: Opened) -> Iterator[tuple[Shape, _Occurrence]]:
+def _occurrences(equation: int, expansion: Expansion) -> Iterator[tuple[Shape, _Occurrence]]:
     """Yield the terms of an equation that have a variable, with their shapes."""
-    places = [(equation, node) for node in constant_places(opened.program)]
+    places = [(equation, node) for node in constant_places(expansion.program)]
     by_shape: dict[Shape, list[tuple[Role, Place]]] = {}
-    for place, role in zip(places, opened.roles, strict=True):
+    for place, role in zip(places, expansion.roles, strict=True):
         by_shape.setdefault(role.shape, []).append((role, place))
     for shape, its in by_shape.items():
         factors = [(place, role.sign) for role, place in its if not role.is_inner]
         inside = sorted(((role.path, place, role.sign) for role, place in its if role.is_inner))
         paths = tuple(path for path, _, _ in inside)
-        units = frozenset((role.path, role.sign) for role in opened.units if role.shape == shape)
+        units = frozenset((role.path, role.sign) for role in expansion.units if role.shape == shape)
         if shape and len(factors) < 2 and len({*paths}) == len(paths):
             inner = tuple((place, sign) for _, place, sign in inside)
             yield shape, _Occurrence(equation, factors[0] if factors else None, inner, (paths, units))
@@ -307,11 +307,11 @@ def _stoichiometry(shape: Shape, flux: _Flux) -> Stoichiometry | None:
 
 
 def _worthwhile(terms: Sequence[Stoichiometry], costs: Sequence[float]) -> tuple[Stoichiometry, ...]:
-    """Return those terms that are worth the `costs` of opening their equations, none of the rest being so."""
+    """Return those terms that are worth the `costs` of expanding their equations, none of the rest being so."""
 
     def gain(those: Sequence[Stoichiometry]) -> float:
-        opened = {equation for term in those for equation in term.multiples}
-        return sum(term.nats for term in those) - sum(costs[equation] for equation in sorted(opened))
+        expanded = {equation for term in those for equation in term.multiples}
+        return sum(term.nats for term in those) - sum(costs[equation] for equation in sorted(expanded))
 
     chosen = tuple(terms)
     while chosen:

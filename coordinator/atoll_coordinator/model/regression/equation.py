@@ -84,8 +84,8 @@ def _finished(
     refuted = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).refuted_factors
     if refuted:
         explicit = make_coefficients_explicit(program)
-        opened = write_factors(explicit, least_squares.fit(explicit.program).program, refuted)
-        program = opened if may_be_shown(opened, config.space.max_size) else program
+        written = write_factors(explicit, least_squares.fit(explicit.program).program, refuted)
+        program = written if may_be_shown(written, config.space.max_size) else program
     program, simple, together = _with_estimates(program, criterion, least_squares)
     error, mse = errors_on(problem, program, config.evolution.loss)
     known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals)

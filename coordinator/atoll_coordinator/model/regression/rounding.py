@@ -11,7 +11,7 @@ Constants are judged jointly. What share of them is simple is not known beforeha
 constants m certain ones are simple with the probability m! (K - m)!/(K + 1)! (Laplace's rule of succession), so that
 simple numbers speak for each other, and estimates against a simple number that is alone. And what is simple may be the
 product of a constant with one that is decided already: 0.9 (c + f) with c = 0.1111 is 0.1 + 0.9 f with the bracket
-opened.
+expanded.
 """
 
 import math
@@ -319,8 +319,8 @@ def _measured(
     refitted = least_squares.fit(with_constants(program, values), [*values])
     if not math.isfinite(refitted.mse):
         return Model(refitted.program, math.inf, math.inf)
-    opened = refitted.program.constants[[place for place in places if place not in values]].tolist()
-    prices |= dict(zip(opened, map(fitted_length, opened, standard_errors(refitted, criterion)), strict=True))
+    freed = refitted.program.constants[[place for place in places if place not in values]].tolist()
+    prices |= dict(zip(freed, map(fitted_length, freed, standard_errors(refitted, criterion)), strict=True))
     shown = collected(refitted.program)
     mse = least_squares.mse(shown)
     known = {abs(number): price for number, price in prices.items()}

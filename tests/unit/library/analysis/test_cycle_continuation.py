@@ -26,10 +26,10 @@ def along(
     its: Flow, where: Box, name: str, bounds: tuple[float, float], *cycles: LimitCycle, has_hopf: bool = False
 ) -> list[CycleBranch]:
     """Return the branches from `cycles` of the model as it is, or from the Hopf points."""
-    opened, varied = Coefficients.of(its.field).find(its, name)
-    branches = continuation(opened, where, varied, bounds) if has_hopf else ()
+    explicit, varied = Coefficients.of(its.field).find(its, name)
+    branches = continuation(explicit, where, varied, bounds) if has_hopf else ()
     known = [(varied.value, each) for each in cycles]
-    return [*cycle_continuation(opened, where, varied, bounds, branches=branches, known=known)]
+    return [*cycle_continuation(explicit, where, varied, bounds, branches=branches, known=known)]
 
 
 def unit_circle(size: int) -> LimitCycle:

@@ -7,7 +7,7 @@ from atoll_coordinator.model.inference import shared_terms
 from atoll_coordinator.model.inference.shared_terms import fit_together
 from atoll_coordinator.model.inference.standard_errors import estimate_errors
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.writing.opened import open_terms
+from atoll_core.expression.writing.expansion import expand_program
 from tests.unit.coordinator.model.shooting.made import Known, compare, measurements
 
 TIMES = 0.05 * np.arange(80.0)
@@ -85,11 +85,11 @@ def test_a_variable_alone_is_a_flux_if_it_leaves_as_fast_as_it_enters():
 
 def paired(one: str, other: str) -> list[tuple[float, ...]]:
     """Return the numbers that stand in the same place of the one term that two expressions have."""
-    opened = [open_terms(from_infix(text, ("x", "y"))) for text in (one, other)]
-    ((those),) = shared_terms._common(opened).values()
+    expansions = [expand_program(from_infix(text, ("x", "y"))) for text in (one, other)]
+    ((those),) = shared_terms._common(expansions).values()
     if len({each.layout for each in those}) > 1:
         return []
-    numbers = [[opened[each.equation].program.constants[place[1]] * sign for place, sign in each.inner]
+    numbers = [[expansions[each.equation].program.constants[place[1]] * sign for place, sign in each.inner]
                for each in those]  # fmt: skip
     return sorted(zip(*numbers, strict=True))
 

@@ -5,7 +5,7 @@ import pytest
 from atoll_coordinator.model.refinement import Constant, Refined, SharedTerm
 from atoll_coordinator.model.result import shared_terms as made
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.writing.opened import shape_of, terms_of
+from atoll_core.expression.writing.expansion import shape_of, terms_of
 from tests.unit.coordinator.model.result.plain import plainly
 
 shared_terms = plainly(made.shared_terms)

@@ -1,8 +1,8 @@
-"""An equation as a sum of terms, brackets opened, in which each constant has a meaning of its own.
+"""An equation as a sum of terms, brackets expanded, in which each constant has a meaning of its own.
 
 In ``x*(3 - 2*y)`` the factor of x*y is made of two numbers and of a sign; in ``3*x - 2*x*y`` it is one constant. The
-constants of the opened form are the *coefficients* of terms and the numbers *inside* terms: in divisors, powers and
-arguments of functions. A sum in a divisor, or a factor that cannot be opened, is divided by the factor of its first
+constants of the expanded form are the *coefficients* of terms and the numbers *inside* terms: in divisors, powers and
+arguments of functions. A sum in a divisor, or a factor that cannot be expanded, is divided by the factor of its first
 term with a variable, so that ``x/(4 + 2*y)`` is ``0.5*x/(2 + y)``.
 """
 
@@ -41,7 +41,7 @@ from atoll_core.expression.writing.sums import (
 )
 
 MOST_TERMS: Final = 40
-"""Sums of more terms are not opened."""
+"""Sums of more terms are not expanded."""
 
 Shape = Hashable
 """What terms have in common that differ in numbers only."""
@@ -50,7 +50,7 @@ Path: TypeAlias = tuple[tuple[str, int], ...]
 
 @dataclass(frozen=True)
 class Role:
-    """What a constant of an opened program stands for.
+    """What a constant of an expanded program stands for.
 
     `sign` times its value is the number that it stands for: the coefficient of the term of this `shape`, or where it
     `is_inner`, a number inside the term. `path` tells where inside: the factor, the sum in it, the term there and so
@@ -64,8 +64,8 @@ class Role:
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
-    """The opened `program` and the role of each of its constants, in node order.
+class Expansion:
+    """The expanded `program` and the role of each of its constants, in node order.
 
     `units` are the numbers inside terms that are one or minus one and are not written, as their signs.
     """
@@ -80,12 +80,12 @@ IsWritten = Callable[[Shape, float], bool]
 
 
 def terms_of(program: Program) -> Sum:
-    """Return the terms of a program with their coefficients; raises UndefinedError when it cannot be opened."""
-    return opened_sum(sum_of(program))
+    """Return the terms of a program with their coefficients; raises UndefinedError when it cannot be expanded."""
+    return expand_sum(sum_of(program))
 
 
 @contained
-def opened_sum(its: Sum) -> Sum:
+def expand_sum(its: Sum) -> Sum:
     """Return a sum whose terms have no bracket above the line; raises UndefinedError beyond `MOST_TERMS` terms."""
     while True:
         bracket = next((place for place, (monomial, _) in enumerate(its) if _bracket(monomial) is not None), None)
@@ -164,21 +164,21 @@ def raised_quotients(its: Sum) -> Iterator[tuple[Shape, Sum]]:
                     yield shape_of(raised), add((1.0, others), (1.0, instead))
 
 
-def open_terms(program: Program, is_written: IsWritten = lambda *_: False) -> Opened | None:
-    """Return the opened form of a program; None when there is none, or none that is small enough.
+def expand_program(program: Program, is_written: IsWritten = lambda *_: False) -> Expansion | None:
+    """Return the expanded form of a program; None when there is none, or none that is small enough.
 
     Args:
-        program: what is to be opened.
+        program: what is to be expanded.
         is_written: which coefficients of one or minus one become constants.
     """
     try:
-        return open_sum(terms_of(program), is_written)
+        return write_expansion(terms_of(program), is_written)
     except UndefinedError:
         return None
 
 
-def open_sum(its: Sum, is_written: IsWritten = lambda *_: False) -> Opened | None:
-    """Return the program of an opened sum, as `open_terms` does."""
+def write_expansion(its: Sum, is_written: IsWritten = lambda *_: False) -> Expansion | None:
+    """Return the program of an expanded sum, as `expand_program` does."""
     try:
         return _built(its, is_written)
     except UndefinedError:
@@ -186,12 +186,12 @@ def open_sum(its: Sum, is_written: IsWritten = lambda *_: False) -> Opened | Non
 
 
 @contained
-def _built(its: Sum, is_written: IsWritten) -> Opened | None:
+def _built(its: Sum, is_written: IsWritten) -> Expansion | None:
     builder = _Builder(is_written)
     output = builder.sum_of_terms(its)
     if len(builder.nodes) > MAX_NODES:
         return None
-    return Opened(builder.program(output), tuple(builder.roles), tuple(builder.units))
+    return Expansion(builder.program(output), tuple(builder.roles), tuple(builder.units))
 
 
 class _Builder(ProgramBuilder):
@@ -209,7 +209,7 @@ class _Builder(ProgramBuilder):
         return self.append(CONSTANT, value=value)
 
     def sum_of_terms(self, its: Sum) -> int:
-        """Return the index of an opened sum, a positive term in front if there is one."""
+        """Return the index of an expanded sum, a positive term in front if there is one."""
         if not its:
             return self.number(0.0, Role(shape_of(ONE), 1.0, is_inner=False))
         return self._added(its, inner=None)
@@ -278,7 +278,7 @@ def _extended(path: Path, name: str, counts: Counter[str]) -> Path:
 
 
 def factored_forms(program: Program) -> Iterator[Program]:
-    """Yield ``a*(s + b*t + …)`` for each term s of the opened program, a being its coefficient; nothing of one term."""
+    """Yield ``a*(s + b*t + …)`` for each term s of the expanded program, a being its coefficient; nothing of one term."""
     try:
         its = terms_of(program)
     except UndefinedError:

@@ -6,14 +6,14 @@ import pytest
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.writing.opened import factored_forms, open_terms, raised_quotients, shape_of, terms_of
+from atoll_core.expression.writing.expansion import factored_forms, expand_program, raised_quotients, shape_of, terms_of
 
 NAMES = ("x", "y")
 POINTS = np.random.default_rng(3).uniform(0.5, 2.0, (2, 20))
 
 
 @pytest.mark.parametrize(
-    ("text", "opened"),
+    ("text", "expanded"),
     [
         ("x*(3 - 2*y)", "3.0*x - 2.0*x*y"),
         ("x*(1 - x)*(2 + y)", "2.0*x - 2.0*x*x + x*y - x**2*y"),
@@ -22,27 +22,27 @@ POINTS = np.random.default_rng(3).uniform(0.5, 2.0, (2, 20))
         ("exp(-0.5*x)*3", "3.0*exp(-0.5*x)"),
     ],
 )
-def test_brackets_are_opened_and_divisors_have_a_leading_one(text, opened):
+def test_brackets_are_expanded_and_divisors_have_a_leading_one(text, expanded):
     program = from_infix(text, NAMES)
-    its = open_terms(program)
+    its = expand_program(program)
     assert its is not None
-    assert to_infix(its.program, NAMES) == opened
+    assert to_infix(its.program, NAMES) == expanded
     assert np.allclose(values_of(its.program, POINTS), values_of(program, POINTS), rtol=1e-12)
     assert len(its.roles) == int((its.program.operators == 1).sum())
 
 
 def test_each_constant_has_its_sign_and_its_place():
-    its = open_terms(from_infix("3*x - 2*x*y/(5 + y)", NAMES))
+    its = expand_program(from_infix("3*x - 2*x*y/(5 + y)", NAMES))
     assert [(role.sign, role.is_inner) for role in its.roles] == [(1.0, False), (-1.0, False), (1.0, True)]
 
 
 def test_equal_constants_stay_apart():
-    its = open_terms(from_infix("0.5*x + 0.5*y", NAMES))
+    its = expand_program(from_infix("0.5*x + 0.5*y", NAMES))
     assert len(its.roles) == 2
 
 
-def test_what_has_too_many_terms_is_not_opened():
-    assert open_terms(from_infix("(1 + x + y)**9", NAMES)) is None
+def test_what_has_too_many_terms_is_not_expanded():
+    assert expand_program(from_infix("(1 + x + y)**9", NAMES)) is None
 
 
 def test_each_coefficient_is_a_factor_of_all_in_turn():
