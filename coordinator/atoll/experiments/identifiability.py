@@ -51,7 +51,7 @@ def identified(fitted: Fitted, constants: Sequence[Constant], measured: Measured
         raise UsageError(f"the model has {count} constants that were fitted; at most {MOST_CONSTANTS} can be profiled")
     from scipy import special
 
-    quantile = float(special.stdtrit(fitted.freedom, 0.5 + level / 2.0))
+    quantile = float(special.stdtrit(fitted.degrees_of_freedom, 0.5 + level / 2.0))
     fitted, profiles = _profiled(fitted, count, quantile)
     signs = np.array([each.sign for each in constants])
     with np.errstate(invalid="ignore"):
@@ -63,7 +63,7 @@ def identified(fitted: Fitted, constants: Sequence[Constant], measured: Measured
     bounds = fitted.measured.measurements.bounds
     return Identifiability(
         level,
-        fitted.freedom,
+        fitted.degrees_of_freedom,
         quantile,
         tuple(known[place] for place in order),
         tuple(replace(each, weights=each.weights[order]) for each in found),

@@ -169,7 +169,7 @@ class Fitted:
     """Equations fitted to measured trajectories in whole, or in pieces of at most `piece` rows.
 
     `errors` are those of the measurements by the residuals, corrected for the numbers fitted; they are held from now
-    on. `freedom` are the degrees of freedom that are left, `misfit` is minus the log-likelihood with fitted variances,
+    on. `degrees_of_freedom` are those that are left, `misfit` is minus the log-likelihood with fitted variances,
     up to a constant. Rows count as `share` (O,) of a row each, as errors go together.
     """
 
@@ -177,7 +177,7 @@ class Fitted:
     measured: Measured
     fit: TrajectoryFit
     errors: ErrorModel
-    freedom: float
+    degrees_of_freedom: float
     misfit: float
 
     @property
@@ -261,7 +261,7 @@ def _fitted(measured: Measured, equations: Equations, starts: FloatArray | None)
     counts = its.weights.sum(axis=1)
     decided = float(np.minimum(counts * measured.share, measured.independent).sum())
     left = max(counts.sum() - best.system.values.size - best.starts.size, 1.0)
-    freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
+    degrees_of_freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
     # with all rows that decide, and as many numbers fitted, the variance of a row that a fit counts
     widened = np.sqrt(counts.sum() / left / measured.share)
     least = SETTINGS.interpolation.smallest_noise * its.scales[its.observed]
@@ -270,7 +270,7 @@ def _fitted(measured: Measured, equations: Equations, starts: FloatArray | None)
     held = estimator.fit(best.system, None, SETTINGS.effort.steps, best.starts, errors, is_stiff=best.is_stiff)
     if held is None:
         return None
-    return Fitted(equations, measured, held, errors, freedom, _misfit(measured, best))
+    return Fitted(equations, measured, held, errors, degrees_of_freedom, _misfit(measured, best))
 
 
 def _tolerance(its: Measurements) -> float:

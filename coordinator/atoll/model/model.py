@@ -128,7 +128,7 @@ class Model(Shortcuts):
         if method == "profile":
             known = self.profile(level)
             return {name: known[name].interval if name in known else None for name in self.params}
-        return {name: parameter.interval_at(level, self._freedom) for name, parameter in self.params.items()}
+        return {name: parameter.interval_at(level, self._degrees_of_freedom) for name, parameter in self.params.items()}
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -333,7 +333,7 @@ class Model(Shortcuts):
         return JointErrors.of(self._result, self.field)
 
     @property
-    def _freedom(self) -> float | None:
+    def _degrees_of_freedom(self) -> float | None:
         known = self._result.covariance or next((group.covariance for group in self._result.groups), None)
         return None if known is None else known.freedom
 
@@ -342,4 +342,4 @@ class Model(Shortcuts):
         """Standard errors on either side of a 95 % band."""
         from scipy import special
 
-        return float(special.stdtrit(self._freedom, 0.5 + LEVEL / 2.0) if self._freedom else special.ndtri(0.975))
+        return float(special.stdtrit(self._degrees_of_freedom, 0.5 + LEVEL / 2.0) if self._degrees_of_freedom else special.ndtri(0.975))

@@ -177,12 +177,12 @@ class Covariance:
 
     `constants` has for each (variable, place among its constants), None for a factor of one that is not written: these
     are in the order of the equation's unit coefficients. Variances of constants that are not determined are infinite.
-    Student's t has so many degrees of `freedom`.
+    Student's t has so many `degrees_of_freedom`.
     """
 
     constants: tuple[tuple[str, int | None], ...]
     matrix: FloatArray
-    freedom: float
+    degrees_of_freedom: float
 
 
 @dataclass(frozen=True)

@@ -232,14 +232,14 @@ def estimate_noise(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]
     Squared residuals over degrees of freedom (Cleveland & Devlin 1988, section 3): rows minus twice the trace of the
     smoother plus the trace of its square. Rows without weight do not count.
     """
-    squares, freedom = 0.0, 0.0
+    squares, degrees_of_freedom = 0.0, 0.0
     for signal, fit in zip(signals, smoothed, strict=True):
         inverse_variances = signal.filled_inverse_variances
         residuals, weights = (signal.values - fit.fits[0]).tolist(), signal.weights.tolist()
-        freedoms = (1.0 - 2.0 * fit.gains[3] + inverse_variances * fit.gains[0] * fit.gains[0]).tolist()
-        rows = zip(residuals, weights, inverse_variances.tolist(), freedoms, strict=True)
+        row_degrees_of_freedom = (1.0 - 2.0 * fit.gains[3] + inverse_variances * fit.gains[0] * fit.gains[0]).tolist()
+        rows = zip(residuals, weights, inverse_variances.tolist(), row_degrees_of_freedom, strict=True)
         for residual, weight, inverse_variance, free in rows:
             if weight > 0.0:
                 squares += inverse_variance * residual * residual
-                freedom += free
-    return math.sqrt(squares / max(freedom, 1.0))
+                degrees_of_freedom += free
+    return math.sqrt(squares / max(degrees_of_freedom, 1.0))

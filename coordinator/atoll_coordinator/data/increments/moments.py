@@ -164,7 +164,7 @@ def products(residuals: FloatArray, steps: Steps, pair: Pair, *, corrected: bool
     return np.asarray(product)
 
 
-def _freedom(rows: Rows) -> float:
+def _bessel_correction(rows: Rows) -> float:
     return len(rows) / (len(rows) - 1.0) if len(rows) > 1 else 1.0
 
 
@@ -174,5 +174,5 @@ def _mean_error(values: FloatArray, lengths: FloatArray, bins: Sequence[Rows]) -
     for rows in bins:
         time, in_bin = total(lengths[rows]), values[rows]
         spread = in_bin - total(in_bin) / len(rows)
-        errors.append(math.sqrt(total(spread * spread) * _freedom(rows)) / time)
+        errors.append(math.sqrt(total(spread * spread) * _bessel_correction(rows)) / time)
     return math.fsum(errors) / len(errors)

@@ -107,6 +107,6 @@ def _welch(ours: FloatArray, theirs: FloatArray) -> list[float]:
             found.append(1.0)
             continue
         parts = zip(shares, (one, other), strict=True)
-        freedom = total**2 / sum(share**2 / max(len(each) - 1, 1) for share, each in parts)
-        found.append(2.0 * float(special.stdtr(freedom, -abs(one.mean() - other.mean()) / math.sqrt(total))))
+        degrees_of_freedom = total**2 / sum(share**2 / max(len(each) - 1, 1) for share, each in parts)
+        found.append(2.0 * float(special.stdtr(degrees_of_freedom, -abs(one.mean() - other.mean()) / math.sqrt(total))))
     return found

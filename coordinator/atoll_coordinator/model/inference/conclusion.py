@@ -176,7 +176,7 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         Simulation(
             task.variables,
             (*trajectories, *(out.trajectories if out is not None else ())),
-            student_95(errors.freedom),
+            student_95(errors.degrees_of_freedom),
         ),
         find_correlations(final.comparison, task.variables, final.explicit, of_constants),
         state_errors(final),

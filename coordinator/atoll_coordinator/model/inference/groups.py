@@ -129,7 +129,7 @@ def _refinement(final: Final, shared: frozenset[Place], errors: Errors, values: 
     is_one = shared.issuperset(comparison.places(model.fit.system))
     return Refinement(
         equations,
-        Simulation(task.variables, (*trajectories, *(out.trajectories if out else ())), student_95(errors.freedom)),
+        Simulation(task.variables, (*trajectories, *(out.trajectories if out else ())), student_95(errors.degrees_of_freedom)),
         errors=state_errors(final),
         warnings=(*remarks(task), *pole_remarks(final)),
         covariance=by_group[0].covariance if is_one else None,
@@ -243,7 +243,7 @@ class _Described:
         """Return one of the Q numbers with its errors."""
         its = self._errors
         error, fitted = float(np.sqrt(max(its.covariance[number, number], 0.0))), float(its.values[number])
-        reach = student_95(its.freedom) * error
+        reach = student_95(its.degrees_of_freedom) * error
         interval = (fitted - reach, fitted + reach) if np.isfinite(error) else None
         made = Constant(value, fitted, error, interval, reach < abs(fitted))
         if its.lower is None or its.upper is None:
@@ -298,7 +298,7 @@ class _Described:
         return tuple(
             GroupCovariance(
                 name,
-                Covariance(tuple(names), self._errors.covariance[np.ix_(columns, columns)], self._errors.freedom)
+                Covariance(tuple(names), self._errors.covariance[np.ix_(columns, columns)], self._errors.degrees_of_freedom)
                 if names
                 else None,
             )

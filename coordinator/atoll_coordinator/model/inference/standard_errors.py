@@ -32,14 +32,14 @@ class Errors:
 
     `values` (P,) have the joint `covariance` (P, P), which is that of the normal equations times `scale`, rows over
     those left to judge by, and at least that of `widening` (P,) times as large standard errors. Student's t has so many
-    degrees of `freedom`. `lower` and `upper` (P,) are bounds, None without any; constants on one have a one-sided
+    `degrees_of_freedom`. `lower` and `upper` (P,) are bounds, None without any; constants on one have a one-sided
     interval that `reaches` so far from it. Where several constants are multiples of one number, `columns` (P,) tell of
     which.
     """
 
     values: FloatArray
     covariance: FloatArray
-    freedom: float
+    degrees_of_freedom: float
     scale: float
     widening: FloatArray
     lower: FloatArray | None = None
@@ -57,7 +57,7 @@ class Errors:
         if self.lower is not None and self.upper is not None:
             lower, upper = np.sort([multiples * self.lower[columns], multiples * self.upper[columns]], axis=0)
         return Errors(
-            multiples * self.values[columns], scale * self.covariance[np.ix_(columns, columns)], self.freedom,
+            multiples * self.values[columns], scale * self.covariance[np.ix_(columns, columns)], self.degrees_of_freedom,
             self.scale, self.widening[columns], lower, upper,
             {
                 place: abs(float(multiples[place])) * self.reaches[number]
@@ -79,7 +79,7 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
     counts = float(comparison.counts.sum())
     fitted = fit.system.count + fit.starts.size
     left = max(counts - fitted, 1.0)
-    certain = float(comparison.counts @ fit.errors.freedom) / counts
+    certain = float(comparison.counts @ fit.errors.degrees_of_freedom) / counts
     found, scale = covariance(fit), counts / left
     widening = _widening(comparison, model, np.diag(found))
     return Errors(
@@ -116,7 +116,7 @@ def describe_constants(
         shown: the same programs as they are written.
         errors: of all constants of `explicit`, one program after the other.
     """
-    quantile = student_95(errors.freedom)
+    quantile = student_95(errors.degrees_of_freedom)
     spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 0.0)).tolist()
     fitted = errors.values.tolist()
     found: list[Known] = []
@@ -168,7 +168,7 @@ def joint_covariance(
 ) -> Covariance | None:
     """Return the covariance of the constants of all programs; None where no constant was fitted."""
     names = _fitted_constants(comparison, variables, explicit)
-    return Covariance(tuple(names), errors.covariance, errors.freedom) if names else None
+    return Covariance(tuple(names), errors.covariance, errors.degrees_of_freedom) if names else None
 
 
 def _fitted_constants(

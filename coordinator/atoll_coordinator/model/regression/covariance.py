@@ -56,12 +56,12 @@ def covariance_of(fitted: Fitted, criterion: RegressionCriterion) -> FloatArray:
     The variance of the errors is the sum of squared residuals over n - K, as if one were left where none is, or the
     square of the target's uncertainty if that is larger.
     """
-    freedom = max(criterion.rows - len(fitted.normal), 1)
+    degrees_of_freedom = max(criterion.rows - len(fitted.normal), 1)
     scale = np.sqrt(np.diag(fitted.normal))
     scale[scale < _FLAT] = _FLAT
     unit = fitted.normal / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
     inverse = np.linalg.pinv(unit, hermitian=True)
-    variance = criterion.variance(fitted.mse * criterion.rows / freedom)
+    variance = criterion.variance(fitted.mse * criterion.rows / degrees_of_freedom)
     return np.asarray(variance * inverse / np.outer(scale, scale))
 
 
@@ -103,16 +103,16 @@ def estimate_constants(
         explicit = as_written(program)
         fitted = least_squares.fit(program)
     values = fitted.program.constants[constant_places(fitted.program)].tolist()
-    freedom = criterion.rows - len(values)
+    degrees_of_freedom = criterion.rows - len(values)
     ranges = None if bounds is None else bounds.ranges(fitted.program)
     whole = fitted
     if ranges is not None:
         fitted = _with_held(fitted, _on_bounds(values, ranges))
     errors = [math.inf] * len(values)
-    if freedom > 0 and math.isfinite(fitted.mse):
+    if degrees_of_freedom > 0 and math.isfinite(fitted.mse):
         errors = standard_errors(fitted, criterion)
-    known = describe(explicit, program, values, errors, student_95(freedom) if has_intervals else None)
-    return known if ranges is None else _bounded(known, whole, ranges, criterion, freedom)
+    known = describe(explicit, program, values, errors, student_95(degrees_of_freedom) if has_intervals else None)
+    return known if ranges is None else _bounded(known, whole, ranges, criterion, degrees_of_freedom)
 
 
 def _on_bounds(values: Sequence[float], ranges: tuple[FloatArray, FloatArray]) -> npt.NDArray[np.bool_]:
@@ -130,12 +130,12 @@ def _with_held(fitted: Fitted, held: npt.NDArray[np.bool_]) -> Fitted:
 
 
 def _bounded(
-    known: Known, fitted: Fitted, ranges: tuple[FloatArray, FloatArray], criterion: RegressionCriterion, freedom: int
+    known: Known, fitted: Fitted, ranges: tuple[FloatArray, FloatArray], criterion: RegressionCriterion, degrees_of_freedom: int
 ) -> Known:
     """Return the constants with intervals within their bounds; those on a bound are as good as given for the others."""
     lower, upper = ranges
     values = fitted.program.constants[constant_places(fitted.program)]
-    variance = criterion.variance(fitted.mse * criterion.rows / max(freedom, 1))
+    variance = criterion.variance(fitted.mse * criterion.rows / max(degrees_of_freedom, 1))
     likelier = None if fitted.gradient is None else -fitted.gradient / variance
     reaches = one_sided_reaches(fitted.normal / variance, likelier, _on_bounds(values.tolist(), ranges))
     written = [
@@ -147,11 +147,11 @@ def _bounded(
     return Known(tuple(written), known.unit_coefficients)
 
 
-def student_95(freedom: float) -> float:
+def student_95(degrees_of_freedom: float) -> float:
     """Return how many standard errors lie on either side of a 95 % interval (Student's t); infinite without freedom."""
     from scipy import special
 
-    return float(special.stdtrit(freedom, 0.975)) if freedom > 0.0 else math.inf
+    return float(special.stdtrit(degrees_of_freedom, 0.975)) if degrees_of_freedom > 0.0 else math.inf
 
 
 def describe(

@@ -131,7 +131,7 @@ def covariance(known: refinement.Covariance | None) -> Covariance | None:
     return Covariance(
         constants=tuple(_place(*place) for place in known.constants),
         matrix=tuple(tuple(finite(value) for value in row) for row in known.matrix.tolist()),
-        freedom=finite(known.freedom),
+        freedom=finite(known.degrees_of_freedom),
     )
 
 

@@ -45,7 +45,7 @@ class ErrorModel:
         return numbers + bytes([self.is_correlation_sought, self.is_known])
 
     @property
-    def freedom(self) -> FloatArray:
+    def degrees_of_freedom(self) -> FloatArray:
         """Degrees of freedom of a variance of each state (O,) over its rows: 1 where errors are independent.
 
         An estimated correlation r, of variance (1 - r^2)/n, makes the logarithm of (1 + r)/(1 - r), which the variance

@@ -140,13 +140,13 @@ class Regression:
             left -= coefficient * self._columns[place]
         independent = self._form.independent
         squares = independent * math.fsum((left * left * its * its).tolist()) / len(left)
-        freedom = max(independent - len(places), 1.0)
+        degrees_of_freedom = max(independent - len(places), 1.0)
         return Law(
             sum_of(terms, coefficients),
             0.5 * squares + self._price(places),
-            math.sqrt(squares / freedom),
+            math.sqrt(squares / degrees_of_freedom),
             is_tested,
-            probability=float(special.chdtrc(freedom, squares)),
+            probability=float(special.chdtrc(degrees_of_freedom, squares)),
         )
 
     def _best_sum(

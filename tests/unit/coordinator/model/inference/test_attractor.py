@@ -194,8 +194,8 @@ def test_means_are_compared_as_welch_does():
 
 def test_one_block_has_no_variance_and_equal_numbers_no_difference():
     one, four = np.array([[0.5]]), np.array([[0.0, 1.0, 2.0, 5.0]])
-    t, freedom = (0.5 - 2.0) / (four.std(ddof=1) / 2.0), 3.0
-    assert _welch(one, four) == pytest.approx([2.0 * stats.t.cdf(t, freedom)])
+    t, degrees_of_freedom = (0.5 - 2.0) / (four.std(ddof=1) / 2.0), 3.0
+    assert _welch(one, four) == pytest.approx([2.0 * stats.t.cdf(t, degrees_of_freedom)])
     assert _welch(one, one + 1.0) == [1.0]
 
 

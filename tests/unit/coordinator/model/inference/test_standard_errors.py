@@ -78,7 +78,7 @@ def test_intervals_are_those_of_students_t():
 
     its, model = drawn(0)
     ((constant,),) = describe_constants(its, model.programs, estimate_errors(its, model))
-    assert estimate_errors(its, model).freedom == 60 - 1 - 3
+    assert estimate_errors(its, model).degrees_of_freedom == 60 - 1 - 3
     reach = stats.t.ppf(0.975, 56)
     assert constant.interval == pytest.approx(
         (constant.fitted - reach * constant.std_error, constant.fitted + reach * constant.std_error)
@@ -106,7 +106,7 @@ def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
         whole[first:end, :, fitted + 2 * group : fitted + 2 * group + 2] = sensitivities[first:end, :, fitted:]
     weighed = (whole / fit.errors.sigmas[None, :, None]).reshape(-1, fitted + 4)
     errors = estimate_errors(its, model)
-    covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.freedom)
+    covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.degrees_of_freedom)
     expected = np.sqrt(np.einsum("nop,pq,noq->on", whole, covariance, whole))
     assert banded(its, rows, model) == pytest.approx(expected, rel=1e-4)
 

@@ -33,4 +33,4 @@ def test_a_correlation_is_that_of_the_errors_not_of_what_a_fit_leaves_of_them():
 
 def test_a_variance_of_correlated_errors_has_few_degrees_of_freedom():
     model = ErrorModel(np.ones(2), np.array([0.0, 1.0]), np.array([0.0, DECAY]))
-    assert model.freedom.tolist() == [1.0, pytest.approx(1.0 / (1.0 + 2.0 / (1.0 - DECAY**2)))]
+    assert model.degrees_of_freedom.tolist() == [1.0, pytest.approx(1.0 / (1.0 + 2.0 / (1.0 - DECAY**2)))]

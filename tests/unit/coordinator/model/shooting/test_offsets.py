@@ -40,7 +40,7 @@ def test_offsets_are_fitted_with_whole_trajectories(its):
 def test_offsets_count_as_fitted_numbers(its):
     task = compare(LOTKA, its)
     model = task.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT])
-    assert estimate_errors(task, model).freedom == 360 - len(model.fit.system.places) - 9
+    assert estimate_errors(task, model).degrees_of_freedom == 360 - len(model.fit.system.places) - 9
 
 
 def test_segments_have_none(its):

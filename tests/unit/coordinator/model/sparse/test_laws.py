@@ -106,8 +106,8 @@ def test_fitted_coefficients_are_no_degrees_of_freedom_of_what_a_law_leaves():
     for degree, count in ((1, 3), (2, 6), (3, 10)):
         terms_of_it = [term for order in range(degree + 1) for term in products((0, 1), order)]
         law = Regression(form, terms_of_it)._refitted(range(count), np.ones(len(form.sides)), is_tested=True)
-        freedom = form.independent - count
-        assert law.probability == pytest.approx(special.chdtrc(freedom, freedom * law.excess**2))
+        degrees_of_freedom = form.independent - count
+        assert law.probability == pytest.approx(special.chdtrc(degrees_of_freedom, degrees_of_freedom * law.excess**2))
 
 
 @pytest.mark.parametrize(
