@@ -37,7 +37,7 @@ def _fail_fast(schema: Any) -> None:
             _fail_fast(part)
 
 
-class Model(BaseModel):
+class Frozen(BaseModel):
     """Base of everything that is validated: frozen, unknown fields refused, NaN and infinity refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -50,14 +50,14 @@ class Model(BaseModel):
         return schema
 
 
-class Angle(Model):
+class Angle(Frozen):
     """One state that is an angle: it is unwrapped before smoothing."""
 
     column: str
     degrees: bool = False
 
 
-class DataConfig(Model):
+class DataConfig(Frozen):
     """How the columns of the table are to be read. Names are column names as in the header, without units."""
 
     time: str | None = Field(None, description="time column; `t` or `time` unless named")
@@ -82,7 +82,7 @@ class DataConfig(Model):
     missing: Literal["refuse", "drop"] = Field("refuse", description="what to do with NaN and infinity")
 
 
-class SpaceConfig(Model):
+class SpaceConfig(Frozen):
     """The space of expressions."""
 
     operators: tuple[str, ...] = ("+", "-", "*", "/", "sin", "cos")
@@ -115,7 +115,7 @@ class SpaceConfig(Model):
         return self.terminals or max(PAPER_TERMINALS, variables + TERMINALS_BEYOND_VARIABLES)
 
 
-class PriorConfig(Model):
+class PriorConfig(Frozen):
     """What is known beforehand, as infix text over the table's symbols, by left-hand side such as `x` or `dx/dt`.
 
     When a job is prepared, left-hand sides become the names of their variables.
@@ -130,7 +130,7 @@ class PriorConfig(Model):
     )
 
 
-class EvolutionConfig(Model):
+class EvolutionConfig(Frozen):
     """Variation, selection and the fitting of constants."""
 
     islands: Annotated[int, Field(ge=1, le=1024)] = 8
@@ -162,7 +162,7 @@ class EvolutionConfig(Model):
         return self
 
 
-class PredictorConfig(Model):
+class PredictorConfig(Frozen):
     """Coevolved fitness predictors (paper, section 2.3 and Table II)."""
 
     enabled: bool = True
@@ -174,14 +174,14 @@ class PredictorConfig(Model):
     agreement: Agreement = Field("difference", description="how a predicted loss is compared with the exact one")
 
 
-class MigrationConfig(Model):
+class MigrationConfig(Frozen):
     """When solutions are reshuffled over the islands of a variable."""
 
     generations: Annotated[int, Field(ge=1, le=10_000)] = 100
     joining: PositiveInt | None = Field(4, description="islands that begin the first epoch at a time; None: all")
 
 
-class BudgetConfig(Model):
+class BudgetConfig(Frozen):
     """When a job ends. By default by convergence, stagnation or a fixed number of epochs: never by the clock."""
 
     target_error: Annotated[float, Field(gt=0.0)] | None = Field(None, description="normalized error that is enough")
@@ -193,7 +193,7 @@ class BudgetConfig(Model):
     )
 
 
-class JobConfig(Model):
+class JobConfig(Frozen):
     """Everything that decides a result, apart from the table itself."""
 
     preset: Preset = "default"

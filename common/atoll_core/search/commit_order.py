@@ -14,7 +14,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from atoll_core.config import Model
+from atoll_core.config import Frozen
 
 Positive = Annotated[int, Field(ge=1)]
 
@@ -28,7 +28,7 @@ class Position:
     island: int
 
 
-class CommitOrder(Model):
+class CommitOrder(Frozen):
     """How the slices of an archipelago follow each other.
 
     An epoch has `generations`, a slice `stride` of them; in epoch 0 islands begin in groups of `joining`.

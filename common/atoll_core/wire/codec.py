@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import TypeAdapter, ValidationError
 
-from atoll_core.config import Model
+from atoll_core.config import Frozen
 from atoll_core.data.dataset import Dataset, FloatArray, Target
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire.bus.interface import MAX_PAYLOAD
@@ -50,7 +50,7 @@ BROKEN: Final = (
 """What taking apart foreign bytes, or what was built of them, may raise."""
 
 
-def encode(model: Model) -> bytes:
+def encode(model: Frozen) -> bytes:
     """Return the msgpack bytes of a message. Keys of maps must be text.
 
     Raises:
@@ -261,7 +261,7 @@ _TOO_DEEP: Final = f"it is nested deeper than {MAX_NESTING} levels"
 def _validated(tree: object, kind: type[M] | TypeAdapter[M]) -> M:
     if isinstance(kind, TypeAdapter):
         return kind.validate_python(tree)
-    return cast(M, cast(type[Model], kind).model_validate(tree))
+    return cast(M, cast(type[Frozen], kind).model_validate(tree))
 
 
 def _name(kind: object) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from atoll_coordinator.service.store.schema import _prepare
 from atoll_coordinator.service.store.store import Room, Store
-from atoll_core.config import Model
+from atoll_core.config import Frozen
 from atoll_core.errors import StoreError
 from atoll_core.wire.codec import encode
 
@@ -23,7 +23,7 @@ READS: Final = frozenset({
 FULL: Final = "the job store cannot be written (the disk is full); make room, then start it again"
 
 
-class Elsewhere(Model):
+class Elsewhere(Frozen):
     """What another version of Atoll may have stored."""
 
     another: str = "version"

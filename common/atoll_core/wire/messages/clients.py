@@ -4,12 +4,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from atoll_core.config import JobConfig, Model
+from atoll_core.config import JobConfig, Frozen
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_PAGE_JOBS, MAX_UPLOAD, Count, Digest, Id, Priority, Sentence
 from atoll_core.wire.messages.views import CoordinatorView, EventView, JobView, WorkerView
 
 
-class Upload(Model):
+class Upload(Frozen):
     """One chunk of a table, or, with `data` None, the question which chunks are missing.
 
     `blob` is the SHA-256 of all `size` bytes; chunk `index` holds bytes from ``index * CHUNK_SIZE``; `sha256` is the
@@ -24,7 +24,7 @@ class Upload(Model):
     data: Annotated[bytes, Field(max_length=CHUNK_SIZE)] | None = None
 
 
-class Submit(Model):
+class Submit(Frozen):
     """A job under an id that the client made. The same id with the same contents again is the same job."""
 
     kind: Literal["submit"] = "submit"
@@ -35,7 +35,7 @@ class Submit(Model):
     priority: Priority = 0
 
 
-class Jobs(Model):
+class Jobs(Frozen):
     """List jobs whose ids begin with `prefix`, and with `is_open` only those that have not ended: the last that came.
 
     `before` is the cursor that the list of those behind them gave; at most `limit` are listed.
@@ -48,48 +48,48 @@ class Jobs(Model):
     limit: Annotated[int, Field(ge=1, le=MAX_PAGE_JOBS)] = MAX_PAGE_JOBS
 
 
-class FindJob(Model):
+class FindJob(Frozen):
     """Tell the id of the one job whose id is `prefix` or begins with it."""
 
     kind: Literal["find-job"] = "find-job"
     prefix: Id
 
 
-class Status(Model):
+class Status(Frozen):
     """Tell how a job is getting on."""
 
     kind: Literal["job-status"] = "job-status"
     job: Id
 
 
-class Workers(Model):
+class Workers(Frozen):
     """List all workers."""
 
     kind: Literal["workers"] = "workers"
 
 
-class GetResult(Model):
+class GetResult(Frozen):
     """Give a job's result; while it runs, the best so far."""
 
     kind: Literal["get-result"] = "get-result"
     job: Id
 
 
-class Cancel(Model):
+class Cancel(Frozen):
     """End a job and keep the best models; without effect on a job that has ended."""
 
     kind: Literal["cancel"] = "cancel"
     job: Id
 
 
-class Delete(Model):
+class Delete(Frozen):
     """Forget a job that has ended, with its result, its events and the data that no other job uses. Idempotent."""
 
     kind: Literal["delete"] = "delete"
     job: Id
 
 
-class GetEvents(Model):
+class GetEvents(Frozen):
     """Tell what happened to a job, or at all (`job` None), after the event of number `after`: `limit` of it at most.
 
     With `after` 0 these are the last ones.
@@ -101,7 +101,7 @@ class GetEvents(Model):
     limit: Annotated[int, Field(ge=1, le=1000)] = 200
 
 
-class Request(Model):
+class Request(Frozen):
     """A request of a client."""
 
     body: Annotated[
@@ -110,7 +110,7 @@ class Request(Model):
     ]
 
 
-class Uploaded(Model):
+class Uploaded(Frozen):
     """Chunks of an upload that are still missing; none: the table is stored."""
 
     kind: Literal["uploaded"] = "uploaded"
@@ -118,7 +118,7 @@ class Uploaded(Model):
     missing: tuple[Count, ...]
 
 
-class JobList(Model):
+class JobList(Frozen):
     """Jobs, newest last; `before` is the cursor for those that came before them, None when there are none."""
 
     kind: Literal["job-list"] = "job-list"
@@ -126,21 +126,21 @@ class JobList(Model):
     before: Count | None = None
 
 
-class JobFound(Model):
+class JobFound(Frozen):
     """The id that was asked for."""
 
     kind: Literal["job-found"] = "job-found"
     job: Id
 
 
-class JobStatus(Model):
+class JobStatus(Frozen):
     """One job; the answer to Submit, Status and Cancel."""
 
     kind: Literal["job-view"] = "job-view"
     job: JobView
 
 
-class WorkerList(Model):
+class WorkerList(Frozen):
     """All workers seen since the coordinator started, and the coordinator itself."""
 
     kind: Literal["worker-list"] = "worker-list"
@@ -148,21 +148,21 @@ class WorkerList(Model):
     coordinator: CoordinatorView | None = None
 
 
-class EventList(Model):
+class EventList(Frozen):
     """What happened, in order."""
 
     kind: Literal["event-list"] = "event-list"
     events: tuple[EventView, ...]
 
 
-class Result(Model):
+class Result(Frozen):
     """The contents of result.json, as JSON text."""
 
     kind: Literal["result"] = "result"
     json_text: str
 
 
-class Deleted(Model):
+class Deleted(Frozen):
     """There is no job of this id any more."""
 
     kind: Literal["deleted"] = "deleted"
@@ -172,7 +172,7 @@ class Deleted(Model):
 FailureKind = Literal["unknown-job", "no-table", "refused", "data", "too-early", "protocol", "internal"]
 
 
-class Failure(Model):
+class Failure(Frozen):
     """The question cannot be answered; `sentence` is for the person who asked."""
 
     kind: Literal["failure"] = "failure"
@@ -180,7 +180,7 @@ class Failure(Model):
     sentence: Sentence
 
 
-class Answer(Model):
+class Answer(Frozen):
     """Answer to a client."""
 
     body: Annotated[

@@ -4,11 +4,11 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
-from atoll_core.config import Model
+from atoll_core.config import Frozen
 from atoll_core.wire.messages.limits import Count, Id, Sentence
 
 
-class Tolerant(Model):
+class Tolerant(Frozen):
     """A message whose shape other versions must be able to read: fields they do not know are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)

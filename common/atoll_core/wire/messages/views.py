@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from atoll_core.config import Model
+from atoll_core.config import Frozen
 
 JobState = Literal["queued", "preparing", "running", "refining", "done", "failed", "cancelled"]
 FINAL_STATES: frozenset[JobState] = frozenset({"done", "failed", "cancelled"})
@@ -16,7 +16,7 @@ EventKind = Literal[
 ]  # fmt: skip
 
 
-class Traffic(Model):
+class Traffic(Frozen):
     """Messages of one kind that a process received and sent, and the bytes of their payloads."""
 
     kind: Annotated[str, Field(max_length=16)]
@@ -26,7 +26,7 @@ class Traffic(Model):
     bytes_out: Annotated[int, Field(ge=0)] = 0
 
 
-class Counters(Model):
+class Counters(Frozen):
     """What a process has done since its start, and what it takes.
 
     `dropped`: messages lost because they came faster than they were taken; `refused`: malformed or foreign ones;
@@ -45,7 +45,7 @@ class Counters(Model):
     cpu_s: Annotated[float, Field(ge=0.0)] = 0.0
 
 
-class StoreView(Model):
+class StoreView(Frozen):
     """Transactions of the coordinator's store since its start, and the seconds that they took."""
 
     transactions: int = 0
@@ -53,7 +53,7 @@ class StoreView(Model):
     worst_s: float = 0.0
 
 
-class CoordinatorView(Model):
+class CoordinatorView(Frozen):
     """The coordinator itself as `workers` shows it; `seconds` since its start."""
 
     version: str
@@ -63,7 +63,7 @@ class CoordinatorView(Model):
     store: StoreView
 
 
-class JobCounters(Model):
+class JobCounters(Frozen):
     """What a job has cost beside its point evaluations, in this coordinator's life.
 
     `placements` counts terms, `deaths` those that ended by the death of a worker, `stalls` the times that it stood
@@ -79,7 +79,7 @@ class JobCounters(Model):
     waited_s: float = 0.0
 
 
-class EventView(Model):
+class EventView(Frozen):
     """One thing that happened, as `logs` shows it; `number` rises. What does not apply is None.
 
     `details` are further numbers and words by name.
@@ -98,7 +98,7 @@ class EventView(Model):
     details: dict[str, str | int | float] = Field(default_factory=dict)
 
 
-class VariableView(Model):
+class VariableView(Frozen):
     """Progress of one equation. `epoch` counts completely reported epochs; `why` says how its search ended.
 
     A known equation is not searched: `why` is "known" from the beginning. `verdict` is given when the job has ended:
@@ -119,7 +119,7 @@ class VariableView(Model):
     verdict: Literal["exact", "good", "doubtful", "no model"] | None = None
 
 
-class JobView(Model):
+class JobView(Frozen):
     """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or what it waits for.
 
     `fault` of a failed job: the data could not be used, two workers diverged, its islands killed their workers, or
@@ -147,7 +147,7 @@ class JobView(Model):
     counters: JobCounters = JobCounters()
 
 
-class WorkerView(Model):
+class WorkerView(Frozen):
     """One worker as `workers` shows it; `silent` is seconds since it was last heard of, `detail` for a person.
 
     `doing` is what it last said that it computes; `standing` is for how many seconds that has not got on.

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from atoll_core.config import JobConfig, Model
+from atoll_core.config import JobConfig, Frozen
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.limits import (
     CHUNK_SIZE,
@@ -37,7 +37,7 @@ from atoll_core.wire.messages.views import Counters, WorkerState
 # ---------------------------------------------------------------------------------------------- control
 
 
-class JobAnnouncement(Model):
+class JobAnnouncement(Frozen):
     """A job as workers need it: its resolved configuration and where its dataset can be pulled.
 
     `blob` is the SHA-256 of the encoded dataset of `size` bytes in `chunks` chunks of `CHUNK_SIZE`.
@@ -53,7 +53,7 @@ class JobAnnouncement(Model):
     priority: Priority = 0
 
 
-class Schedule(Model):
+class Schedule(Frozen):
     """The next two checkpoints of an archipelago: epochs before which islands take a snapshot.
 
     No island begins an epoch beyond `last`, nor `last` itself when it `holds`: then it is a barrier, where all wait for
@@ -70,7 +70,7 @@ class Schedule(Model):
         return self.last - self.holds
 
 
-class Placement(Model):
+class Placement(Frozen):
     """Who computes which island of one archipelago: `workers[k]` has island k.
 
     The term begins at `epoch`: 0, or a committed checkpoint, whose states are pulled. No island begins epoch `epochs`
@@ -98,14 +98,14 @@ class Placement(Model):
         return tuple(island for island, name in enumerate(self.workers) if name == worker)
 
 
-class Placements(Model):
+class Placements(Frozen):
     """Current placements of archipelagos that are still searched."""
 
     kind: Literal["placements"] = "placements"
     placements: tuple[Placement, ...]
 
 
-class Commit(Model):
+class Commit(Frozen):
     """The checkpoint for `epoch` is durable, and these are the next ones.
 
     Every island has reported epoch `reported` under this term: what was sent in the epochs below is needed no more.
@@ -120,7 +120,7 @@ class Commit(Model):
     reported: Count = 0
 
 
-class Close(Model):
+class Close(Frozen):
     """Stop computing one archipelago, as far as it is placed under `term` or a lower one, and forget it."""
 
     kind: Literal["close"] = "close"
@@ -129,14 +129,14 @@ class Close(Model):
     term: Term
 
 
-class CloseJob(Model):
+class CloseJob(Frozen):
     """Stop computing a job, which has ended, and forget it."""
 
     kind: Literal["close-job"] = "close-job"
     job: Id
 
 
-class Shutdown(Model):
+class Shutdown(Frozen):
     """The coordinator ends and its workers may end too; `refused` tells one worker to leave with an error."""
 
     kind: Literal["shutdown"] = "shutdown"
@@ -144,7 +144,7 @@ class Shutdown(Model):
     refused: bool = False
 
 
-class Reregister(Model):
+class Reregister(Frozen):
     """The coordinator does not know this worker (it started anew, perhaps): greet again."""
 
     kind: Literal["introduce"] = "introduce"
@@ -153,7 +153,7 @@ class Reregister(Model):
 ControlBody = JobAnnouncement | Placements | Commit | Close | CloseJob | Reregister | Shutdown
 
 
-class Control(Model):
+class Control(Frozen):
     """From the coordinator to workers."""
 
     body: Annotated[ControlBody, Field(discriminator="kind")]
@@ -162,7 +162,7 @@ class Control(Model):
 # ---------------------------------------------------------------------------------------------- heartbeat
 
 
-class AssignmentStatus(Model):
+class AssignmentStatus(Frozen):
     """What a worker has of one archipelago, and how far that is.
 
     All epochs below `reported` have been finished and reported by all of its islands there; `commit` is the last
@@ -180,7 +180,7 @@ class AssignmentStatus(Model):
     waited_s: Seconds = 0.0
 
 
-class Doing(Model):
+class Doing(Frozen):
     """What a worker's compute thread is at."""
 
     job: Id
@@ -189,7 +189,7 @@ class Doing(Model):
     epoch: Count
 
 
-class IslandFailure(Model):
+class IslandFailure(Frozen):
     """Something of ours broke while this island computed; repeated until its archipelago is closed."""
 
     job: Id
@@ -199,7 +199,7 @@ class IslandFailure(Model):
     sentence: Sentence
 
 
-class WorkerStatus(Model):
+class WorkerStatus(Frozen):
     """The heartbeat. `progress` rises while the compute thread gets on; `detail` says what a person should know.
 
     `jobs` are those whose dataset is here or on its way, also without islands of theirs.
@@ -221,14 +221,14 @@ class WorkerStatus(Model):
 # ---------------------------------------------------------------------------------------------- reports
 
 
-class HitStatement(Model):
+class HitStatement(Frozen):
     """The target was met at `generation` (1-based within the epoch), the end of a slice."""
 
     generation: Count
     error: float
 
 
-class Addition(Model):
+class Addition(Frozen):
     """One equation found by an island in this epoch; fields as in `atoll_core.search.pareto.FrontEntry`."""
 
     complexity: Count
@@ -238,14 +238,14 @@ class Addition(Model):
     program: Annotated[bytes, Field(max_length=8192)]
 
 
-class SliceCounters(Model):
+class SliceCounters(Frozen):
     """Point evaluations of an island by part, cumulative since epoch 0, at the end of the slice at `generation`."""
 
     generation: Count
     evaluations: dict[Annotated[str, Field(max_length=64)], Summand]
 
 
-class IslandReport(Model):
+class IslandReport(Frozen):
     """What one island says of one epoch, finished or given up (`atoll_island_worker.evolution.island.EpochOutcome`).
 
     `generations` is how far it got: to the epoch's end, to its own hit, or, when another island met the target, at
@@ -263,7 +263,7 @@ class IslandReport(Model):
     digest: Annotated[str, Field(pattern=r"^[0-9a-f]{16,128}$")]
 
 
-class EpochReport(Model):
+class EpochReport(Frozen):
     """One worker's islands of one archipelago, one epoch: all but those that the cut spares the whole epoch."""
 
     kind: Literal["report"] = "report"
@@ -277,7 +277,7 @@ class EpochReport(Model):
 # ---------------------------------------------------------------------------------------------- migrants
 
 
-class Block(Model):
+class Block(Frozen):
     """Solutions of island `source` for island `destination`, with their slots; opaque to all but the island."""
 
     source: IslandIndex
@@ -285,7 +285,7 @@ class Block(Model):
     data: bytes
 
 
-class Migrants(Model):
+class Migrants(Frozen):
     """Emigrants of one finished epoch for islands of one worker."""
 
     kind: Literal["migrants"] = "migrants"
@@ -296,7 +296,7 @@ class Migrants(Model):
     blocks: Annotated[tuple[Block, ...], Field(min_length=1)]
 
 
-class Finished(Model):
+class Finished(Frozen):
     """In place of emigrants: `island` met the target at `generation` of `epoch`; nothing after that is needed."""
 
     kind: Literal["finished"] = "finished"
@@ -308,7 +308,7 @@ class Finished(Model):
     island: IslandIndex
 
 
-class Mail(Model):
+class Mail(Frozen):
     """From worker to worker."""
 
     body: Annotated[Migrants | Finished, Field(discriminator="kind")]
@@ -317,7 +317,7 @@ class Mail(Model):
 # ---------------------------------------------------------------------------------------------- pulls
 
 
-class PullMigrants(Model):
+class PullMigrants(Frozen):
     """What did the `sources` of yours send in `epoch` to island `destination`?"""
 
     kind: Literal["pull-migrants"] = "pull-migrants"
@@ -329,7 +329,7 @@ class PullMigrants(Model):
     sources: Annotated[tuple[IslandIndex, ...], Field(min_length=1)]
 
 
-class PullReports(Model):
+class PullReports(Frozen):
     """What did you report of these epochs (first included, last excluded)?"""
 
     kind: Literal["pull-reports"] = "pull-reports"
@@ -340,7 +340,7 @@ class PullReports(Model):
     last: Count
 
 
-class PullStates(Model):
+class PullStates(Frozen):
     """What are the states of these islands at checkpoint `epoch`, of the first one from byte `offset` on?"""
 
     kind: Literal["pull-states"] = "pull-states"
@@ -352,13 +352,13 @@ class PullStates(Model):
     offset: Count = 0
 
 
-class Pull(Model):
+class Pull(Frozen):
     """Question to a worker; that for states also to the coordinator."""
 
     body: Annotated[PullMigrants | PullReports | PullStates, Field(discriminator="kind")]
 
 
-class Sent(Model):
+class Sent(Frozen):
     """The migrants asked for, as far as they exist already, and those sources that finished instead."""
 
     kind: Literal["sent"] = "sent"
@@ -366,14 +366,14 @@ class Sent(Model):
     finished: tuple[Finished, ...] = ()
 
 
-class Reports(Model):
+class Reports(Frozen):
     """The reports asked for, as far as they exist already."""
 
     kind: Literal["reports"] = "reports"
     reports: tuple[EpochReport, ...]
 
 
-class Piece(Model):
+class Piece(Frozen):
     """Bytes from `offset` on of the state of one island; the whole has `size` bytes and the SHA-256 `digest`."""
 
     island: IslandIndex
@@ -383,20 +383,20 @@ class Piece(Model):
     data: Annotated[bytes, Field(max_length=CHUNK_SIZE)]
 
 
-class States(Model):
+class States(Frozen):
     """As many of the states asked for as one message bears, in their order; the last one may be a part of it."""
 
     kind: Literal["states"] = "states"
     pieces: Annotated[tuple[Piece, ...], Field(min_length=1, max_length=1024)]
 
 
-class NotYet(Model):
+class NotYet(Frozen):
     """Nothing of what was asked for exists yet; ask later."""
 
     kind: Literal["not-yet"] = "not-yet"
 
 
-class NewerTerm(Model):
+class NewerTerm(Frozen):
     """The question's term is over; `term` is the one that the answerer knows (0: it holds nothing there)."""
 
     kind: Literal["newer-term"] = "newer-term"
@@ -405,7 +405,7 @@ class NewerTerm(Model):
     term: Count
 
 
-class PullAnswer(Model):
+class PullAnswer(Frozen):
     """Answer of a worker."""
 
     body: Annotated[Sent | Reports | States | NotYet | NewerTerm, Field(discriminator="kind")]

@@ -18,7 +18,7 @@ from atoll.terminal.progress import (
     is_screen,
     plain_lines,
 )
-from atoll_core.config import Model
+from atoll_core.config import Frozen
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
 from atoll_core.wire.addresses import Destination
@@ -119,7 +119,7 @@ def _only_open_job(client: Client) -> str:
     return views[0].job
 
 
-def _json(views: Sequence[Model]) -> str:
+def _json(views: Sequence[Frozen]) -> str:
     return as_json([view.model_dump(mode="json") for view in views])
 
 

@@ -8,19 +8,19 @@ from pydantic import Field
 from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.cut import Convergence, CutEntry, entries, stored
 from atoll_core import ENGINE_REVISION
-from atoll_core.config import Model
+from atoll_core.config import Frozen
 from atoll_core.wire.messages.workers import Placement, PullStates, States
 from atoll_core.wire.state_transfer import Assembly, State
 
 
-class Counted(Model):
+class Counted(Frozen):
     """Cumulative point evaluations of one island by part."""
 
     island: int
     evaluations: dict[str, int]
 
 
-class StoredSearchState(Model):
+class StoredSearchState(Frozen):
     """A `SearchState` as it is stored beside the states of the islands.
 
     `search_seconds` is how long the job had been searched by then. `engine` is the revision under which it came about;

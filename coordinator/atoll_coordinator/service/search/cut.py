@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from atoll_coordinator.model.refinement import Pool
-from atoll_core.config import Model
+from atoll_core.config import Frozen
 from atoll_core.search.pareto import FrontEntry
 
 Why = Literal["target", "law", "stagnation", "max-epochs", "max-time", "cancelled"]
 
 
-class CutEntry(Model):
+class CutEntry(Frozen):
     """A `atoll_core.search.pareto.FrontEntry` as it is stored."""
 
     complexity: int
@@ -24,14 +24,14 @@ class CutEntry(Model):
     program: bytes
 
 
-class Improvement(Model):
+class Improvement(Frozen):
     """A `generation`, counted from the start of the search, in which an island found a lower `error` than before."""
 
     generation: int
     error: float
 
 
-class Convergence(Model):
+class Convergence(Frozen):
     """The improvements of one island, by rising generation and falling error."""
 
     island: int
@@ -43,7 +43,7 @@ class Convergence(Model):
         return tuple(cls(island=island, improvements=found[island]) for island in sorted(found))
 
 
-class Cut(Model):
+class Cut(Frozen):
     """The end of one archipelago.
 
     `epochs` are counted, so the last one is `epochs` - 1; `generation`, counted from the start of the search, is the

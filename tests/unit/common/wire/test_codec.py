@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, TypeAdapter
 
-from atoll_core.config import Model
+from atoll_core.config import Frozen
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire import codec
 
 
-class Ping(Model):
+class Ping(Frozen):
     kind: Literal["ping"] = "ping"
     number: int = 0
     ratio: float | None = None
@@ -28,7 +28,7 @@ class Ping(Model):
     names: dict[str, int] = Field(default_factory=dict)
 
 
-class Pong(Model):
+class Pong(Frozen):
     kind: Literal["pong"] = "pong"
     ping: Ping
 
@@ -232,12 +232,12 @@ def test_a_dataset_without_its_fields_is_refused() -> None:
         codec.dataset_from_bytes(codec.encode_arrays({}, {"inputs": np.zeros((2, 3))}))
 
 
-class Item(Model):
+class Item(Frozen):
     number: int
     text: str
 
 
-class Many(Model):
+class Many(Frozen):
     items: tuple[Item, ...]
 
 
