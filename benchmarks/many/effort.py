@@ -10,7 +10,7 @@ from unittest.mock import patch
 from atoll.terminal.output import say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.sparse import laws
+from atoll_coordinator.model.sparse import product_laws
 from atoll_core.config import JobConfig
 from benchmarks.many.campaign import case
 from tests.simulation.harness.simulated_cluster import World
@@ -26,7 +26,7 @@ def run(options: Namespace) -> None:
 def _searched(seed: int) -> list[tuple[str, ...]]:
     its = case("uneven", 0.0, seed, Namespace(runs=None, max_time=None, dysts=None))
     preparation = prepare(its.table, its.config)
-    settled = laws.settled_variables(preparation, its.config, laws.laws_among_many(preparation, its.config))
+    settled = product_laws.settled_variables(preparation, its.config, product_laws.laws_among_many(preparation, its.config))
     return [_row(seed, "each", workers, preparation, its.config, settled) for workers in (1, 3)] + [
         _row(seed, "all or none", 1, preparation, its.config, frozenset())
     ]
@@ -35,7 +35,7 @@ def _searched(seed: int) -> list[tuple[str, ...]]:
 def _row(
     seed: int, rule: str, workers: int, preparation: Preparation, config: JobConfig, settled: frozenset[str]
 ) -> tuple[str, ...]:
-    with patch.object(laws, "settled_variables", lambda *_: settled):
+    with patch.object(product_laws, "settled_variables", lambda *_: settled):
         world = World(workers, seed, compute=RealCompute, prepare=lambda *_: preparation, refiner=unrefined)
         result = world.run(config)
     points = {equation["variable"]: equation["point_evaluations"] for equation in result["equations"]}

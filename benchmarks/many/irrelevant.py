@@ -14,7 +14,7 @@ from atoll.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool
-from atoll_coordinator.model.sparse.laws import find_all_laws
+from atoll_coordinator.model.sparse.product_laws import find_all_laws
 from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
 from atoll_core.config import PRESETS
 from atoll_core.data.dataset import FloatArray

@@ -33,7 +33,7 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import LawsByGroup, Pool, Pools, Refinement
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import Result
-from atoll_coordinator.service.background.tasks import (
+from atoll_coordinator.service.background.job_tasks import (
     PreparationFailed,
     Refiner,
     prepare_job,

@@ -19,7 +19,7 @@ def fields(**values: object) -> dict[str, object]:
 
 
 class TextLines(logging.Formatter):
-    """``2026-01-01T00:00:00.000Z INFO placed job=a term=3 (atoll_coordinator.service.controller)``, on one line."""
+    """``2026-01-01T00:00:00.000Z INFO placed job=a term=3 (atoll_coordinator.service.job_controller)``, on one line."""
 
     def __init__(self, context: dict[str, object]) -> None:
         """`context` stands in every line."""

@@ -8,7 +8,7 @@ from atoll_core.wire.rejects import Rejects
 from atoll_island_worker.compute.compute_thread import ComputeThread
 from atoll_island_worker.connection.connection import CoordinatorConnection
 from atoll_island_worker.datasets import Datasets
-from atoll_island_worker.session.session import Session
+from atoll_island_worker.session.worker_session import Session
 
 
 def worker_status(

@@ -27,7 +27,7 @@ from atoll_island_worker.connection.requests import FETCH, Request, Requests
 from atoll_island_worker.datasets import Datasets
 from atoll_island_worker.heartbeat import counters_of, worker_status
 from atoll_island_worker.session import actions, events
-from atoll_island_worker.session.session import Session
+from atoll_island_worker.session.worker_session import Session
 
 _LOG = logging.getLogger(__name__)
 

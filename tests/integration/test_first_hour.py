@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.service.background.tasks import prepare_table, refine
+from atoll_coordinator.service.background.job_tasks import prepare_table, refine
 from atoll_core.config import JobConfig
 from benchmarks.first_hour.campaign import BROKE, is_as_it_should_be, line, request
 from benchmarks.first_hour.cases import CASES, Case

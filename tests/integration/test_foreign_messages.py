@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 from atoll.client.client import Client
 from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.wire import topics

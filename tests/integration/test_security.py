@@ -13,7 +13,7 @@ from atoll.cli.main import main
 from atoll.cli.verbs.router import upstream_settings
 from atoll.client.client import Client, connected
 from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.errors import RefusedError, UnreachableError

@@ -24,7 +24,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import Result
-from atoll_coordinator.service.background.tasks import JobPrepared, prepare_job, prepare_table, refine, refine_job
+from atoll_coordinator.service.background.job_tasks import JobPrepared, prepare_job, prepare_table, refine, refine_job
 from atoll_core.config import PRESETS, DataConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset, FloatArray, Problem, Target
 from atoll_core.data.table import Table

@@ -17,10 +17,10 @@ from collections.abc import Iterator, Sequence
 
 import atoll_coordinator.service
 from atoll.terminal.output import say
-from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.scheduling import Scheduler
@@ -37,13 +37,13 @@ LEFT_OUT = {
     (WorkerChannel, "take_pull"),  # one look into a dict; without it nobody knows whose answer came
 }
 LEFT_OUT_ALWAYS = {
-    (Controller, "guarded"),  # what ends a job over which something breaks, and what does nothing but call that
-    (Controller, "_change"),
-    (Controller, "_advance_checkpoint"),
+    (JobController, "guarded"),  # what ends a job over which something breaks, and what does nothing but call that
+    (JobController, "_change"),
+    (JobController, "_advance_checkpoint"),
     (RequestDispatcher, "_answer"),
     (RequestDispatcher, "_tell_worker"),
-    (Controller, "_end_broken"),
-    (Controller, "_end_without_job"),
+    (JobController, "_end_broken"),
+    (JobController, "_end_without_job"),
     (Scheduler, "plan"),  # is called with all jobs
     (Store, "job"),
     (Store, "commit_result"),

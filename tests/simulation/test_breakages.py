@@ -10,7 +10,7 @@ from typing import Any, get_args
 import msgpack
 import pytest
 
-from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.counters import CounterRegistry
 from atoll_coordinator.service.monitoring.event_log import EventLog
@@ -21,10 +21,10 @@ from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Collector
 from atoll_coordinator.service.search.pull_budget import PullBudget
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.workers.controller import WorkerController
+from atoll_coordinator.service.workers.worker_controller import WorkerController
 from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.service.workers.scheduling import Assignment, Scheduler
@@ -45,19 +45,19 @@ HANDLERS: list[tuple[type, str]] = [
     (Handshake, "answer"),
     (Authorization, "refuse_ask"),
     (JobDeletion, "delete_expired"),
-    (Controller, "_change"),
-    (Controller, "start_search"),
-    (Controller, "finish_job"),
-    (Controller, "add_states"),
-    (Controller, "commit_checkpoint"),
-    (Controller, "_start"),
-    (Controller, "_commit_cuts"),
-    (Controller, "_commit_result"),
-    (Controller, "_prepare"),
-    (Controller, "_live_view"),
-    (Controller, "announcement"),
-    (Controller, "placements"),
-    (Controller, "result"),
+    (JobController, "_change"),
+    (JobController, "start_search"),
+    (JobController, "finish_job"),
+    (JobController, "add_states"),
+    (JobController, "commit_checkpoint"),
+    (JobController, "_start"),
+    (JobController, "_commit_cuts"),
+    (JobController, "_commit_result"),
+    (JobController, "_prepare"),
+    (JobController, "_live_view"),
+    (JobController, "announcement"),
+    (JobController, "placements"),
+    (JobController, "result"),
     (EventLog, "flush"),
     (EventLog, "record_submission"),
     (EventLog, "record_cut"),
@@ -111,9 +111,9 @@ OF_ONE_JOB: list[tuple[type, str]] = [
     (CounterRegistry, "add"),
     (EventLog, "record"),
     (EventLog, "record_placement"),
-    (Controller, "announcement"),
-    (Controller, "placements"),
-    (Controller, "_mark_durable"),
+    (JobController, "announcement"),
+    (JobController, "placements"),
+    (JobController, "_mark_durable"),
     (Job, "start_search"),
     (Job, "add_report"),
     (RequestDispatcher, "_states"),

@@ -5,7 +5,7 @@ import pytest
 from atoll_coordinator.service.search import pull_budget
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from tests.simulation.bus.faults import Plan
-from tests.simulation.harness.schedule import schedule_of
+from tests.simulation.harness.fault_schedule import schedule_of
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.soak import play
 

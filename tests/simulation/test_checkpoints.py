@@ -127,7 +127,7 @@ def test_lost_and_late_answers_with_states_do_not_change_the_answer() -> None:
 
 
 def test_states_that_are_larger_than_a_message_come_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("atoll_core.wire.state_transfer.split_states.__defaults__", (25,))  # a state has 40 bytes
+    monkeypatch.setattr("atoll_core.wire.state_pieces.split_states.__defaults__", (25,))  # a state has 40 bytes
     world = world_of(workers=3, seed=2)
     world.at(1.6, lambda: world.crash("w1"))
     assert comparable(world.run(config(2))) == undisturbed(2)

@@ -7,7 +7,7 @@ from itertools import count
 import pytest
 
 from atoll_coordinator.service.jobs.job import Job, JobAction
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.service_loop import Service
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
@@ -16,7 +16,7 @@ from atoll_core.wire.messages.clients import Request, Submit
 from atoll_core.wire.security.access_control import RoleBindings
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.harness.participants import Cast
-from tests.simulation.harness.schedule import JobPlan
+from tests.simulation.harness.fault_schedule import JobPlan
 from tests.simulation.harness.schedule_run import ScheduleRun, calm_schedule
 from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk
 

@@ -100,7 +100,7 @@ def test_a_worker_that_was_only_cut_off_is_pardoned_by_the_next_coordinator_too(
     ward.world.submit(config(10_000), "y")
     ward.world.client.pause(1.0)
     (name, *_) = ward.world.workers
-    ward.world.network.cut(name)
+    ward.world.network.disconnect(name)
     end = ward.world.network.now + 20.0
     while not ward.world.store.deaths("job") and ward.world.network.now < end:
         ward.world.client.pause(0.05)

@@ -9,7 +9,7 @@ import pytest
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll_island_worker.session import session
+from atoll_island_worker.session import worker_session
 from tests.simulation.harness.simulated_cluster import World, prepare
 
 
@@ -71,7 +71,7 @@ def test_nothing_heavy_is_left_of_a_job_that_has_ended(end: str, monkeypatch: py
 def test_a_worker_remembers_the_terms_of_some_jobs_that_have_ended_and_no_more(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(session, "MAX_TERMS", 4)
+    monkeypatch.setattr(worker_session, "MAX_TERMS", 4)
     world = World(workers=2)
     for number in range(6):
         world.submit(config(number, max_epochs=2), "x,y", f"job{number}")

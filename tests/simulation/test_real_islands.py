@@ -13,7 +13,7 @@ from atoll_core.config import BudgetConfig, DataConfig, EvolutionConfig, JobConf
 from atoll_core.data.dataset import Dataset, Target
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import Work
-from atoll_island_worker.session.tasks import ShardKey, Task
+from atoll_island_worker.session.epoch_tasks import ShardKey, Task
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import StubCompute

@@ -20,7 +20,7 @@ from atoll_coordinator.service.store.store import Store
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.guests import Guest
 from tests.simulation.harness.participants import Cast
-from tests.simulation.harness.schedule import (
+from tests.simulation.harness.fault_schedule import (
     Fault,
     GuestKind,
     GuestPlan,
@@ -106,7 +106,7 @@ def test_another_answer_is_found() -> None:
 
 
 def test_a_job_that_does_not_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("atoll_coordinator.service.workers.controller.WorkerController.place", lambda self, now: None)
+    monkeypatch.setattr("atoll_coordinator.service.workers.worker_controller.WorkerController.place", lambda self, now: None)
     outcome = play(disturbed())
     assert any("do not end" in each for each in outcome.wrong), told(outcome)
 

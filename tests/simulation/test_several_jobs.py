@@ -109,7 +109,7 @@ def test_islands_that_kill_their_workers_are_isolated_then_their_job_fails_and_t
 def test_workers_that_only_lost_their_connection_make_nobody_suspect() -> None:
     world = World(workers=2)
     for number in range(2):
-        world.at(1.2 + 4.0 * number, partial(world.network.cut, "w1"))
+        world.at(1.2 + 4.0 * number, partial(world.network.disconnect, "w1"))
         world.at(2.4 + 4.0 * number, partial(world.network.heal, "w1"))
     world.submit(config(1, max_epochs=100_000, stagnation=100_000, max_time=18.0), variables=ENDLESS)
     view = world.finish()

@@ -138,7 +138,7 @@ def test_when_the_router_crashes_every_client_is_told_and_told_again_when_it_is_
     network.at(2.5, lambda: one.put("x", b"heard"))
     assert everything(two, until_s=5.0) == [Link(False), Link(True), Message("x", b"heard")]
     with pytest.raises(LocalProtocolError, match="router itself"):
-        network.cut("router")
+        network.disconnect("router")
 
 
 def test_a_handler_gets_first_what_was_waiting() -> None:

@@ -3,7 +3,7 @@
 - ``messages``: the messages as validated models. ``codec``: their bytes, and those of arrays and datasets.
 - ``topics``: the keys of the bus, built and parsed. ``bus``: the interface of a bus, and Zenoh behind it.
 - ``addresses``, ``connect_file``: where a coordinator is. ``security``: certificates, role bindings, access rules.
-- ``state_transfer``: states of islands, split into messages and put together. ``rejects``: what peers sent in error.
+- ``state_pieces``: states of islands, split into messages and put together. ``rejects``: what peers sent in error.
 
 A message goes from a model through ``codec.encode`` to `Bus.put` or `Bus.get` under a key of ``topics``; the receiver
 parses the key, and ``codec.decode`` checks size, structure and model before anything acts on it. docs/protocol.md lists

@@ -54,7 +54,7 @@ class LocalCoordinator:
 
     def _serve(self) -> None:
         from atoll_coordinator.service.background.dependencies import Dependencies
-        from atoll_coordinator.service.service import Service
+        from atoll_coordinator.service.service_loop import Service
         from atoll_coordinator.service.store.store import Store
         from atoll_core.wire.bus.zenoh_bus import open_router
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from atoll_coordinator.result.trajectories import Simulated
+from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_core.errors import UsageError
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from atoll_coordinator.model.shooting.measurements import Measurements, measurem
 from atoll_coordinator.result.base import Curve
 from atoll_coordinator.result.findings import Errors, Noise
 from atoll_coordinator.result.result import Result
-from atoll_coordinator.result.trajectories import Recorded, Smoothed
+from atoll_coordinator.result.listed_trajectories import Recorded, Smoothed
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray

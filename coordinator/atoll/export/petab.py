@@ -20,7 +20,7 @@ from atoll.model.beginnings import measured_beginning, values_of_curve
 from atoll.model.parameters import Parameter
 from atoll.model.rows import inputs_of, rows_of
 from atoll_coordinator.result.findings import Errors, Noise
-from atoll_coordinator.result.trajectories import Recorded, Simulated
+from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 

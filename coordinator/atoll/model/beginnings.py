@@ -13,7 +13,7 @@ import numpy.typing as npt
 from atoll.model.arguments import number, numbers
 from atoll.model.rows import rows_of
 from atoll_coordinator.result.base import Curve
-from atoll_coordinator.result.trajectories import Recorded, Simulated
+from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.hints import did_you_mean

@@ -7,7 +7,7 @@ from atoll.report.chart import COLORS, Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, figure, legend, number, paragraph, r2_cell, section, table
 from atoll_coordinator.result.findings import Errors, Noise
-from atoll_coordinator.result.trajectories import Simulated, Smoothed
+from atoll_coordinator.result.listed_trajectories import Simulated, Smoothed
 
 SHOWN: Final = COLORS
 """Trajectories that are drawn, each in a colour of its own."""

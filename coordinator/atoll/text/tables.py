@@ -11,7 +11,7 @@ from atoll.model.parameters import constant_names, interval_text, r2_text
 from atoll_coordinator.result.equations import Candidate, Constant, Equation, GroupEquation, SimpleTogether, Units
 from atoll_coordinator.result.findings import Errors, ExcludedRows, Noise, Place, Quantisation
 from atoll_coordinator.result.result import Result
-from atoll_coordinator.result.trajectories import Simulated
+from atoll_coordinator.result.listed_trajectories import Simulated
 
 MOST_LINES: Final = 12
 """Trajectories and pairs of constants listed one by one; of more, the worst are."""

@@ -18,16 +18,16 @@ from typing import Final
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import summarize
-from atoll_coordinator.model.inference.groups import summarize_groups
+from atoll_coordinator.model.inference.group_constants import summarize_groups
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refined, Refinement
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.piece_lengths import select_model
-from atoll_coordinator.model.stochastic.choice import ProcessChoice
+from atoll_coordinator.model.stochastic.process_choice import ProcessChoice
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
-from atoll_coordinator.model.structure.units import equation_units
+from atoll_coordinator.model.structure.constant_units import equation_units
 from atoll_core.config import JobConfig
 from atoll_core.machine.cores import usable_cores
 
@@ -55,7 +55,7 @@ def refine_all(
         config: the resolved configuration of the job.
         pools: what the search handed on, by variable.
         deadline: when it must end with the best so far; None: never.
-        laws: those among many variables that preparing found (`sparse.laws.laws_among_many`); None: they are sought.
+        laws: those among many variables that preparing found (`sparse.product_laws.laws_among_many`); None: they are sought.
     """
     deadline = deadline or Deadline()
     made = _with_units(_refined(preparation, config, pools, deadline, laws), preparation, config)

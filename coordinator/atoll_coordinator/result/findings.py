@@ -17,7 +17,7 @@ from atoll_coordinator.result.base import (
     Text,
     misfit,
 )
-from atoll_coordinator.result.trajectories import Recorded
+from atoll_coordinator.result.listed_trajectories import Recorded
 from atoll_coordinator.stochastic.discretisation import Discretisation
 
 Kind = Literal["dynamics", "process", "regression"]

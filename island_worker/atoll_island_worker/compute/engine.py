@@ -6,7 +6,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.session.events import Computed, JobReady, LoadFailed
-from atoll_island_worker.session.tasks import ShardKey, Task
+from atoll_island_worker.session.epoch_tasks import ShardKey, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

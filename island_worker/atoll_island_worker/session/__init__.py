@@ -1,7 +1,7 @@
 """What a worker computes, sends and answers next: a pure state machine, without clock, thread or I/O.
 
-- ``events``, ``actions``: what goes in and what comes out; ``tasks``: how islands' epochs are named.
-- ``session``: all of the worker; one ``shard`` for each archipelago that is placed here under a term.
+- ``events``, ``actions``: what goes in and what comes out; ``epoch_tasks``: how islands' epochs are named.
+- ``worker_session``: all of the worker; one ``shard`` for each archipelago that is placed here under a term.
 - ``local_island``: the states of one island, and when it asks for what it waits for.
 - ``retransmit_buffer``: emigrants, reports and snapshots, kept for those who ask again.
 - ``state_transfer``: the states with which a term begins; ``pending_messages``: mail that came before its placement.

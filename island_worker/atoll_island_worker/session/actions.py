@@ -16,7 +16,7 @@ from atoll_core.wire.messages.workers import (
     Sent,
     States,
 )
-from atoll_island_worker.session.tasks import ShardKey, Task
+from atoll_island_worker.session.epoch_tasks import ShardKey, Task
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from atoll_core.wire.messages.workers import (
     Sent,
     States,
 )
-from atoll_island_worker.session.tasks import TaskKey
+from atoll_island_worker.session.epoch_tasks import TaskKey
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from atoll_core.wire.messages.workers import (
     Reports,
     States,
 )
-from atoll_core.wire.state_transfer import State, split_states
+from atoll_core.wire.state_pieces import State, split_states
 
 ADDITIONS_PER_ANSWER: Final = 20_000
 """An answer with reports ends after this many additions to the front; the rest is asked for again."""

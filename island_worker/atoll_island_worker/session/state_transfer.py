@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from atoll_core.wire.messages.workers import Placement, PullStates, States
-from atoll_core.wire.state_transfer import Assembly
+from atoll_core.wire.state_pieces import Assembly
 
 
 class StateTransfer:

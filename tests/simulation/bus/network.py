@@ -39,7 +39,7 @@ class SimulatedNetwork:
         self._router: SimulatedBus | None = None
         self._held: list[Action] = []
         for partition in self.plan.partitions:
-            self.at(partition.start_s, lambda name=partition.name: self.cut(name))  # type: ignore[misc]
+            self.at(partition.start_s, lambda name=partition.name: self.disconnect(name))  # type: ignore[misc]
             self.at(partition.end_s, lambda name=partition.name: self.heal(name))  # type: ignore[misc]
         for crash in self.plan.crashes:
             self.at(crash.at_s, lambda name=crash.name: self.crash(name))  # type: ignore[misc]
@@ -100,8 +100,8 @@ class SimulatedNetwork:
             self._router_gone(bus)
             self.at(self._now + self.plan.detection_s, self.refresh_presence)
 
-    def cut(self, name: str) -> None:
-        """Cut a participant off the router until `heal`."""
+    def disconnect(self, name: str) -> None:
+        """Disconnect a participant from the router until `heal`."""
         self._set_cut(name, True)
 
     def heal(self, name: str) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 from tests.simulation.harness.participants import USUAL_BACKGROUND_S, Participants
-from tests.simulation.harness.schedule import Fault
+from tests.simulation.harness.fault_schedule import Fault
 from tests.simulation.harness.stub_islands import StubCompute
 
 
@@ -99,7 +99,7 @@ class FaultInjector:
     def _strike_cut(self, fault: Fault) -> bool | None:
         if fault.who not in self._participants.network.participants:
             return False
-        self._participants.network.cut(fault.who)
+        self._participants.network.disconnect(fault.who)
         self._for_a_while(fault, lambda: self._participants.network.heal(fault.who))
         return None
 
@@ -147,11 +147,11 @@ class FaultInjector:
         self._for_a_while(fault, self._participants.start_router)
 
     def _strike_cut_coordinator(self, fault: Fault) -> None:
-        self._participants.network.cut("coordinator")
+        self._participants.network.disconnect("coordinator")
         self._for_a_while(fault, lambda: self._participants.network.heal("coordinator"))
 
     def _strike_cut_client(self, fault: Fault) -> None:
-        self._participants.network.cut("client")
+        self._participants.network.disconnect("client")
         self._for_a_while(fault, lambda: self._participants.network.heal("client"))
 
     def _strike_storm(self, fault: Fault) -> None:

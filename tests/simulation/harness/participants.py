@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.retention import Retention
 from atoll_core.config import JobConfig
 from atoll_core.errors import StoreError
@@ -22,7 +22,7 @@ from atoll_island_worker.session.events import Computed
 from atoll_island_worker.worker import Worker
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus
-from tests.simulation.harness.schedule import Schedule, job_config
+from tests.simulation.harness.fault_schedule import Schedule, job_config
 from tests.simulation.harness.simulated_cluster import prepare
 from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk, DiskStore
 from tests.simulation.harness.stub_islands import StubCompute

@@ -21,7 +21,7 @@ from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.fault_injector import FaultInjector
 from tests.simulation.harness.guests import Guest
 from tests.simulation.harness.participants import STUBS, Cast, Participants
-from tests.simulation.harness.schedule import GuestPlan, JobPlan, Schedule
+from tests.simulation.harness.fault_schedule import GuestPlan, JobPlan, Schedule
 from tests.simulation.harness.simulated_cluster import comparable
 from tests.simulation.harness.simulated_disk import FULL
 

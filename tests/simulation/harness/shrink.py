@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Final
 
-from tests.simulation.harness.schedule import Schedule
+from tests.simulation.harness.fault_schedule import Schedule
 from tests.simulation.harness.schedule_run import Outcome
 
 Play = Callable[[Schedule], Outcome]

@@ -17,8 +17,8 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
 from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.background.tasks import Preparer, Refiner
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.background.job_tasks import Preparer, Refiner
+from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Target

@@ -21,7 +21,7 @@ from atoll_core.wire.messages.workers import Addition, HitStatement, IslandRepor
 from atoll_island_worker.compute.compute_thread import WarmedUp, WarmUpNote
 from atoll_island_worker.compute.run_queue import RunQueue, Work
 from atoll_island_worker.session.events import Computed, JobReady
-from atoll_island_worker.session.tasks import ShardKey, Task, TaskKey
+from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
 from tests.simulation.bus.network import SimulatedNetwork
 
 OURS = source_digest(WORKER)

@@ -6,7 +6,7 @@ import pytest
 
 from atoll.cli.options.parser import parse
 from atoll.cli.request import request_of
-from atoll_coordinator.service.background.tasks import PreparationFailed, prepare_job, prepare_table
+from atoll_coordinator.service.background.job_tasks import PreparationFailed, prepare_job, prepare_table
 from atoll_core.errors import DataError, UsageError
 
 GOOD = "t,x,y\n" + "".join(f"{0.1 * i:.1f},{i * i * 0.01},{1 + 0.1 * i}\n" for i in range(40))

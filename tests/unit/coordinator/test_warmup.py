@@ -79,7 +79,7 @@ def test_without_a_compiler_there_is_nothing_to_do(package: str, monkeypatch: py
 
 def test_a_coordinator_starts_without_the_compiler() -> None:
     """What a start need not wait for: kernels, and what refining needs."""
-    said = python("import sys, atoll_coordinator.service.service; print(*sys.modules)")
+    said = python("import sys, atoll_coordinator.service.service_loop; print(*sys.modules)")
     assert {"numba", "scipy", "sympy", "atoll_coordinator.model.pipeline"}.isdisjoint(said)
 
 

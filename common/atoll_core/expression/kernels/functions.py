@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from atoll_core.compilation.jit import IS_COMPILED, callback, inlined
-from atoll_core.expression.kernels.choice import choose, nothing
+from atoll_core.expression.kernels.operator_choice import choose, nothing
 from atoll_core.expression.kernels.elementary import (
     strict_cos,
     strict_exp,

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_core.compilation.jit import inlined
-from atoll_core.expression.kernels.choice import choose, nothing
+from atoll_core.expression.kernels.operator_choice import choose, nothing
 from atoll_core.expression.kernels.functions import (
     RIGHT,
     STRICT,

@@ -27,7 +27,7 @@ from atoll_core.expression.operators import (
 from atoll_core.expression.program import MAX_NODES, Program
 from atoll_core.expression.writing.layout import in_order
 from atoll_core.expression.writing.shortest import sum_of
-from atoll_core.expression.writing.sums import (
+from atoll_core.expression.writing.sums_of_products import (
     ONE,
     Atom,
     Monomial,

@@ -10,7 +10,7 @@ from itertools import combinations
 from typing import Final
 
 from atoll_core.expression.operators import ABS, ADD, COS, LOG, SIN, SQRT
-from atoll_core.expression.writing.sums import (
+from atoll_core.expression.writing.sums_of_products import (
     ONE,
     ZERO,
     Atom,

@@ -23,7 +23,7 @@ from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.text.infix import tree_size
 from atoll_core.expression.writing.identities import equal_sums
 from atoll_core.expression.writing.layout import NODE, written
-from atoll_core.expression.writing.sums import (
+from atoll_core.expression.writing.sums_of_products import (
     Sum,
     UndefinedError,
     add,

@@ -55,7 +55,7 @@ def _serve(
 ) -> None:
     """Serve with this pool of processes until `stop` is set."""
     from atoll_coordinator.service.background.dependencies import Dependencies
-    from atoll_coordinator.service.service import Service
+    from atoll_coordinator.service.service_loop import Service
     from atoll_coordinator.service.store.retention import Retention
 
     behind = options.router is not None

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Final
 
 from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line
-from atoll_coordinator.data.roles.units import are_units
+from atoll_coordinator.data.roles.unit_texts import are_units
 from atoll_core.errors import DataError
 
 _BRACKETS: Final = re.compile(r"^\s*[\[(](.*)[\])]\s*$")

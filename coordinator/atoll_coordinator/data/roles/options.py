@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from atoll_coordinator.data.roles.units import are_units
+from atoll_coordinator.data.roles.unit_texts import are_units
 from atoll_core.config import DataConfig
 from atoll_core.errors import UsageError
 

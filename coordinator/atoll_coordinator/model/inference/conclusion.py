@@ -11,7 +11,7 @@ from atoll_coordinator.model.inference.attractor import look_for_chaos
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.inference.shared_terms import fit_together
-from atoll_coordinator.model.inference.simulation import (
+from atoll_coordinator.model.inference.trajectory_simulation import (
     bands,
     fit_starts,
     not_simulated,

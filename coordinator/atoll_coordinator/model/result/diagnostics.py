@@ -9,7 +9,7 @@ from atoll_coordinator.data.recording import ExcludedRow, Recording
 from atoll_coordinator.model.refinement import StateErrors
 from atoll_coordinator.model.result.numbers import curve, finite, thinned
 from atoll_coordinator.result.findings import Errors, ExcludedRows, LargestResidual, Noise, Quantisation
-from atoll_coordinator.result.trajectories import Smoothed, Smoothing
+from atoll_coordinator.result.listed_trajectories import Smoothed, Smoothing
 from atoll_core.data.dataset import FloatArray
 
 MOST_ROWS: Final = 2_000

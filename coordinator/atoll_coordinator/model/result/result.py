@@ -17,7 +17,7 @@ from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.result.diagnostics import noise, smoothing
 from atoll_coordinator.model.result.digest import result_digest
 from atoll_coordinator.model.result.numbers import curve, finite, thinned
-from atoll_coordinator.model.result.process import process
+from atoll_coordinator.model.result.process_findings import process
 from atoll_coordinator.model.result.regression import regression
 from atoll_coordinator.model.result.shared_terms import shared_terms
 from atoll_coordinator.model.result.source import data, settings, system

@@ -8,7 +8,7 @@ from pydantic import JsonValue
 from atoll_coordinator.data.recording import Preparation, Recording, Source, Trajectory
 from atoll_coordinator.model.result.numbers import curve, thinned
 from atoll_coordinator.result.findings import Data, Kind, System
-from atoll_coordinator.result.trajectories import Recorded
+from atoll_coordinator.result.listed_trajectories import Recorded
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 

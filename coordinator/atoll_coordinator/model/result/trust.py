@@ -14,7 +14,7 @@ from atoll_coordinator.model.refinement import Alternative, GroupCovariance, Ref
 from atoll_coordinator.model.result.numbers import curve, finite, thinned
 from atoll_coordinator.result.equations import Candidate, Prediction
 from atoll_coordinator.result.findings import Chaos, Correlation, Covariance, Group, Place
-from atoll_coordinator.result.trajectories import Simulated, Simulation
+from atoll_coordinator.result.listed_trajectories import Simulated, Simulation
 from atoll_core.data.dataset import Dataset, FloatArray, Target
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll_core.wire.messages.views import FINAL_STATES, JobState

@@ -20,7 +20,7 @@ from atoll_coordinator.model.criteria import (
     structure_length,
     system_length,
 )
-from atoll_coordinator.model.selection.groups import GroupedRows
+from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages

@@ -19,7 +19,7 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Law, LawsByGroup, Refined, may_be_shown
 from atoll_coordinator.model.selection.candidates import CandidateSet, ranked
 from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
-from atoll_coordinator.model.selection.groups import GroupedRows
+from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting

@@ -21,7 +21,7 @@ from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.stretches import in_stretches
 from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
-from atoll_coordinator.model.sparse.laws import find_all_laws
+from atoll_coordinator.model.sparse.product_laws import find_all_laws
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
 

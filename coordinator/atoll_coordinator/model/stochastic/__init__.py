@@ -2,10 +2,10 @@
 
 - `likelihood`: of all steps, also with errors of measurement; constants fitted, their information
 - `regression`: candidates for one equation, the others as they are
-- `choice`: equations exchanged one after another, the shortest description
-- `simulation`: ensembles and the stationary density, beside the measurements
+- `process_choice`: equations exchanged one after another, the shortest description
+- `path_ensembles`: ensembles and the stationary density, beside the measurements
 - `conclusion`: errors of constants, verdicts, what is reported
 
-`pipeline` calls `choice` and `conclusion`. The moments of a step and the paths of a process are in
+`pipeline` calls `process_choice` and `conclusion`. The moments of a step and the paths of a process are in
 `atoll_coordinator.stochastic`. The reasons and figures: ADR 0044.
 """

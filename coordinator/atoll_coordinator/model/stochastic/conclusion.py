@@ -31,9 +31,9 @@ from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_estimates
 from atoll_coordinator.model.selection.candidates import CandidateSet, form
-from atoll_coordinator.model.stochastic.choice import ChosenProcess, is_zero
+from atoll_coordinator.model.stochastic.process_choice import ChosenProcess, is_zero
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
-from atoll_coordinator.model.stochastic.simulation import settle, simulate_ensemble
+from atoll_coordinator.model.stochastic.path_ensembles import settle, simulate_ensemble
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic.paths import Simulator
 from atoll_core.config import JobConfig

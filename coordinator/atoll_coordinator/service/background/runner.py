@@ -7,7 +7,7 @@ from functools import partial
 from atoll_coordinator.model.refinement import Pools
 from atoll_coordinator.service.background.child_main import load_refinement, ready_preparation
 from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.background.tasks import (
+from atoll_coordinator.service.background.job_tasks import (
     PreparationBegun,
     preparation_failed,
     prepare_job,

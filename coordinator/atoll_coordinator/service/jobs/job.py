@@ -9,9 +9,9 @@ from atoll_coordinator.model.criteria import count_constants, front_length
 from atoll_coordinator.model.refinement import LawsByGroup, Pool, Refinement
 from atoll_coordinator.service.jobs.defaults import independent_rows, stagnation_of
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.checkpoints import StoredSearchState
+from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
 from atoll_coordinator.service.search.collector import DivergedError, Limits, Measure
-from atoll_coordinator.service.search.cut import Cut
+from atoll_coordinator.service.search.ending import Cut
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Target
@@ -86,7 +86,7 @@ class Prepared:
     """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size.
 
     `known` has the known equations by variable, as members of fronts of their own; `settled` are the variables
-    that have laws by regression (`atoll_coordinator.model.sparse.laws.settled_variables`), `laws` those among many
+    that have laws by regression (`atoll_coordinator.model.sparse.product_laws.settled_variables`), `laws` those among many
     variables, which refining takes over (None: it seeks them itself).
     """
 

@@ -3,5 +3,5 @@
 ``event_log`` records what happens to jobs and workers, in the program's log and in the store; ``counters`` counts what
 live jobs cost, ``breakages`` what broke; ``views`` makes what `coordinator jobs`, `status` and `result` show of a job.
 
-Controller, `workers` -> `EventLog`, `CounterRegistry`; `Job` -> `views.job_view` or `views.job_result` -> clients.
+JobController, `workers` -> `EventLog`, `CounterRegistry`; `Job` -> `views.job_view` or `views.job_result` -> clients.
 """

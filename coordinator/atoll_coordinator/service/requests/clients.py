@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Final
 
-from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import Uploads
@@ -48,7 +48,7 @@ class ClientRequests:
     """Answers the questions of clients, one by one."""
 
     def __init__(
-        self, controller: Controller, store: Store, authorization: Authorization, deletion: JobDeletion,
+        self, controller: JobController, store: Store, authorization: Authorization, deletion: JobDeletion,
         now: Callable[[], float], coordinator: Callable[[], CoordinatorView | None] = lambda: None,
     ) -> None:  # fmt: skip
         """`now` gives the bus's seconds, `coordinator` the view of the coordinator itself."""

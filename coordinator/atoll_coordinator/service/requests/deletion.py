@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError
@@ -14,7 +14,7 @@ CHECK_INTERVAL_S: Final = 60.0
 class JobDeletion:
     """Deletes ended jobs, each in one transaction of the store."""
 
-    def __init__(self, controller: Controller, store: Store, retention: Retention = KEEP_ALL) -> None:
+    def __init__(self, controller: JobController, store: Store, retention: Retention = KEEP_ALL) -> None:
         """`retention` says which ended jobs are kept."""
         self._controller = controller
         self._store = store

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.jobs import checks
 from atoll_coordinator.service.requests.clients import Body, ClientRequests
 from atoll_coordinator.service.requests.handshake import Handshake, refusal
@@ -16,14 +16,14 @@ from atoll_core.wire.messages.handshake import GreetingAnswer
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import Control, Pull, PullAnswer, PullStates, States
 from atoll_core.wire.rejects import Rejects
-from atoll_core.wire.state_transfer import State, split_states
+from atoll_core.wire.state_pieces import State, split_states
 
 
 class RequestDispatcher:
     """Hands each query to the one who answers it."""
 
     def __init__(
-        self, controller: Controller, store: Store, handshake: Handshake, clients: ClientRequests, rejects: Rejects,
+        self, controller: JobController, store: Store, handshake: Handshake, clients: ClientRequests, rejects: Rejects,
         now: Callable[[], float],
     ) -> None:  # fmt: skip
         """`rejects` counts questions of clients that are not understood; `now` gives the bus's seconds."""

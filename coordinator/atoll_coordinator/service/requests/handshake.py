@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable
 
-from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.membership import version_refusal
@@ -23,7 +23,7 @@ class Handshake:
     """Answers the greetings of workers and clients."""
 
     def __init__(
-        self, controller: Controller, store: Store, authorization: Authorization, rejects: Rejects,
+        self, controller: JobController, store: Store, authorization: Authorization, rejects: Rejects,
         now: Callable[[], float], clock: Callable[[], str],
     ) -> None:  # fmt: skip
         """`now` gives the bus's seconds, `clock` the time of day as ISO text. What is not understood is counted."""

@@ -14,9 +14,9 @@ from atoll_coordinator.service.search.checkpoint_schedule import (
     interval_of,
     schedule_after,
 )
-from atoll_coordinator.service.search.checkpoints import Gathering, StoredSearchState
+from atoll_coordinator.service.search.checkpoint_gathering import Gathering, StoredSearchState
 from atoll_coordinator.service.search.collector import Collector, Limits, Measure, SearchState
-from atoll_coordinator.service.search.cut import Cut
+from atoll_coordinator.service.search.ending import Cut
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.workers import (
     AssignmentStatus,
@@ -28,7 +28,7 @@ from atoll_core.wire.messages.workers import (
     Schedule,
     States,
 )
-from atoll_core.wire.state_transfer import State
+from atoll_core.wire.state_pieces import State
 
 FORGET_EPOCHS: Final = 16
 """Commits that only say what workers may forget are published in steps of so many epochs."""

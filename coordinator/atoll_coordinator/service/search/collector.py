@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from atoll_coordinator.service.search.cut import Convergence, Cut, Improvement, Why, stored
+from atoll_coordinator.service.search.ending import Convergence, Cut, Improvement, Why, stored
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.search.pareto import FrontEntry, merge, runners_up

@@ -18,7 +18,7 @@ from typing import Final, Self
 
 from atoll_coordinator.service.store import archipelagos as archipelago_table
 from atoll_coordinator.service.store import blobs as blob_table
-from atoll_coordinator.service.store import checkpoints as checkpoint_table
+from atoll_coordinator.service.store import checkpoint_table
 from atoll_coordinator.service.store import deaths as death_table
 from atoll_coordinator.service.store import events as event_table
 from atoll_coordinator.service.store import jobs as job_table
@@ -29,7 +29,7 @@ from atoll_coordinator.service.store.schema import Lock, connect, translated
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from atoll_core.wire.messages.limits import chunk_count
 from atoll_core.wire.messages.views import FINAL_STATES, StoreView
-from atoll_core.wire.state_transfer import State
+from atoll_core.wire.state_pieces import State
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from atoll_core.wire.messages.workers import SliceCounters
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobReady, LoadFailed, Rejected
-from atoll_island_worker.session.tasks import Task, TaskKey
+from atoll_island_worker.session.epoch_tasks import Task, TaskKey
 
 LIMIT_S = 20.0
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)

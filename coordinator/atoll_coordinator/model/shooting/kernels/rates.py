@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from atoll_core.compilation.jit import inlined
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.kernels.choice import choose
+from atoll_core.expression.kernels.operator_choice import choose
 from atoll_core.expression.kernels.tape import Ints
 from atoll_core.expression.operators import (
     ARITY,

@@ -1,11 +1,11 @@
 """Laws by regression on estimated derivatives, each row by its own standard error: for many variables.
 
-- `rows`: derivatives, their errors and the variables on all rows that were measured
+- `rate_rows`: derivatives, their errors and the variables on all rows that were measured
 - `screening`: which variables an equation takes
-- `sums`: sums of products and functions fitted robustly, the shortest of them
+- `rate_sums`: sums of products and functions fitted robustly, the shortest of them
 - `functions`: which product with a function a polynomial lacks
 - `networks`: a hyperbolic tangent of a weighted sum beside a linear part
-- `laws`: the law of one state, if its rows have one
+- `rate_laws`: the law of one state, if its rows have one
 
 The reasons and figures: ADR 0043.
 """

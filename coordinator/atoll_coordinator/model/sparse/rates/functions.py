@@ -10,8 +10,8 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from atoll_coordinator.model.sparse.rates.rows import RateRows
-from atoll_coordinator.model.sparse.rates.sums import Atom, RateSum, fitted, polished
+from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
+from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, fitted, polished
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll_coordinator.model.sparse.rates.rows import RateRows
-from atoll_coordinator.model.sparse.rates.sums import Atom, RateSum, fitted
+from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
+from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, fitted
 from atoll_coordinator.model.sparse.shapes import SCALED, Shape
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray

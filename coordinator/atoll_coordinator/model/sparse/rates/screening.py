@@ -16,7 +16,7 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.kernels.robust import select_forward
-from atoll_coordinator.model.sparse.rates.rows import RateRows, rate_rows
+from atoll_coordinator.model.sparse.rates.rate_rows import RateRows, rate_rows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray

@@ -10,9 +10,9 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import constant_nats_of
 from atoll_coordinator.model.sparse.kernels.errors_in_variables import error_products
-from atoll_coordinator.model.sparse.rates.sums import Atom
+from atoll_coordinator.model.sparse.rates.rate_sums import Atom
 from atoll_coordinator.model.sparse.shapes import Shape
-from atoll_coordinator.model.sparse.windows.rows import WindowRows
+from atoll_coordinator.model.sparse.windows.window_rows import WindowRows
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import VARIABLE
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.inference import standard_errors
-from atoll_coordinator.model.inference.simulation import (
+from atoll_coordinator.model.inference.trajectory_simulation import (
     bands,
     fit_starts,
     not_simulated,

@@ -26,7 +26,7 @@ from atoll_coordinator.service.background.child_process import ProcessDiedError,
 from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.background.process_pool import ProcessPool, TaskCancelledError
 from atoll_coordinator.service.background.runner import TaskRunner
-from atoll_coordinator.service.background.tasks import (
+from atoll_coordinator.service.background.job_tasks import (
     JobPrepared,
     JobRefined,
     PreparationFailed,
@@ -38,7 +38,7 @@ from atoll_coordinator.service.background.tasks import (
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.monitoring.breakages import what_to_send
 from atoll_coordinator.service.search.archipelago import Checkpoint
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.errors import StoreError

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.requests import clients as clients_module
 from atoll_coordinator.service.requests import uploads as uploads_module
 from atoll_coordinator.service.requests.authorization import Authorization
@@ -64,9 +64,9 @@ class Now:
     s = 5.0
 
 
-def controller_of(store: Store, tasks: Tasks, time: str = "2026-01-01T00:00:00") -> Controller:
+def controller_of(store: Store, tasks: Tasks, time: str = "2026-01-01T00:00:00") -> JobController:
     """Return a controller that reaches no workers and starts no processes."""
-    return Controller(store, tasks, tasks, lambda: time)
+    return JobController(store, tasks, tasks, lambda: time)
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import CHECK_INTERVAL_S, JobDeletion
 from atoll_coordinator.service.store.jobs import JobRecord
@@ -42,7 +42,7 @@ def add(store: Store, name: str, finished: str | None) -> None:
         store.commit_result(name, "done", "{}", finished=f"2026-01-{finished}T00:00:00.000+00:00")
 
 
-def deletion(store: Store, retention: Retention = Retention()) -> tuple[JobDeletion, Controller]:  # noqa: B008
+def deletion(store: Store, retention: Retention = Retention()) -> tuple[JobDeletion, JobController]:  # noqa: B008
     controller = controller_of(store, Tasks(), "2026-01-31T00:00:00.000+00:00")
     controller.recover(0.0)
     return JobDeletion(controller, store, retention), controller

@@ -17,7 +17,7 @@ from atoll_core.wire.messages.workers import (
     SliceCounters,
     States,
 )
-from atoll_core.wire.state_transfer import State, split_states
+from atoll_core.wire.state_pieces import State, split_states
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=2)
 WORKERS = ("a", "b")

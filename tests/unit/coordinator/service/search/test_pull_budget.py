@@ -10,7 +10,7 @@ from atoll_coordinator.service.search.pull_budget import MAX_PULLS, PullBudget
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.workers import AssignmentStatus, Placement, PullStates, States
-from atoll_core.wire.state_transfer import State, split_states
+from atoll_core.wire.state_pieces import State, split_states
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
 STATE = b"a state of an island"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll_coordinator.service.store.checkpoints import MAX_FAILED
+from atoll_coordinator.service.store.checkpoint_table import MAX_FAILED
 from atoll_coordinator.service.store.deaths import Death
 from atoll_coordinator.service.store.events import LEAST_COMMITS, MAX_EVENTS, EventRecord
 from atoll_coordinator.service.store.jobs import JobRecord
@@ -20,7 +20,7 @@ from atoll_coordinator.service.store.schema import FILE_NAME, SCHEMA_VERSION
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.state_transfer import State
+from atoll_core.wire.state_pieces import State
 from tests.placements import placements_in
 
 JOB = JobRecord("j1", "lynx θ", '{"seed": 0}', "ab" * 32, "2026-01-01T00:00:00Z")

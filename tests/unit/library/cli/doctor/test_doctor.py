@@ -16,7 +16,7 @@ from atoll.cli.doctor import network as doctor_network
 from atoll.cli.doctor.data import check_data
 from atoll.cli.doctor.finding import Finding, as_text, as_tree, fine
 from atoll.cli.options import parser as arguments
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.wire.addresses import destination

@@ -100,7 +100,7 @@ def test_help_imports_none_of_the_heavy_libraries() -> None:
 def test_kernels_are_for_the_processes_that_compute():
     script = (
         "import sys\n"
-        "import atoll.cli.local_run, atoll_coordinator.service.service\n"
+        "import atoll.cli.local_run, atoll_coordinator.service.service_loop\n"
         "print(sorted({'numba', 'scipy', 'sympy', 'polars'} & set(sys.modules)))\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

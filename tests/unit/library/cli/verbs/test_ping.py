@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from atoll.cli.main import main
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core import VERSION
 from atoll_core.wire.bus.zenoh_bus import open_router

@@ -9,7 +9,7 @@ import pytest
 
 from atoll.cli.verbs import router, serve
 from atoll.client.client import Client
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import UnreachableError, UsageError
 from atoll_core.wire.addresses import destination

@@ -7,7 +7,7 @@ from atoll_coordinator.model.sparse.rates.screening import screened, with_screen
 from atoll_coordinator.service.jobs.defaults import resolve
 from atoll_core.config import PRESETS
 from atoll_core.data.table import Table
-from tests.unit.coordinator.model.sparse.rates.test_laws import rows_of
+from tests.unit.coordinator.model.sparse.rates.test_rate_laws import rows_of
 
 STATES = tuple(f"x{place}" for place in range(16))
 

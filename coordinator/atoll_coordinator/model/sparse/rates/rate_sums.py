@@ -15,7 +15,7 @@ import numpy as np
 from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.kernels.robust import robust_fit
-from atoll_coordinator.model.sparse.rates.rows import RateRows
+from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
 from atoll_coordinator.model.sparse.shapes import Shape, sum_program
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray

@@ -27,7 +27,7 @@ from atoll_core.wire.messages.workers import (
     Sent,
     States,
 )
-from atoll_core.wire.state_transfer import State, split_states
+from atoll_core.wire.state_pieces import State, split_states
 from atoll_island_worker.session.actions import (
     AskPeer,
     Discard,
@@ -57,8 +57,8 @@ from atoll_island_worker.session.events import (
     StatesCame,
     Tick,
 )
-from atoll_island_worker.session.session import Session
-from atoll_island_worker.session.tasks import ShardKey, TaskKey
+from atoll_island_worker.session.worker_session import Session
+from atoll_island_worker.session.epoch_tasks import ShardKey, TaskKey
 
 
 @pytest.fixture

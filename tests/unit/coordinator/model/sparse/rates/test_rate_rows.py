@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from atoll_coordinator.model.sparse.rates.rows import rate_rows
+from atoll_coordinator.model.sparse.rates.rate_rows import rate_rows
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.sparse.windows.enzyme import NAMES, prepared
 

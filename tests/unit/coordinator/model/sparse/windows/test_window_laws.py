@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.sparse.windows.laws import WindowEquation, find_window_laws
-from atoll_coordinator.model.sparse.windows.rows import window_rows
+from atoll_coordinator.model.sparse.windows.window_laws import WindowEquation, find_window_laws
+from atoll_coordinator.model.sparse.windows.window_rows import window_rows
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import constant_places

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.store.store import JobRecord, Store
 from atoll_core.config import JobConfig
 from atoll_core.errors import StoreError
@@ -18,7 +18,7 @@ EQUATION = {
 READABLE = json.dumps({"equations": [EQUATION], "point_evaluations": 7, "warnings": ["a warning"]})
 
 
-def recovered(store: Store, result: str) -> Controller:
+def recovered(store: Store, result: str) -> JobController:
     """Return the controller of a store that has one job, which has ended with `result`."""
     blob = store.put_blob(b"t,x\n0,1\n")
     store.add_job(JobRecord("job", "a job", JobConfig(seed=3).model_dump_json(), blob, "2026-01-01T00:00:00"))

@@ -5,7 +5,7 @@ import pytest
 from scipy import special
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.sparse.laws import find_laws, laws_among_many, settled_variables
+from atoll_coordinator.model.sparse.product_laws import find_laws, laws_among_many, settled_variables
 from atoll_coordinator.model.sparse.regression import Regression, products
 from atoll_coordinator.model.sparse.weak_form import Measured, weak_form
 from atoll_core.config import BudgetConfig, JobConfig, PriorConfig, SpaceConfig
@@ -50,7 +50,7 @@ def test_tolerances_of_a_solver_add_no_terms():
 def test_sums_of_more_nodes_than_programs_may_have_are_no_laws(noise, monkeypatch):
     preparation = prepared(400, noise)
     assert laws_of(preparation, "y")
-    monkeypatch.setattr("atoll_coordinator.model.sparse.laws.MAX_NODES", 5)
+    monkeypatch.setattr("atoll_coordinator.model.sparse.product_laws.MAX_NODES", 5)
     assert not laws_of(preparation, "y")
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.sparse.kernels.errors_in_variables import fit_errors_in_variables, measure
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION, robust_fit
-from atoll_coordinator.model.sparse.rates.sums import Atom
+from atoll_coordinator.model.sparse.rates.rate_sums import Atom
 from atoll_coordinator.model.sparse.shapes import sum_program
 from atoll_coordinator.model.sparse.windows.terms import Terms, covariances, gradient
 from atoll_coordinator.settings import SETTINGS

@@ -40,7 +40,7 @@ from atoll_core.wire.messages.workers import (
 
 
 class LiveJobs(Protocol):
-    """The part of `atoll_coordinator.service.controller.Controller` that workers have to do with."""
+    """The part of `atoll_coordinator.service.job_controller.JobController` that workers have to do with."""
 
     @property
     def jobs(self) -> Mapping[str, Job]: ...  # by id, as they come and go

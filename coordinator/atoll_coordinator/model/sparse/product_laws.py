@@ -10,12 +10,12 @@ from atoll_coordinator.data.recording import Preparation, Recording, by_group
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.refinement import Law, LawsByGroup, may_be_shown
 from atoll_coordinator.model.sparse.products import products_of
-from atoll_coordinator.model.sparse.rates.laws import find_rate_laws
-from atoll_coordinator.model.sparse.rates.rows import rate_rows
+from atoll_coordinator.model.sparse.rates.rate_laws import find_rate_laws
+from atoll_coordinator.model.sparse.rates.rate_rows import rate_rows
 from atoll_coordinator.model.sparse.regression import Elimination, Regression, eliminated, libraries, misfit
 from atoll_coordinator.model.sparse.weak_form import Measured, WeakForm, measured_of, weak_form
-from atoll_coordinator.model.sparse.windows.laws import WindowEquation, find_window_laws
-from atoll_coordinator.model.sparse.windows.rows import window_rows
+from atoll_coordinator.model.sparse.windows.window_laws import WindowEquation, find_window_laws
+from atoll_coordinator.model.sparse.windows.window_rows import window_rows
 from atoll_coordinator.model.structure.term_libraries import sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig

@@ -4,7 +4,7 @@ import sqlite3
 from collections.abc import Mapping
 from typing import Final
 
-from atoll_core.wire.state_transfer import State
+from atoll_core.wire.state_pieces import State
 
 MAX_FAILED: Final = 4
 """Of so many failed jobs, the last ones, the last checkpoints are kept."""

@@ -12,10 +12,10 @@ import pytest
 from atoll_coordinator.model import pipeline
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.selection.shortcut import with_laws
-from atoll_coordinator.model.sparse import laws
+from atoll_coordinator.model.sparse import product_laws
 from atoll_coordinator.service.background import runner
 from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.background.tasks import (
+from atoll_coordinator.service.background.job_tasks import (
     JobPrepared,
     PreparationFailed,
     preparation_failed,
@@ -45,8 +45,8 @@ def prepared() -> Prepared:
 def test_laws_among_many_variables_are_sought_once_in_a_job_and_are_the_same_after_a_restart(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    sought, tasks, find = [], [], laws.find_rate_laws
-    monkeypatch.setattr(laws, "find_rate_laws", lambda rows, *space: sought.append(rows) or find(rows, *space))
+    sought, tasks, find = [], [], product_laws.find_rate_laws
+    monkeypatch.setattr(product_laws, "find_rate_laws", lambda rows, *space: sought.append(rows) or find(rows, *space))
     monkeypatch.setattr(pipeline, "select_model", lambda task: tasks.append(with_laws(task)))
     job, pools = prepared(), {name: Pool(()) for name in RING}
     refine_job(refine, "j", job, pools)
@@ -77,11 +77,11 @@ def test_what_breaks_says_what_to_send_and_loses_nothing(monkeypatch: pytest.Mon
 
 
 def test_sentences_that_something_broke_are_made_where_they_are_told_what_to_send() -> None:
-    """By `tasks` (above) and `breakages`; what an island says, `workers/controller.py` completes."""
+    """By `job_tasks` (above) and `breakages`; what an island says, `workers/worker_controller.py` completes."""
     sources = [path for folder in ("common", "coordinator", "island_worker") for path in (ROOT / folder).rglob("*.py")]
     found = {path.name for path in sources for its in ast.walk(ast.parse(path.read_text("utf-8")))
              if isinstance(its, ast.JoinedStr) and " broke " in ast.unparse(its)}  # fmt: skip
-    assert found == {"tasks.py", "breakages.py", "run_queue.py"}
+    assert found == {"job_tasks.py", "breakages.py", "run_queue.py"}
     assert all("to_send" in signature(each).parameters for each in (preparation_failed, refinement_failed))
     assert "please report it with" in Breakages().add("a task", ValueError("planted"))
 

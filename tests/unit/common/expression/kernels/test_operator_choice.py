@@ -1,7 +1,7 @@
 """The choice of a compiled function by a code."""
 
 from atoll_core.compilation.jit import inlined, kernel
-from atoll_core.expression.kernels.choice import choose
+from atoll_core.expression.kernels.operator_choice import choose
 
 
 @inlined

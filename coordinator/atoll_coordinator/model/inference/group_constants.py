@@ -23,7 +23,7 @@ from atoll_coordinator.model.inference.conclusion import (
     state_errors,
     unseen_comparison,
 )
-from atoll_coordinator.model.inference.simulation import bands, not_simulated, r2_of, scaled_covariance, simulated
+from atoll_coordinator.model.inference.trajectory_simulation import bands, not_simulated, r2_of, scaled_covariance, simulated
 from atoll_coordinator.model.inference.standard_errors import Errors, estimate_errors
 from atoll_coordinator.model.refinement import (
     Constant,

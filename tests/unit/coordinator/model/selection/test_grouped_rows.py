@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.selection.comparison import Constraints, ModelComparison
-from atoll_coordinator.model.selection.groups import GroupedRows
+from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_core.data.dataset import Problem, Target

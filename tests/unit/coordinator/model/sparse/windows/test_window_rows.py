@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from atoll_coordinator.model.sparse.weak_form import Measured
-from atoll_coordinator.model.sparse.windows.rows import _weights, _windows, window_rows
+from atoll_coordinator.model.sparse.windows.window_rows import _weights, _windows, window_rows
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.sparse.windows.enzyme import NAMES, prepared
 

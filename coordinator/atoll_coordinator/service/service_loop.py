@@ -11,8 +11,8 @@ from typing import Final
 
 from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.background.runner import CheckpointWritten, TaskRunner
-from atoll_coordinator.service.background.tasks import JobPrepared, JobRefined, PreparationBegun, PreparationFailed
-from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.background.job_tasks import JobPrepared, JobRefined, PreparationBegun, PreparationFailed
+from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
@@ -89,7 +89,7 @@ class Service:
         self._tasks = TaskRunner(dependencies, store, self._bus.post)
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
-        self.controller: Final = Controller(store, self._workers, self._tasks, dependencies.clock, expected_workers)
+        self.controller: Final = JobController(store, self._workers, self._tasks, dependencies.clock, expected_workers)
         authorization = Authorization(role_bindings, store)
         self._deletion = JobDeletion(self.controller, store, dependencies.retention)
         clients = ClientRequests(self.controller, store, authorization, self._deletion, bus.now, self.view)

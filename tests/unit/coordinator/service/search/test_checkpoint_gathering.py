@@ -18,15 +18,15 @@ from atoll_coordinator.service.search.checkpoint_schedule import (
     interval_of,
     schedule_after,
 )
-from atoll_coordinator.service.search.checkpoints import Gathering, StoredSearchState
+from atoll_coordinator.service.search.checkpoint_gathering import Gathering, StoredSearchState
 from atoll_coordinator.service.search.collector import SearchState
-from atoll_coordinator.service.search.cut import Improvement
+from atoll_coordinator.service.search.ending import Improvement
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.workers import Placement, Schedule, States
-from atoll_core.wire.state_transfer import State, split_states
+from atoll_core.wire.state_pieces import State, split_states
 
 STATES = {island: State.of(bytes([island]) * 30) for island in range(4)}
 PLACEMENT = Placement(

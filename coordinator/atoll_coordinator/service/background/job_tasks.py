@@ -85,7 +85,7 @@ def refine(
 
 def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -> JobPrepared | PreparationFailed:
     """Prepare the table of a job, or say why that cannot be done."""
-    from atoll_coordinator.model.sparse.laws import laws_among_many, settled_variables  # loads kernels
+    from atoll_coordinator.model.sparse.product_laws import laws_among_many, settled_variables  # loads kernels
     from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
 
     try:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.wire.state_transfer import Assembly, State, split_states
+from atoll_core.wire.state_pieces import Assembly, State, split_states
 
 STATES = {island: State.of(bytes([island]) * (10 + island)) for island in range(4)}
 

@@ -1,7 +1,7 @@
 """What becomes of jobs: takes in what happens, and has the rooms below decide, store, send and compute.
 
 Knows no bus and no thread. What is sent has been stored before. Where something of ours breaks, the job that it
-concerns ends (`Controller.guarded`), and nothing else.
+concerns ends (`JobController.guarded`), and nothing else.
 """
 
 import contextlib
@@ -28,13 +28,13 @@ from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, view_of_record
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoints import StoredSearchState
-from atoll_coordinator.service.search.cut import Cut
+from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
+from atoll_coordinator.service.search.ending import Cut
 from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
-from atoll_coordinator.service.workers.controller import WorkerController
+from atoll_coordinator.service.workers.worker_controller import WorkerController
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.codec import decode, encode
@@ -52,7 +52,7 @@ from atoll_core.wire.messages.workers import (
 )
 
 
-class Controller:
+class JobController:
     """All live jobs, the workers that compute them, and the views of the jobs that have ended."""
 
     def __init__(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.sparse.rates.laws import find_rate_laws
-from atoll_coordinator.model.sparse.rates.rows import RateRows
+from atoll_coordinator.model.sparse.rates.rate_laws import find_rate_laws
+from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import constant_places
