@@ -19,8 +19,8 @@ def complete(parser: argparse.ArgumentParser, **settings: Any) -> None:
         return
     import argcomplete
 
-    for each in _parsers(parser):
-        for action in each._actions:
+    for verb_parser in _parsers(parser):
+        for action in verb_parser._actions:
             if isinstance(action.metavar, str) and _ALTERNATIVES.fullmatch(action.metavar):
                 action.completer = _chooser(action.metavar.split("|"))  # type: ignore[attr-defined]
     argcomplete.autocomplete(parser, **settings)

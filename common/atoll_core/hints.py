@@ -11,7 +11,7 @@ _LIKENESS: Final = 0.6
 def similar_file(path: Path) -> str:
     """Return ``; did you mean 'a.csv'?`` for a file that is not there, "" where its folder has none like it."""
     try:
-        return did_you_mean(path.name, [each.name for each in path.parent.iterdir() if each.name != path.name])
+        return did_you_mean(path.name, [neighbour.name for neighbour in path.parent.iterdir() if neighbour.name != path.name])
     except OSError:
         return ""
 
@@ -20,6 +20,6 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return ``; did you mean 'states'?`` for the end of a sentence, "" where nothing known is like `name`."""
     import difflib  # takes a few milliseconds, and is rarely needed
 
-    by_lower = {each.lower(): each for each in known}
+    by_lower = {word.lower(): word for word in known}
     close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=_LIKENESS)
     return f"; did you mean '{by_lower[close[0]]}'?" if close else ""

@@ -65,8 +65,8 @@ def configure(
 
 def fields_of(record: logging.LogRecord) -> dict[str, object]:
     """Return the fields of a line."""
-    found: dict[str, object] = getattr(record, _KEY, {})
-    return found
+    values: dict[str, object] = getattr(record, _KEY, {})
+    return values
 
 
 def trace_of(record: logging.LogRecord) -> str | None:

@@ -17,8 +17,8 @@ def sentence_of(done: int, kernels: int) -> str:
 
 def count_of(sentence: str) -> tuple[int, int] | None:
     """Return how many kernels of how many a sentence names as compiled; None when it names no count."""
-    found = _COUNT.search(sentence)
-    return (int(found[1]), int(found[2])) if found else None
+    match = _COUNT.search(sentence)
+    return (int(match[1]), int(match[2])) if match else None
 
 
 class WarmUpDisplay:

@@ -110,7 +110,7 @@ class Table:
         if all(self.line_of_row[row] > 0 for row in shown):
             parts = []
             for file in dict.fromkeys(files):
-                lines = [str(self.line_of_row[row]) for row, its in zip(shown, files, strict=True) if its == file]
+                lines = [str(self.line_of_row[row]) for row, row_file in zip(shown, files, strict=True) if row_file == file]
                 parts.append(f"{_plural('line', lines)} {', '.join(lines)} of {self.files[file]}")
             text += f" ({'; '.join(parts)})"
         return text + (f", {len(rows)} in all" if len(rows) > 1 else "")
@@ -148,7 +148,7 @@ class Table:
                 _texts(header["skipped"]),
                 _texts([header.get("read_as", "")])[0],
                 {name: _texts(texts) for name, texts in _items(header.get("labels", {}), dict).items()},
-                {name: _origin(*its) for name, its in _items(header.get("origins", {}), dict).items()},
+                {name: _origin(*origin) for name, origin in _items(header.get("origins", {}), dict).items()},
             )
         except (*BROKEN, DataError) as error:
             raise RemoteProtocolError(f"the bytes of a table do not fit: {error}") from error

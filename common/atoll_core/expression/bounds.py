@@ -133,9 +133,9 @@ class EquationBounds:
 
     def range_of(self, shape: Shape, *, is_inner: bool) -> tuple[float, float]:
         """Return the least and the largest number that may stand there; the first is the larger one if none may."""
-        its = [bound for bound in self.bounds if bound.covers(shape, is_inner=is_inner)]
-        lower = max((bound.lower for bound in its), default=-math.inf)
-        return lower, min((bound.upper for bound in its), default=math.inf)
+        covering = [bound for bound in self.bounds if bound.covers(shape, is_inner=is_inner)]
+        lower = max((bound.lower for bound in covering), default=-math.inf)
+        return lower, min((bound.upper for bound in covering), default=math.inf)
 
     def laid_out(self, program: Program) -> Program | None:
         """Return `program` with brackets expanded and bounded factors of one as constants; None when it cannot be.
@@ -179,8 +179,8 @@ class EquationBounds:
             (lower, upper) if role.sign > 0.0 else (-upper, -lower)
             for role, (lower, upper) in zip(roles, pairs, strict=True)
         ]
-        found = np.array(signed, dtype=np.float64).reshape(len(signed), 2)
-        return np.ascontiguousarray(found[:, 0]), np.ascontiguousarray(found[:, 1])
+        ranges = np.array(signed, dtype=np.float64).reshape(len(signed), 2)
+        return np.ascontiguousarray(ranges[:, 0]), np.ascontiguousarray(ranges[:, 1])
 
     def clipped(self, program: Program) -> Program:
         """Return a program that was laid out with its constants within their bounds."""
@@ -194,7 +194,7 @@ class EquationBounds:
     def are_kept(self, program: Program) -> bool:
         """Tell whether all constants of any program, as they stand, are within the bounds."""
         try:
-            its = terms_of(program)
+            terms = terms_of(program)
         except UndefinedError:
             return False
         return all(
@@ -203,7 +203,7 @@ class EquationBounds:
                 self._holds(shape_of(monomial), number, is_inner=True)
                 for number in inner_numbers(((monomial, coefficient),))
             )
-            for monomial, coefficient in its
+            for monomial, coefficient in terms
         )
 
     def _holds(self, shape: Shape, value: float, *, is_inner: bool) -> bool:
@@ -213,14 +213,14 @@ class EquationBounds:
     def governed(self, program: Program) -> tuple[Governed, ...]:
         """Return the bounds with the numbers of `program` that each is about."""
         try:
-            its = terms_of(program)
+            terms = terms_of(program)
         except UndefinedError:
             return ()
-        found = []
+        governed = []
         for bound in self.bounds:
             values = [
                 number
-                for monomial, coefficient in its
+                for monomial, coefficient in terms
                 for number, is_inner in (
                     (coefficient, False),
                     *((number, True) for number in inner_numbers(((monomial, coefficient),))),
@@ -232,8 +232,8 @@ class EquationBounds:
                 for value in values
                 for end in (bound.lower, bound.upper)
             )
-            found.append(Governed(bound, tuple(values), is_active))
-        return tuple(found)
+            governed.append(Governed(bound, tuple(values), is_active))
+        return tuple(governed)
 
 
 @lru_cache(maxsize=8192)

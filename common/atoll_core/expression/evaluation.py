@@ -93,9 +93,9 @@ def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[i
                 _gather(adjoint, lefts[i], mine * _partial(DEFINITIONS[code].left, *at))
             if ARITY[code] == 2 and depends[rights[i]]:
                 _gather(adjoint, rights[i], mine * _partial(DEFINITIONS[code].right, *at))
-    found = [adjoint[place] for place in places]
+    gradient = [adjoint[place] for place in places]
     zero = np.zeros_like(values[-1])
-    return values[-1], np.array([zero if each is None else each for each in found]).reshape(len(found), len(zero))
+    return values[-1], np.array([zero if derivative is None else derivative for derivative in gradient]).reshape(len(gradient), len(zero))
 
 
 def _partial(partial: Partial, a: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray | float:

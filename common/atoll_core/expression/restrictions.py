@@ -49,5 +49,5 @@ def restrictions_of(config: JobConfig, variable: str, names: Sequence[str]) -> R
     """
     required = config.space.required_of.get(variable, ())
     return Restrictions(
-        equation_bounds(config.prior.bounds, variable, names), frozenset(names.index(each) for each in required)
+        equation_bounds(config.prior.bounds, variable, names), frozenset(names.index(name) for name in required)
     )

@@ -34,10 +34,10 @@ def _own_temporary_folder(variable: str) -> Path:
     folder = Path(tempfile.gettempdir()) / f"atoll-of-user-{os.getuid()}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
-        its = folder.lstat()
+        status = folder.lstat()
     except OSError as error:
         raise UsageError(_without_home(folder, variable, error.strerror or str(error))) from error
-    if not stat.S_ISDIR(its.st_mode) or its.st_uid != os.getuid() or its.st_mode & 0o022:
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022:
         raise UsageError(_without_home(folder, variable, "somebody else may write there"))
     return folder
 

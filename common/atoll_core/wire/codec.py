@@ -138,7 +138,7 @@ def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Datase
         return Dataset(
             names=names,
             inputs=inputs,
-            targets=tuple(_target(arrays, inputs, *each) for each in enumerate(header["targets"])),
+            targets=tuple(_target(arrays, inputs, *target) for target in enumerate(header["targets"])),
             symbols=dict(map(_pair, header["symbols"])),
             warnings=_texts(header["warnings"]),
             groups=_groups(arrays["groups"], inputs) if "groups" in arrays else None,
@@ -319,7 +319,7 @@ def _require(condition: bool, sentence: str) -> None:
 
 
 def _texts(value: object) -> tuple[str, ...]:
-    _require(isinstance(value, list) and all(isinstance(each, str) for each in value), "a list of texts is missing")
+    _require(isinstance(value, list) and all(isinstance(text, str) for text in value), "a list of texts is missing")
     return tuple(cast(list[str], value))
 
 
@@ -330,7 +330,7 @@ def _pair(value: object) -> tuple[str, str]:
 
 def _finite(name: str, array: AnyArray, shape: tuple[int, ...]) -> FloatArray:
     _require(array.dtype == np.float64 and array.ndim == len(shape), f"{name} are not numbers of the right shape")
-    fits = all(wanted in (-1, found) for found, wanted in zip(array.shape, shape, strict=True))
+    fits = all(wanted in (-1, length) for length, wanted in zip(array.shape, shape, strict=True))
     _require(fits, f"{name} have shape {array.shape} instead of {shape}")
     _require(bool(np.isfinite(array).all()), f"{name} hold NaN or infinity")
     return np.array(array, dtype=np.float64, order="C")

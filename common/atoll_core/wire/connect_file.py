@@ -51,9 +51,9 @@ def address_in(path: Path, wait_s: float) -> str:
     """
     end = time.monotonic() + wait_s
     while True:
-        found, reason = _reachable(path)
-        if found is not None:
-            return found
+        address, reason = _reachable(path)
+        if address is not None:
+            return address
         if time.monotonic() >= end:
             raise UnreachableError(
                 f"no coordinator was found by the file {path} within {wait_s:g} s: {reason}; "

@@ -235,7 +235,7 @@ class JobController:
         """Return the current placements of a job."""
         job = self.jobs.get(job_id)
         open_ones = job.open_archipelagos if job is not None else ()
-        return Placements(placements=tuple(each.placement for each in open_ones if each.placement is not None))
+        return Placements(placements=tuple(archipelago.placement for archipelago in open_ones if archipelago.placement is not None))
 
     def job_of_dataset(self, digest: str) -> str | None:
         """Return the id of a live job whose prepared dataset this is; None: there is none."""
@@ -275,7 +275,7 @@ class JobController:
         """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
         with self.breakages.tolerated("looking for lost workers"):
             self.workers.expire(now)
-        for job_id in [each.id for each in self.jobs.values() if each.state != "queued"]:
+        for job_id in [job.id for job in self.jobs.values() if job.state != "queued"]:
             self._change(job_id, "letting time pass", now, lambda job: job.tick(now))
         self._prepare_next(now)
         self._place(now)
@@ -334,7 +334,7 @@ class JobController:
     def _advance_checkpoints(self, now: float) -> None:
         """Pull the states that are due, and have complete checkpoints written."""
         with self.breakages.tolerated("gathering checkpoints"):
-            self.checkpoints.begin_round({each.key: each for each in self._open_archipelagos()})
+            self.checkpoints.begin_round({archipelago.key: archipelago for archipelago in self._open_archipelagos()})
         for archipelago in self._open_archipelagos():
             self._advance_checkpoint(archipelago.job, archipelago.variable, now)
 
@@ -470,4 +470,4 @@ class JobController:
         return job_view(job, line, now, waiting_reason, self.counters.counters(job), stalls)
 
     def _open_archipelagos(self) -> list[Archipelago]:
-        return [each for job in self.jobs.values() for each in job.open_archipelagos]
+        return [archipelago for job in self.jobs.values() for archipelago in job.open_archipelagos]

@@ -47,28 +47,28 @@ def settled_paths(simulator: Simulator, starts: FloatArray, inputs: FloatArray, 
     lengths, held = np.full(STEPS, length), np.repeat(inputs[:, None], STEPS, axis=1)
     states = simulator.paths(starts, held, lengths)[-1]
     for _ in range(1 + _LONGER):
-        found = simulator.paths(states, held, lengths)[1:]
-        kept = found[:, :, np.isfinite(found[-1]).all(axis=0)]
+        paths = simulator.paths(states, held, lengths)[1:]
+        kept = paths[:, :, np.isfinite(paths[-1]).all(axis=0)]
         if kept.shape[2] < max(starts.shape[1] // 2, 2):
             return None
         if _is_settled(kept):
             return kept
-        states = found[-1]
+        states = paths[-1]
     return None
 
 
 def density_of(states: tuple[str, ...], paths: FloatArray, within: FloatArray | None = None) -> StationaryDensity:
     """Return the density of settled paths (N, S, P); bins are over their range, and that of `within` (S, R)."""
-    both = [np.concatenate([its.ravel(), [] if within is None else within[place]])
-            for place, its in enumerate(paths.transpose(1, 0, 2))]  # fmt: skip
-    edges = np.array([np.linspace(its.min(), its.max(), BINS + 1) for its in both])
+    both = [np.concatenate([values.ravel(), [] if within is None else within[place]])
+            for place, values in enumerate(paths.transpose(1, 0, 2))]  # fmt: skip
+    edges = np.array([np.linspace(values.min(), values.max(), BINS + 1) for values in both])
     density = histograms(paths.transpose(1, 0, 2).reshape(len(edges), -1), edges)
     return StationaryDensity(states, edges, density, paths.mean(axis=(0, 2)), paths.std(axis=(0, 2)))
 
 
 def histograms(values: FloatArray, edges: FloatArray) -> FloatArray:
     """Return the densities (S, B) of `values` (S, R) in bins between `edges` (S, B + 1)."""
-    return np.array([np.histogram(its, bounds, density=True)[0] for its, bounds in zip(values, edges, strict=True)])
+    return np.array([np.histogram(sample, bounds, density=True)[0] for sample, bounds in zip(values, edges, strict=True)])
 
 
 def _is_settled(paths: FloatArray) -> bool:

@@ -74,7 +74,7 @@ def step_moments(
     states = len(drift)
     with np.errstate(all="ignore"):
         value, jacobian, hessian = _expanded(drift, points, states)
-        tensor, its_change = _diffusion(diffusion, points, value, states)
+        tensor, change = _diffusion(diffusion, points, value, states)
         if discretisation == "Euler-Maruyama":
             return StepMoments(steps * value, steps * tensor, np.eye(states)[:, :, None] + steps * jacobian)
         curved = 0.25 * np.einsum("jkr,ijkr->ir", tensor, hessian)
@@ -85,8 +85,8 @@ def step_moments(
         variances = tensor[range(states), range(states)]
         for node, weight in _NODES if variances.any(axis=1).all() else _MORE_NODES:
             left = _propagator(powers, (1.0 - node) * steps)
-            its = tensor + node * steps * its_change
-            covariance += weight * steps * np.einsum("ijr,jkr,lkr->ilr", left, its, left)
+            at_node = tensor + node * steps * change
+            covariance += weight * steps * np.einsum("ijr,jkr,lkr->ilr", left, at_node, left)
         covariance[:, :, (variances < 0.0).any(axis=0)] = np.nan
         return StepMoments(mean, covariance, _propagator(powers, steps))
 
@@ -153,11 +153,11 @@ def _diffusion(
 ) -> tuple[FloatArray, FloatArray]:
     """Return B and L B, (S, S, R) each."""
     rows, pairs = points.shape[1], list(diffusion)
-    tensor, its_change = np.zeros((states, states, rows)), np.zeros((states, states, rows))
+    tensor, change = np.zeros((states, states, rows)), np.zeros((states, states, rows))
     values, gradients, hessians = _expanded([*diffusion.values()], points, states)
-    for (i, j), its in zip(pairs, values, strict=True):
-        tensor[i, j] = tensor[j, i] = its
+    for (i, j), entry in zip(pairs, values, strict=True):
+        tensor[i, j] = tensor[j, i] = entry
     changes = np.einsum("jr,njr->nr", value, gradients) + 0.5 * np.einsum("jkr,njkr->nr", tensor, hessians)
-    for (i, j), its in zip(pairs, changes, strict=True):
-        its_change[i, j] = its_change[j, i] = its
-    return tensor, its_change
+    for (i, j), entry in zip(pairs, changes, strict=True):
+        change[i, j] = change[j, i] = entry
+    return tensor, change

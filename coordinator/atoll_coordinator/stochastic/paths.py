@@ -47,12 +47,12 @@ class Simulator:
             lengths: of the steps (N,).
             is_kept: after which steps (N,) states are returned; None: after each.
         """
-        found, states = [starts], starts
+        rows, states = [starts], starts
         for step, length in enumerate(lengths.tolist()):
             states = self._moved(states, inputs[:, step], length)
             if is_kept is None or is_kept[step]:
-                found.append(states)
-        return np.array(found)
+                rows.append(states)
+        return np.array(rows)
 
     def _moved(self, states: FloatArray, inputs: FloatArray, length: float) -> FloatArray:
         count = states.shape[1]
@@ -118,8 +118,8 @@ class Ensemble:
         return self._over(lambda paths: np.quantile(paths, SHARES, axis=0), len(SHARES))
 
     def _over(self, function: Callable[[FloatArray], Any], *shape: int) -> FloatArray:
-        found = function(self.finite) if len(self.finite) else np.full((*shape, *self.x.shape[1:]), np.nan)
-        return np.asarray(found)
+        values = function(self.finite) if len(self.finite) else np.full((*shape, *self.x.shape[1:]), np.nan)
+        return np.asarray(values)
 
     @property
     def message(self) -> str:
@@ -129,11 +129,11 @@ class Ensemble:
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the time and, of each state, mean, median and bounds (N,), by column name."""
-        found = {self.time: self.t}
+        columns = {self.time: self.t}
         for place, name in enumerate(self.states):
             for kind in ("mean", "lower", "median", "upper"):
-                found[f"{name}_{kind}"] = getattr(self, kind)[:, place]
-        return found
+                columns[f"{name}_{kind}"] = getattr(self, kind)[:, place]
+        return columns
 
     def rows_of_paths(self) -> Iterator[list[Any]]:
         """Yield the lines of a table of all paths, the header first, in the format that data are read in."""
@@ -156,14 +156,14 @@ class Ensemble:
 
     def as_dict(self, *, has_paths: bool = False) -> dict[str, Any]:
         """Return everything as plain lists and texts, for JSON; numbers that are not finite are None."""
-        found: dict[str, Any] = {
+        entries: dict[str, Any] = {
             "paths": len(self.x),
             "finite_paths": len(self.finite),
             "columns": {name: _plain(values) for name, values in self.columns().items()},
         }
         if has_paths:
-            found["states"] = {name: [_plain(path) for path in self[name]] for name in self.states}
-        return found
+            entries["states"] = {name: [_plain(path) for path in self[name]] for name in self.states}
+        return entries
 
 
 def step_counts(times: FloatArray, longest: float) -> FloatArray:

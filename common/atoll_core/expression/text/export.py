@@ -56,8 +56,8 @@ class _Sympy(Renderer["sympy.Expr"]):
         super().__init__()
         self._symbols = [sympy.Symbol(name) for name in names]
 
-    def negative(self, its: "sympy.Expr") -> "sympy.Expr":
-        return -its
+    def negative(self, operand: "sympy.Expr") -> "sympy.Expr":
+        return -operand
 
     def of(self, form: Form) -> "sympy.Expr":
         import sympy
@@ -91,26 +91,26 @@ class _Typeset(Renderer[str]):
         self._names, self._digits = names, digits
 
     @abstractmethod
-    def _bracketed(self, its: Signed) -> str:
+    def _bracketed(self, operand: Signed) -> str:
         """Return a part in brackets."""
 
-    def _factor(self, its: Signed) -> str:
+    def _factor(self, operand: Signed) -> str:
         """Return what stands behind a factor."""
-        return self._bracketed(its) if its.form.kind is Kind.PRODUCT else self.plain(its)
+        return self._bracketed(operand) if operand.form.kind is Kind.PRODUCT else self.plain(operand)
 
-    def _open(self, its: Signed) -> str:
+    def _open(self, operand: Signed) -> str:
         """Return a part that what is around it closes."""
-        return self.signed(its.form.parts[0]) if its.form.kind is Kind.GROUP and not its.negative else self.signed(its)
+        return self.signed(operand.form.parts[0]) if operand.form.kind is Kind.GROUP and not operand.negative else self.signed(operand)
 
-    def _base(self, its: Signed) -> str:
-        return self.plain(its) if _stands_alone(its) else self._bracketed(its)
+    def _base(self, operand: Signed) -> str:
+        return self.plain(operand) if _stands_alone(operand) else self._bracketed(operand)
 
 
 class _Latex(_Typeset):
     """Writes forms as LaTeX: quotients as fractions, natural powers raised, one blank between factors."""
 
-    def negative(self, its: str) -> str:
-        return f"- {its}"
+    def negative(self, operand: str) -> str:
+        return f"- {operand}"
 
     def of(self, form: Form) -> str:
         match form.kind:
@@ -125,7 +125,7 @@ class _Latex(_Typeset):
                 return self._bracketed(form.parts[0])
             case Kind.SUM:
                 first, *rest = form.terms
-                signs = (f" {'-' if each.negative else '+'} {self.plain(each)}" for each in rest)
+                signs = (f" {'-' if operand.negative else '+'} {self.plain(operand)}" for operand in rest)
                 return "".join([self.signed(first), *signs])
             case Kind.PRODUCT:
                 left, right = form.parts
@@ -147,8 +147,8 @@ class _Latex(_Typeset):
             return rf"\left|{self.signed(argument)}\right|"
         return rf"\{INFIX.call(form.content)}{self._bracketed(argument)}"
 
-    def _bracketed(self, its: Signed) -> str:
-        return rf"\left({self.signed(its)}\right)"
+    def _bracketed(self, operand: Signed) -> str:
+        return rf"\left({self.signed(operand)}\right)"
 
 
 class _MathML(_Typeset):
@@ -158,8 +158,8 @@ class _MathML(_Typeset):
         super().__init__(names, digits)
         self._times = "<mo>\u00b7</mo>" if any(len(name) > 1 for name in names) else "<mo>\u2062</mo>"
 
-    def negative(self, its: str) -> str:
-        return f"<mrow><mo>-</mo>{its}</mrow>"
+    def negative(self, operand: str) -> str:
+        return f"<mrow><mo>-</mo>{operand}</mrow>"
 
     def of(self, form: Form) -> str:
         match form.kind:
@@ -175,7 +175,7 @@ class _MathML(_Typeset):
                 return self._bracketed(form.parts[0])
             case Kind.SUM:
                 first, *rest = form.terms
-                signs = (f"<mo>{'-' if each.negative else '+'}</mo>{self.plain(each)}" for each in rest)
+                signs = (f"<mo>{'-' if operand.negative else '+'}</mo>{self.plain(operand)}" for operand in rest)
                 return f"<mrow>{''.join([self.signed(first), *signs])}</mrow>"
             case Kind.PRODUCT:
                 left, right = form.parts
@@ -197,19 +197,19 @@ class _MathML(_Typeset):
             return f"<mrow><mo>|</mo>{self.signed(argument)}<mo>|</mo></mrow>"
         return f"<mrow><mi>{INFIX.call(form.content)}</mi><mo>\u2061</mo>{self._bracketed(argument)}</mrow>"
 
-    def _bracketed(self, its: Signed) -> str:
-        return f"<mrow><mo>(</mo>{self.signed(its)}<mo>)</mo></mrow>"
+    def _bracketed(self, operand: Signed) -> str:
+        return f"<mrow><mo>(</mo>{self.signed(operand)}<mo>)</mo></mrow>"
 
 
-def _stands_alone(its: Signed) -> bool:
+def _stands_alone(operand: Signed) -> bool:
     """Tell whether a part may be raised to a power without brackets."""
-    is_digits = its.is_constant and "e" not in f"{its.form.content[0]:g}"
-    return not its.negative and (its.is_atom or is_digits)
+    is_digits = operand.is_constant and "e" not in f"{operand.form.content[0]:g}"
+    return not operand.negative and (operand.is_atom or is_digits)
 
 
-def _begins_with_number(its: Signed) -> bool:
+def _begins_with_number(operand: Signed) -> bool:
     """Tell whether digits stand first in a factor that is no product of its own."""
-    return its.is_constant or (its.form.kind in (Kind.NATURAL, Kind.POWER) and its.form.parts[0].is_constant)
+    return operand.is_constant or (operand.form.kind in (Kind.NATURAL, Kind.POWER) and operand.form.parts[0].is_constant)
 
 
 def _number(value: float, digits: int) -> tuple[str, str]:
@@ -243,7 +243,7 @@ def _mathml_name(name: str) -> str:
     if not re.fullmatch(r"\w+", name):
         return f"<mi>{escape(name)}</mi>"
     text = mathml(sympy.Symbol(name), printer="presentation")
-    return _HTML_ENTITY.sub(lambda found: unescape(found[0]), text)
+    return _HTML_ENTITY.sub(lambda entity: unescape(entity[0]), text)
 
 
 def left_side_to_mathml(lhs: str, *, is_name: bool = False) -> str:

@@ -112,22 +112,22 @@ class Renderer(ABC, Generic[Output]):
     def __init__(self) -> None:
         self._done: dict[Form, Output] = {}
 
-    def render(self, its: Written) -> Output:
+    def render(self, written: Written) -> Output:
         """Return what a whole program is written as."""
-        for form in its.parts:
+        for form in written.parts:
             self._done[form] = self.of(form)
-        return self.signed(its.whole)
+        return self.signed(written.whole)
 
-    def signed(self, its: Signed) -> Output:
+    def signed(self, operand: Signed) -> Output:
         """Return an operand, which was written before, with its sign."""
-        return self.negative(self._done[its.form]) if its.negative else self._done[its.form]
+        return self.negative(self._done[operand.form]) if operand.negative else self._done[operand.form]
 
-    def plain(self, its: Signed) -> Output:
+    def plain(self, operand: Signed) -> Output:
         """Return an operand, which was written before, without its sign."""
-        return self._done[its.form]
+        return self._done[operand.form]
 
     @abstractmethod
-    def negative(self, its: Output) -> Output:
+    def negative(self, operand: Output) -> Output:
         """Return the negative of what was written."""
 
     @abstractmethod
@@ -149,17 +149,17 @@ def form_of(
         quotients: which of `TANGENT` and `COTANGENT` the language has.
     """
     writer = _Writer(quotients)
-    found: list[Signed] = []
+    operands: list[Signed] = []
     for place, (code, left, right, value) in enumerate(program.nodes()):
         if code == VARIABLE:
-            found.append(Signed(writer.form(Kind.NAME, content=left)))
+            operands.append(Signed(writer.form(Kind.NAME, content=left)))
         elif code == CONSTANT:
-            found.append(writer.number(value, constants.get(place, "")))
+            operands.append(writer.number(value, constants.get(place, "")))
         elif ARITY[code] == 2:
-            found.append(writer.binary(code, found[left], found[right]))
+            operands.append(writer.binary(code, operands[left], operands[right]))
         else:
-            found.append(writer.unary(code, found[left]))
-    return Written(tuple(_needed(writer.forms, found[-1].form)), found[-1])
+            operands.append(writer.unary(code, operands[left]))
+    return Written(tuple(_needed(writer.forms, operands[-1].form)), operands[-1])
 
 
 def _needed(forms: Mapping[Hashable, Form], whole: Form) -> Iterator[Form]:
@@ -203,23 +203,23 @@ class _Writer:
             return self._divided(left, right)
         return Signed(self.form(Kind.POWER, left, right))
 
-    def unary(self, code: int, its: Signed) -> Signed:
+    def unary(self, code: int, operand: Signed) -> Signed:
         if code == NEGATE:
-            return self._negated(its)
+            return self._negated(operand)
         if code == SQUARE:
-            return self._multiplied(its, its)
+            return self._multiplied(operand, operand)
         if code == INVERSE:
-            return self._divided(self.number(1.0, "1"), its)
-        return Signed(self.form(Kind.CALL, its, content=code))
+            return self._divided(self.number(1.0, "1"), operand)
+        return Signed(self.form(Kind.CALL, operand, content=code))
 
-    def _grouped(self, its: Signed) -> Signed:
+    def _grouped(self, operand: Signed) -> Signed:
         """Return a sum in brackets, anything else as it is."""
-        return Signed(self.form(Kind.GROUP, its)) if its.form.kind is Kind.SUM else its
+        return Signed(self.form(Kind.GROUP, operand)) if operand.form.kind is Kind.SUM else operand
 
-    def _negated(self, its: Signed) -> Signed:
+    def _negated(self, operand: Signed) -> Signed:
         # Not term by term: -(a - b) and b - a differ in the sign of zero.
-        its = self._grouped(its)
-        return Signed(its.form, not its.negative)
+        operand = self._grouped(operand)
+        return Signed(operand.form, not operand.negative)
 
     def _added(self, left: Signed, right: Signed) -> Signed:
         if right.form.kind is Kind.SUM and left.form.kind is not Kind.SUM:

@@ -49,9 +49,9 @@ def displayed_form(program: Program, digits: int) -> Written:
     # Imported here: what is printed to the bit needs none of it.
     from atoll_core.expression.writing.shortest import shortest
 
-    found = shortest(program)
-    values = {place: float(f"{found.constants[place]:.{digits}g}") for place in constant_places(found)}
-    return form_of(shortest(with_constants(found, values)))
+    short = shortest(program)
+    values = {place: float(f"{short.constants[place]:.{digits}g}") for place in constant_places(short)}
+    return form_of(shortest(with_constants(short, values)))
 
 
 def to_code(program: Program, names: Sequence[str], notation: Notation, constants: Mapping[int, str]) -> str:
@@ -101,8 +101,8 @@ class _Text(Renderer[str]):
         super().__init__()
         self._names, self._number, self._notation = names, number, notation
 
-    def negative(self, its: str) -> str:
-        return f"-{its}"
+    def negative(self, operand: str) -> str:
+        return f"-{operand}"
 
     def of(self, form: Form) -> str:
         match form.kind:
@@ -117,7 +117,7 @@ class _Text(Renderer[str]):
                 return f"({self.signed(form.parts[0])})"
             case Kind.SUM:
                 first, *rest = form.terms
-                signs = (f" {'-' if each.negative else '+'} {self.plain(each)}" for each in rest)
+                signs = (f" {'-' if operand.negative else '+'} {self.plain(operand)}" for operand in rest)
                 return "".join([self.signed(first), *signs])
             case Kind.PRODUCT | Kind.QUOTIENT:
                 sign = "*" if form.kind is Kind.PRODUCT else "/"
@@ -128,16 +128,16 @@ class _Text(Renderer[str]):
                 write = self.signed if self._notation.is_call else self._closed
                 return self._notation.power.format(*map(write, form.parts))
 
-    def _factor(self, its: Signed) -> str:
+    def _factor(self, operand: Signed) -> str:
         """Return the text of the right operand of * or /."""
-        return f"({self.plain(its)})" if its.is_product else self.plain(its)
+        return f"({self.plain(operand)})" if operand.is_product else self.plain(operand)
 
-    def _base(self, its: Signed) -> str:
+    def _base(self, operand: Signed) -> str:
         """Return the text of the base of a natural power."""
-        is_closed = its.is_atom or (its.form.kind is Kind.POWER and self._notation.is_call)
-        return self.plain(its) if is_closed else f"({self.plain(its)})"
+        is_closed = operand.is_atom or (operand.form.kind is Kind.POWER and self._notation.is_call)
+        return self.plain(operand) if is_closed else f"({self.plain(operand)})"
 
-    def _closed(self, its: Signed) -> str:
+    def _closed(self, operand: Signed) -> str:
         """Return the text of an operand of ``**``."""
-        is_closed = (its.is_atom or its.is_constant) and not its.negative
-        return self.signed(its) if is_closed else f"({self.signed(its)})"
+        is_closed = (operand.is_atom or operand.is_constant) and not operand.negative
+        return self.signed(operand) if is_closed else f"({self.signed(operand)})"

@@ -193,9 +193,9 @@ class _Parser:
         return power
 
     def _fail(self, token: _Token, expected: str) -> NoReturn:
-        found = "the text ends" if token.kind == "end" else f"{token.text!r} stands"
+        stop = "the text ends" if token.kind == "end" else f"{token.text!r} stands"
         hint = "; powers are written **" if token.text == "^" else ""
-        raise UsageError(f"{found} {self._where(token)} where {expected} was expected{hint}")
+        raise UsageError(f"{stop} {self._where(token)} where {expected} was expected{hint}")
 
     def _where(self, token: _Token) -> str:
         start, stop = max(0, token.position - 30), token.position + 30

@@ -16,8 +16,8 @@ _TOLERANCE: Final = 1e-6
 
 def shortest_over(program: Program, inputs: FloatArray) -> Program:
     """Return the shortest writing of `program`, or itself where the values differ over the box of `inputs` (V, R)."""
-    found = shortest(program)
-    return found if found == program or agree(program, found, points_of(inputs)) else program
+    short = shortest(program)
+    return short if short == program or agree(program, short, points_of(inputs)) else program
 
 
 def agree(before: Program, after: Program, points: FloatArray) -> bool:

@@ -85,19 +85,19 @@ def terms_of(program: Program) -> Sum:
 
 
 @contained
-def expand_sum(its: Sum) -> Sum:
+def expand_sum(terms: Sum) -> Sum:
     """Return a sum whose terms have no bracket above the line; raises UndefinedError beyond `MOST_TERMS` terms."""
     while True:
-        bracket = next((place for place, (monomial, _) in enumerate(its) if _bracket(monomial) is not None), None)
+        bracket = next((place for place, (monomial, _) in enumerate(terms) if _bracket(monomial) is not None), None)
         if bracket is None:
-            return its
-        monomial, coefficient = its[bracket]
+            return terms
+        monomial, coefficient = terms[bracket]
         atom, exponent = _bracket(monomial) or ((), 0)
         rest = [(other, count) for other, count in monomial if other != atom]
         rest += [(atom, exponent - 1)] * (exponent > 1)
         product = distribute(((tuple(sorted(rest)), coefficient),), atom[1])
-        its = add((1.0, (*its[:bracket], *its[bracket + 1 :])), (1.0, product))
-        if len(its) > MOST_TERMS:
+        terms = add((1.0, (*terms[:bracket], *terms[bracket + 1 :])), (1.0, product))
+        if len(terms) > MOST_TERMS:
             raise UndefinedError
 
 
@@ -115,49 +115,49 @@ def _atom_shape(atom: Atom) -> Shape:
     kind, *rest = atom
     if kind == VARIABLE:
         return atom
-    return (kind, *(tuple(sorted((shape_of(monomial) for monomial, _ in its), key=repr)) for its in rest))
+    return (kind, *(tuple(sorted((shape_of(monomial) for monomial, _ in inner), key=repr)) for inner in rest))
 
 
-def inner_numbers(its: Sum) -> list[float]:
+def inner_numbers(terms: Sum) -> list[float]:
     """Return the numbers inside the terms of a sum, but for those that are one by its form."""
-    return [number for monomial, _ in its for atom, _ in monomial for number in _numbers(atom)]
+    return [number for monomial, _ in terms for atom, _ in monomial for number in _numbers(atom)]
 
 
 def _numbers(atom: Atom) -> list[float]:
     kind, *rest = atom
     if kind == VARIABLE:
         return []
-    found: list[float] = []
-    for its in rest:
-        lead = _lead(its) if kind == ADD else None
-        found += [
+    numbers: list[float] = []
+    for inner in rest:
+        lead = _lead(inner) if kind == ADD else None
+        numbers += [
             coefficient
-            for monomial, coefficient in its
+            for monomial, coefficient in inner
             if monomial != lead and (monomial == ONE or abs(coefficient) != 1.0)
         ]
-        found += inner_numbers(its)
-    return found
+        numbers += inner_numbers(inner)
+    return numbers
 
 
-def _lead(its: Sum) -> Monomial | None:
+def _lead(terms: Sum) -> Monomial | None:
     """Return the term of a bracket whose factor is one by the form of brackets."""
-    return next((monomial for monomial, _ in its if monomial != ONE), None)
+    return next((monomial for monomial, _ in terms if monomial != ONE), None)
 
 
-def raised_quotients(its: Sum) -> Iterator[tuple[Shape, Sum]]:
+def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
     """Yield for each n/(c + u) in a sum that has n, too, the shape of n*u/(c + u), and the sum with that instead.
 
     It has no more terms: n/(c + u) is (n - n*u/(c + u))/c.
     """
-    factors = dict(its)
-    for monomial, factor in its:
+    factors = dict(terms)
+    for monomial, factor in terms:
         for atom, count in monomial:
             below = dict(atom[1]) if atom[0] == ADD and count == -1 and len(atom[1]) == 2 else {}
             constant = below.pop(ONE, 0.0)
-            rest = merged(each for each in monomial if each[0] != atom)
+            rest = merged(power for power in monomial if power[0] != atom)
             if constant and rest in factors:
                 ((lead, number),) = below.items()
-                others = tuple(term for term in its if term[0] != monomial)
+                others = tuple(term for term in terms if term[0] != monomial)
                 with suppress(UndefinedError):
                     raised = merged([*rest, *lead, (atom, -1)])
                     instead = ((rest, kept(factor / constant)), (raised, kept(-factor * number / constant)))
@@ -177,18 +177,18 @@ def expand_program(program: Program, is_written: IsWritten = lambda *_: False) -
         return None
 
 
-def write_expansion(its: Sum, is_written: IsWritten = lambda *_: False) -> Expansion | None:
+def write_expansion(terms: Sum, is_written: IsWritten = lambda *_: False) -> Expansion | None:
     """Return the program of an expanded sum, as `expand_program` does."""
     try:
-        return _built(its, is_written)
+        return _built(terms, is_written)
     except UndefinedError:
         return None
 
 
 @contained
-def _built(its: Sum, is_written: IsWritten) -> Expansion | None:
+def _built(terms: Sum, is_written: IsWritten) -> Expansion | None:
     builder = _Builder(is_written)
-    output = builder.sum_of_terms(its)
+    output = builder.sum_of_terms(terms)
     if len(builder.nodes) > MAX_NODES:
         return None
     return Expansion(builder.program(output), tuple(builder.roles), tuple(builder.units))
@@ -208,14 +208,14 @@ class _Builder(ProgramBuilder):
         self.roles.append(role)
         return self.append(CONSTANT, value=value)
 
-    def sum_of_terms(self, its: Sum) -> int:
+    def sum_of_terms(self, terms: Sum) -> int:
         """Return the index of an expanded sum, a positive term in front if there is one."""
-        if not its:
+        if not terms:
             return self.number(0.0, Role(shape_of(ONE), 1.0, is_inner=False))
-        return self._added(its, inner=None)
+        return self._added(terms, inner=None)
 
-    def _added(self, its: Sum, inner: Shape | None, path: Path = ()) -> int:
-        terms = list(in_order(its))
+    def _added(self, summands: Sum, inner: Shape | None, path: Path = ()) -> int:
+        terms = list(in_order(summands))
         first = next((place for place, (_, coefficient) in enumerate(terms) if coefficient > 0.0), 0)
         terms.insert(0, terms.pop(first))
         counts: Counter[str] = Counter()
@@ -280,21 +280,21 @@ def _extended(path: Path, name: str, counts: Counter[str]) -> Path:
 def factored_forms(program: Program) -> Iterator[Program]:
     """Yield ``a*(s + b*t + …)`` for each term s of the expanded program, a being its coefficient; nothing of one term."""
     try:
-        its = terms_of(program)
+        terms = terms_of(program)
     except UndefinedError:
         return
-    for lead in range(len(its) if len(its) > 1 else 0):
+    for lead in range(len(terms) if len(terms) > 1 else 0):
         with suppress(UndefinedError):
-            yield _factored(its, lead)
+            yield _factored(terms, lead)
 
 
 @contained
-def _factored(its: Sum, lead: int) -> Program:
+def _factored(terms: Sum, lead: int) -> Program:
     """Return a sum with the coefficient of one of its terms in front of a bracket."""
-    factor = its[lead][1]
+    factor = terms[lead][1]
     builder = _Builder(lambda *_: False)
     scale = builder.append(CONSTANT, value=factor)
     inner = tuple(
-        (monomial, 1.0 if place == lead else kept(number / factor)) for place, (monomial, number) in enumerate(its)
+        (monomial, 1.0 if place == lead else kept(number / factor)) for place, (monomial, number) in enumerate(terms)
     )
     return builder.program(builder.operate(MULTIPLY, scale, builder.sum_of_terms(inner)))

@@ -44,37 +44,37 @@ Best = Callable[[Sum], Sum]
 Term = tuple[Monomial, float]
 
 
-def equal_sums(its: Sum, best: Best) -> Iterator[Sum]:
-    """Yield sums that equal `its`, parts that are made anew in their `best` form."""
-    if len(its) > _MOST_TERMS:
+def equal_sums(terms: Sum, best: Best) -> Iterator[Sum]:
+    """Yield sums that equal `terms`, parts that are made anew in their `best` form."""
+    if len(terms) > _MOST_TERMS:
         return
     for identity in _IDENTITIES:
         try:
-            yield from identity(its, best)
+            yield from identity(terms, best)
         except UndefinedError:
             continue
 
 
-def _without(its: Sum, *terms: Term) -> Sum:
-    return tuple(term for term in its if term not in terms)
+def _without(addends: Sum, *terms: Term) -> Sum:
+    return tuple(term for term in addends if term not in terms)
 
 
 def _one(term: Term) -> Sum:
     return (term,)
 
 
-def _expanded(its: Sum, best: Best) -> Iterator[Sum]:
+def _expanded(terms: Sum, best: Best) -> Iterator[Sum]:
     """One power of a bracket times the rest, term by term; all brackets at once."""
     everything: list[tuple[float, Sum]] = []
     is_open = True
-    for monomial, coefficient in its:
+    for monomial, coefficient in terms:
         parts = [(atom, exponent) for atom, exponent in monomial if atom[0] == ADD and exponent > 0]
         whole: Sum = ((tuple(item for item in monomial if item not in parts), coefficient),)
         for atom, exponent in parts:
             rest = product([coefficient, *merged([*monomial, (atom, -1)])])
             expanded = distribute(rest, atom[1])
-            if len(expanded) + len(its) <= _MOST_TERMS:
-                yield add((1.0, _without(its, (monomial, coefficient))), (1.0, expanded))
+            if len(expanded) + len(terms) <= _MOST_TERMS:
+                yield add((1.0, _without(terms, (monomial, coefficient))), (1.0, expanded))
             for _ in range(exponent):
                 whole = distribute(whole, atom[1])
                 if len(whole) > _MOST_TERMS:
@@ -85,10 +85,10 @@ def _expanded(its: Sum, best: Best) -> Iterator[Sum]:
         yield add(*everything)
 
 
-def _inner(its: Sum, best: Best) -> Iterator[Sum]:
+def _inner(terms: Sum, best: Best) -> Iterator[Sum]:
     """Brackets in their best form."""
     parts: list[tuple[float, Sum]] = []
-    for monomial, coefficient in its:
+    for monomial, coefficient in terms:
         whole = product([coefficient, *(item for item in monomial if item[0][0] != ADD)])
         for atom, exponent in monomial:
             if atom[0] == ADD:
@@ -97,24 +97,24 @@ def _inner(its: Sum, best: Best) -> Iterator[Sum]:
     yield add(*parts)
 
 
-def _factored(its: Sum, best: Best) -> Iterator[Sum]:
+def _factored(terms: Sum, best: Best) -> Iterator[Sum]:
     """What terms have in common, in front of a bracket."""
     tried: set[Monomial] = set()
-    for (one, _), (other, _) in combinations(its, 2):
+    for (one, _), (other, _) in combinations(terms, 2):
         shared = common([one, other])
         if not shared or shared in tried:
             continue
         tried.add(shared)
-        chosen = [term for term in its if _divides(shared, term[0])]
+        chosen = [term for term in terms if _divides(shared, term[0])]
         inner = best(collect((divided(monomial, shared), coefficient) for monomial, coefficient in chosen))
-        yield add((1.0, _without(its, *chosen)), (1.0, multiply(((shared, 1.0),), inner)))
+        yield add((1.0, _without(terms, *chosen)), (1.0, multiply(((shared, 1.0),), inner)))
         for atom, exponent in shared if len(shared) > 1 else ():
             single = ((atom, 1 if exponent > 0 else -1),)
             if single not in tried:
                 tried.add(single)
-                chosen = [term for term in its if _divides(single, term[0])]
+                chosen = [term for term in terms if _divides(single, term[0])]
                 inner = best(collect((divided(monomial, single), coefficient) for monomial, coefficient in chosen))
-                yield add((1.0, _without(its, *chosen)), (1.0, multiply(((single, 1.0),), inner)))
+                yield add((1.0, _without(terms, *chosen)), (1.0, multiply(((single, 1.0),), inner)))
 
 
 def _divides(divisor: Monomial, monomial: Monomial) -> bool:
@@ -124,16 +124,16 @@ def _divides(divisor: Monomial, monomial: Monomial) -> bool:
     )
 
 
-def _over_one_line(its: Sum, best: Best) -> Iterator[Sum]:
+def _over_one_line(terms: Sum, best: Best) -> Iterator[Sum]:
     """Terms over a sum, a sine or a cosine together with others, all of them or one."""
     divisors: dict[Atom, int] = {}
-    for monomial, _ in its:
+    for monomial, _ in terms:
         for atom, exponent in monomial:
             if exponent < 0 and atom[0] in (ADD, SIN, COS):
                 divisors[atom] = min(divisors.get(atom, 0), exponent)
     for atom, exponent in divisors.items():
-        over = [term for term in its if dict(term[0]).get(atom, 0) < 0]
-        others = [term for term in its if term not in over]
+        over = [term for term in terms if dict(term[0]).get(atom, 0) < 0]
+        others = [term for term in terms if term not in over]
         groups = [others] if len(others) < 2 else [others, *([other] for other in others)]
         if not others and len(over) > 1:
             groups = [[]]
@@ -145,7 +145,7 @@ def _over_one_line(its: Sum, best: Best) -> Iterator[Sum]:
             if len(above) > _MOST_TERMS:
                 continue
             whole = multiply(best(above), (((((atom, exponent),)), 1.0),)) if above else ZERO
-            yield add((1.0, _without(its, *over, *group)), (1.0, whole))
+            yield add((1.0, _without(terms, *over, *group)), (1.0, whole))
 
 
 def _expanded_power(atom: Atom, exponent: int) -> Sum:
@@ -164,20 +164,20 @@ def _lifted(term: Term, atom: Atom, exponent: int, raising: Sum) -> Sum:
     return distribute(rest, _expanded_power(atom, own - exponent)) if own > exponent else rest
 
 
-def _divisors_multiplied(its: Sum, best: Best) -> Iterator[Sum]:
+def _divisors_multiplied(terms: Sum, best: Best) -> Iterator[Sum]:
     """1/((u + v) (u - v)) as 1/(u^2 - v^2)."""
-    for term in its:
+    for term in terms:
         monomial, coefficient = term
         below = [atom for atom, exponent in monomial if atom[0] == ADD and exponent < 0]
         for one, other in combinations(below, 2):
             divisor = distribute(one[1], other[1])
             rest = product([coefficient, *merged([*monomial, (one, 1), (other, 1)])])
-            yield add((1.0, _without(its, term)), (1.0, multiply(rest, power(divisor, -1))))
+            yield add((1.0, _without(terms, term)), (1.0, multiply(rest, power(divisor, -1))))
 
 
-def _divided_out(its: Sum, best: Best) -> Iterator[Sum]:
+def _divided_out(terms: Sum, best: Best) -> Iterator[Sum]:
     """u/(u + r) as 1 - r/(u + r)."""
-    for term in its:
+    for term in terms:
         monomial, coefficient = term
         for atom, exponent in monomial:
             if atom[0] != ADD or exponent >= 0:
@@ -188,12 +188,12 @@ def _divided_out(its: Sum, best: Best) -> Iterator[Sum]:
                 quotient = product([kept(coefficient / factor), *merged([*divided(monomial, lead), (atom, 1)])])
                 rest = _without(atom[1], (lead, factor))
                 over = product([kept(-coefficient / factor), *divided(monomial, lead)])
-                yield add((1.0, _without(its, term)), (1.0, quotient), (1.0, distribute(over, rest)))
+                yield add((1.0, _without(terms, term)), (1.0, quotient), (1.0, distribute(over, rest)))
 
 
-def _without_inner_quotients(its: Sum, best: Best) -> Iterator[Sum]:
+def _without_inner_quotients(terms: Sum, best: Best) -> Iterator[Sum]:
     """A bracket with quotients as one quotient."""
-    for term in its:
+    for term in terms:
         monomial, coefficient = term
         for atom, exponent in monomial:
             if atom[0] != ADD:
@@ -208,16 +208,16 @@ def _without_inner_quotients(its: Sum, best: Best) -> Iterator[Sum]:
             raised = add(*((1.0, distribute(_one(inner), ((merged(divisor), 1.0),))) for inner in atom[1]))
             rest = product([coefficient, *merged([*monomial, (atom, -exponent)])])
             scaled = multiply(power(best(raised), exponent), power(((merged(divisor), 1.0),), -exponent))
-            yield add((1.0, _without(its, term)), (1.0, multiply(rest, scaled)))
+            yield add((1.0, _without(terms, term)), (1.0, multiply(rest, scaled)))
 
 
-def _squares_of_waves(its: Sum, best: Best) -> Iterator[Sum]:
+def _squares_of_waves(terms: Sum, best: Best) -> Iterator[Sum]:
     """sin^2 u as 1 - cos^2 u and the reverse; both as (1 -+ cos 2u)/2; in one term, in all of them."""
-    for atom in _waves(its):
+    for atom in _waves(terms):
         argument = atom[1]
         other = ((COS if atom[0] == SIN else SIN), argument)
         doubled = function(COS, add((2.0, argument)))
-        chosen = [term for term in its if dict(term[0]).get(atom, 0) >= 2]
+        chosen = [term for term in terms if dict(term[0]).get(atom, 0) >= 2]
         if not chosen:
             continue
         of_other = add((1.0, constant(1.0)), (-1.0, _squared(other)))
@@ -229,21 +229,21 @@ def _squares_of_waves(its: Sum, best: Best) -> Iterator[Sum]:
                     (1.0, distribute(product([coefficient, *merged([*monomial, (atom, -2)])]), substitute))
                     for monomial, coefficient in group
                 ]
-                yield add((1.0, _without(its, *group)), *parts)
+                yield add((1.0, _without(terms, *group)), *parts)
 
 
 def _squared(atom: Atom) -> Sum:
     return ((((atom, 2),), 1.0),)
 
 
-def _waves(its: Sum) -> list[Atom]:
-    return sorted({atom for monomial, _ in its for atom, _ in monomial if atom[0] in (SIN, COS)})
+def _waves(terms: Sum) -> list[Atom]:
+    return sorted({atom for monomial, _ in terms for atom, _ in monomial if atom[0] in (SIN, COS)})
 
 
-def _double_angles(its: Sum, best: Best) -> Iterator[Sum]:
+def _double_angles(terms: Sum, best: Best) -> Iterator[Sum]:
     """sin u cos u as sin(2 u)/2; sin 2u and cos 2u by those of u where these occur."""
-    waves = _waves(its)
-    for term in its:
+    waves = _waves(terms)
+    for term in terms:
         monomial, coefficient = term
         exponents = dict(monomial)
         for atom, exponent in monomial:
@@ -251,13 +251,13 @@ def _double_angles(its: Sum, best: Best) -> Iterator[Sum]:
             if partner in exponents and exponent > 0 and exponents[partner] > 0:
                 rest = product([times(0.5, coefficient), *merged([*monomial, (atom, -1), (partner, -1)])])
                 whole = multiply(rest, function(SIN, add((2.0, atom[1]))))
-                yield add((1.0, _without(its, term)), (1.0, whole))
+                yield add((1.0, _without(terms, term)), (1.0, whole))
             if atom[0] in (SIN, COS) and exponent > 0:
                 half = add((0.5, atom[1]))
                 if any(wave[1] == half for wave in waves):
                     rest = product([coefficient, *merged([*monomial, (atom, -1)])])
                     for expanded in _by_half(atom[0], half):
-                        yield add((1.0, _without(its, term)), (1.0, distribute(rest, expanded)))
+                        yield add((1.0, _without(terms, term)), (1.0, distribute(rest, expanded)))
 
 
 def _by_half(code: int, half: Sum) -> list[Sum]:
@@ -270,14 +270,14 @@ def _by_half(code: int, half: Sum) -> list[Sum]:
     ]
 
 
-def _angle_sums(its: Sum, best: Best) -> Iterator[Sum]:
+def _angle_sums(terms: Sum, best: Best) -> Iterator[Sum]:
     """sin a cos b +- cos a sin b and cos a cos b -+ sin a sin b as one function of a sum."""
-    for first, second in combinations(its, 2):
+    for first, second in combinations(terms, 2):
         if not math.isclose(abs(first[1]), abs(second[1]), rel_tol=_EQUAL):
             continue
         shared = common([first[0], second[0]])
         one, other = (_waves_by_argument(divided(term[0], shared)) for term in (first, second))
-        if len(one) != 2 or one.keys() != other.keys() or any(one[each] == other[each] for each in one):
+        if len(one) != 2 or one.keys() != other.keys() or any(one[argument] == other[argument] for argument in one):
             continue
         a, b = sorted(one, key=lambda argument: (one[argument] != SIN, argument))
         sign = 1.0 if first[1] * second[1] > 0.0 else -1.0
@@ -285,7 +285,7 @@ def _angle_sums(its: Sum, best: Best) -> Iterator[Sum]:
             whole, factor = function(COS, add((1.0, a), (-sign, b))), (first if one[a] == COS else second)[1]
         else:
             whole, factor = function(SIN, add((1.0, a), (sign, b))), first[1]
-        yield add((1.0, _without(its, first, second)), (1.0, multiply(((shared, factor),), whole)))
+        yield add((1.0, _without(terms, first, second)), (1.0, multiply(((shared, factor),), whole)))
 
 
 def _waves_by_argument(monomial: Monomial) -> dict[Sum, int]:
@@ -295,10 +295,10 @@ def _waves_by_argument(monomial: Monomial) -> dict[Sum, int]:
     return {atom[1]: atom[0] for atom, _ in monomial}
 
 
-def _opened_angles(its: Sum, best: Best) -> Iterator[Sum]:
+def _expanded_angles(terms: Sum, best: Best) -> Iterator[Sum]:
     """sin(a + b) by sines and cosines of a and b, where one of these occurs."""
-    waves = _waves(its)
-    for term in its:
+    waves = _waves(terms)
+    for term in terms:
         monomial, coefficient = term
         for atom, exponent in monomial:
             if atom[0] not in (SIN, COS) or exponent < 1 or len(atom[1]) < 2:
@@ -309,7 +309,7 @@ def _opened_angles(its: Sum, best: Best) -> Iterator[Sum]:
                     if len(other) >= len(atom[1]) or not other:
                         continue
                     rest = product([coefficient, *merged([*monomial, (atom, -1)])])
-                    yield add((1.0, _without(its, term)), (1.0, distribute(rest, _of_two(atom[0], part, sign, other))))
+                    yield add((1.0, _without(terms, term)), (1.0, distribute(rest, _of_two(atom[0], part, sign, other))))
 
 
 def _of_two(code: int, part: Sum, sign: float, other: Sum) -> Sum:
@@ -321,47 +321,47 @@ def _of_two(code: int, part: Sum, sign: float, other: Sum) -> Sum:
     return add((1.0, distribute(cosine, other_cosine)), (-sign, distribute(sine, other_sine)))
 
 
-def _logarithms(its: Sum, best: Best) -> Iterator[Sum]:
+def _logarithms(terms: Sum, best: Best) -> Iterator[Sum]:
     """log a + log b as log(a b), log a - log b as log(a/b)."""
-    for first, second in combinations(its, 2):
+    for first, second in combinations(terms, 2):
         if not math.isclose(abs(first[1]), abs(second[1]), rel_tol=_EQUAL):
             continue
         shared = common([first[0], second[0]])
         logs = [divided(term[0], shared) for term in (first, second)]
-        if any(len(each) != 1 or each[0][1] != 1 or each[0][0][0] != LOG for each in logs):
+        if any(len(logarithm) != 1 or logarithm[0][1] != 1 or logarithm[0][0][0] != LOG for logarithm in logs):
             continue
         sign = 1 if first[1] * second[1] > 0.0 else -1
         inner = multiply(logs[0][0][0][1], power(logs[1][0][0][1], sign))
         whole = multiply(((shared, first[1]),), function(LOG, best(inner)))
-        yield add((1.0, _without(its, first, second)), (1.0, whole))
+        yield add((1.0, _without(terms, first, second)), (1.0, whole))
 
 
-def _roots(its: Sum, best: Best) -> Iterator[Sum]:
+def _roots(terms: Sum, best: Best) -> Iterator[Sum]:
     """sqrt a sqrt b as sqrt(a b), and likewise for quotients and absolute values."""
-    for term in its:
+    for term in terms:
         monomial, coefficient = term
         for (one, count), (other, other_count) in combinations(monomial, 2):
             if one[0] == other[0] and one[0] in (SQRT, ABS) and abs(count) == abs(other_count) == 1:
                 inner = multiply(power(one[1], count), power(other[1], other_count))
                 rest = product([coefficient, *merged([*monomial, (one, -count), (other, -other_count)])])
-                yield add((1.0, _without(its, term)), (1.0, multiply(rest, function(one[0], best(inner)))))
+                yield add((1.0, _without(terms, term)), (1.0, multiply(rest, function(one[0], best(inner)))))
 
 
-def _whole_squares(its: Sum, best: Best) -> Iterator[Sum]:
+def _whole_squares(terms: Sum, best: Best) -> Iterator[Sum]:
     """p u^2 + 2 p q u v + p q^2 v^2 as p (u + q v)^2."""
-    squares = [term for term in its if all(exponent % 2 == 0 for _, exponent in term[0])]
+    squares = [term for term in terms if all(exponent % 2 == 0 for _, exponent in term[0])]
     for first, second in combinations(squares, 2):
         ratio = second[1] / first[1]
         if ratio <= 0.0:
             continue
         u, v = (tuple((atom, exponent // 2) for atom, exponent in term[0]) for term in (first, second))
         mixed = merged([*u, *v])
-        for monomial, coefficient in its:
+        for monomial, coefficient in terms:
             size = coefficient / (2.0 * first[1])
             if monomial == mixed and math.isclose(size * size, ratio, rel_tol=_EQUAL):
                 inner = collect([(u, 1.0), (v, cleaned(size))])
                 squared = multiply(constant(first[1]), power(inner, 2))
-                yield add((1.0, _without(its, first, second, (monomial, coefficient))), (1.0, squared))
+                yield add((1.0, _without(terms, first, second, (monomial, coefficient))), (1.0, squared))
 
 
 _IDENTITIES: Final = (
@@ -375,7 +375,7 @@ _IDENTITIES: Final = (
     _squares_of_waves,
     _double_angles,
     _angle_sums,
-    _opened_angles,
+    _expanded_angles,
     _logarithms,
     _roots,
     _whole_squares,

@@ -38,20 +38,20 @@ Written = tuple[int, Expression]
 
 
 @lru_cache(maxsize=50_000)
-def written(its: Sum) -> Written:
+def written(terms: Sum) -> Written:
     """Return the cheapest writing of a sum whose terms and brackets stay as they are."""
-    if not its:
+    if not terms:
         return _number(0.0)
-    if len(its) == 1:
-        negative, cost, expression = _term(*its[0])
+    if len(terms) == 1:
+        negative, cost, expression = _term(*terms[0])
         return _signed(negative, cost, expression)
-    best = _listed([_term(*term) for term in in_order(its)])
-    grouped = _grouped(its)
+    best = _listed([_term(*term) for term in in_order(terms)])
+    grouped = _grouped(terms)
     return best if grouped is None else min(best, grouped, key=_cost)
 
 
-def _cost(each: Written) -> int:
-    return each[0]
+def _cost(layout: Written) -> int:
+    return layout[0]
 
 
 def _number(value: float) -> Written:
@@ -97,17 +97,17 @@ def _listed(terms: list[tuple[bool, int, Expression]]) -> Written:
     return total, expression
 
 
-def _grouped(its: Sum) -> Written | None:
+def _grouped(terms: Sum) -> Written | None:
     """Return a sum in which the terms that have one coefficient in common stand in a bracket behind it."""
     groups: dict[float, list[tuple[Monomial, float]]] = {}
-    for monomial, coefficient in its:
+    for monomial, coefficient in terms:
         if monomial != ONE and abs(coefficient) != 1.0:
             groups.setdefault(abs(coefficient), []).append((monomial, coefficient))
     shared = [(size, group) for size, group in groups.items() if len(group) > 1]
     if not shared:
         return None
     grouped = {term for _, group in shared for term in group}
-    parts = [_term(*term) for term in in_order(tuple(term for term in its if term not in grouped))]
+    parts = [_term(*term) for term in in_order(tuple(term for term in terms if term not in grouped))]
     for size, group in shared:
         sign = 1.0 if group[0][1] > 0.0 or any(coefficient > 0.0 for _, coefficient in group) else -1.0
         cost, inner = written(tuple((monomial, sign * coefficient / size) for monomial, coefficient in group))
@@ -119,9 +119,9 @@ def _grouped(its: Sum) -> Written | None:
     return _listed(parts)
 
 
-def in_order(its: Sum) -> list[tuple[Monomial, float]]:
+def in_order(terms: Sum) -> list[tuple[Monomial, float]]:
     """Return terms in the order of reading: numbers, products of variables by degree, quotients, functions."""
-    return sorted(its, key=_place)
+    return sorted(terms, key=_place)
 
 
 def _place(term: tuple[Monomial, float]) -> tuple[object, ...]:
@@ -146,31 +146,31 @@ def _term(monomial: Monomial, coefficient: float) -> tuple[bool, int, Expression
         if abs(exponent) == 1:
             others = math.prod(raised_number(scales[other], -brackets[other]) for other in brackets if other != atom)
             own = cleaned(raised_number(times(coefficient, others), exponent))
-            found = _laid_out(monomial, coefficient, {**scales, atom: own})
-            best = min(best, found, key=lambda each: each[1])
+            candidate = _laid_out(monomial, coefficient, {**scales, atom: own})
+            best = min(best, candidate, key=lambda layout: layout[1])
     return best
 
 
 def _with_tangents(monomial: Monomial) -> list[tuple[Atom, int]]:
     """Return factors in which sin u/cos u is one, ``(DIVIDE, u, SIN)``, and cos u/sin u likewise."""
     exponents = dict(monomial)
-    for (kind, *its), exponent in monomial:
-        partner = (COS, *its) if kind == SIN else ()
+    for (kind, *arguments), exponent in monomial:
+        partner = (COS, *arguments) if kind == SIN else ()
         other = exponents.get(partner, 0)
         if exponent * other < 0:
             count = min(abs(exponent), abs(other))
             sign = 1 if exponent > 0 else -1
-            exponents[(SIN, *its)] -= sign * count
+            exponents[(SIN, *arguments)] -= sign * count
             exponents[partner] += sign * count
-            exponents[(DIVIDE, *its, SIN if sign > 0 else COS)] = count
+            exponents[(DIVIDE, *arguments, SIN if sign > 0 else COS)] = count
     return [item for item in exponents.items() if item[1]]
 
 
 @lru_cache(maxsize=20_000)
-def _own_scale(its: Sum) -> float:
+def _own_scale(terms: Sum) -> float:
     """Return the factor that makes a bracket cheapest to write."""
-    sizes = dict.fromkeys((1.0, *(1.0 / abs(coefficient) for _, coefficient in its)))
-    costs = {cleaned(size): written(scaled(its, cleaned(size)))[0] for size in sizes if math.isfinite(size)}
+    sizes = dict.fromkeys((1.0, *(1.0 / abs(coefficient) for _, coefficient in terms)))
+    costs = {cleaned(size): written(scaled(terms, cleaned(size)))[0] for size in sizes if math.isfinite(size)}
     return min(costs, key=lambda size: costs[size])
 
 
@@ -193,7 +193,7 @@ def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float])
     size = abs(coefficient)
     if size != 1.0:
         above.insert(0, _number(size))
-    cost = sum(each[0] for each in (*above, *below)) + NODE * (len(above) + len(below) - 1)
+    cost = sum(factor[0] for factor in (*above, *below)) + NODE * (len(above) + len(below) - 1)
     if not above:
         return coefficient < 0.0, cost + 2 * NODE, (INVERSE, _chained(below))
     expression = _chained(above)
@@ -244,7 +244,7 @@ def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]
     return flips, (cost + NODE + _FUNCTION, (kind, expression))
 
 
-def _flips(its: Sum, *, wants_flip: bool) -> bool:
+def _flips(terms: Sum, *, wants_flip: bool) -> bool:
     """Tell whether a sum is better written as its negative: when all of it is negative, or the sign is free."""
-    signs = {coefficient > 0.0 for _, coefficient in its}
+    signs = {coefficient > 0.0 for _, coefficient in terms}
     return signs == {False} or (wants_flip and len(signs) == 2)

@@ -89,8 +89,8 @@ def sum_of(program: Program, depth: int = 0) -> Sum:
 
 def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
 
-    def best(its: Sum) -> Sum:
-        return best_of(its, depth)
+    def best(terms: Sum) -> Sum:
+        return best_of(terms, depth)
 
     match code:
         case c if c == ADD:
@@ -114,12 +114,12 @@ def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
 
 
 @lru_cache(maxsize=50_000)
-def best_of(its: Sum, depth: int) -> Sum:
+def best_of(terms: Sum, depth: int) -> Sum:
     """Return the sum of the shortest writing that is found; brackets on the way are searched one depth less."""
-    best = (written(its)[0], its)
+    best = (written(terms)[0], terms)
     if depth == 0 or best[0] < _SMALLEST:
-        return its
-    seen, waiting, tried = {its}, [best], 0
+        return terms
+    seen, waiting, tried = {terms}, [best], 0
     while waiting and tried < _MOST_TRIED[depth]:
         cost, current = heapq.heappop(waiting)
         if cost > best[0] + _SLACK:
@@ -128,9 +128,9 @@ def best_of(its: Sum, depth: int) -> Sum:
             if other not in seen:
                 seen.add(other)
                 tried += 1
-                found = (written(other)[0], other)
-                best = min(best, found)
-                heapq.heappush(waiting, found)
+                candidate = (written(other)[0], other)
+                best = min(best, candidate)
+                heapq.heappush(waiting, candidate)
             if tried >= _MOST_TRIED[depth]:
                 break
     return best[1]

@@ -81,11 +81,11 @@ def variable(index: int) -> Sum:
     return (((((VARIABLE, index), 1),), 1.0),)
 
 
-def number_of(its: Sum) -> float | None:
+def number_of(terms: Sum) -> float | None:
     """Return the number that a sum is, None when it is none."""
-    if not its:
+    if not terms:
         return 0.0
-    return its[0][1] if len(its) == 1 and its[0][0] == ONE else None
+    return terms[0][1] if len(terms) == 1 and terms[0][0] == ONE else None
 
 
 def cleaned(value: float) -> float:
@@ -115,7 +115,7 @@ def times(one: float, other: float) -> float:
 
 def add(*parts: tuple[float, Sum]) -> Sum:
     """Return the sum of multiples of sums."""
-    return collect((monomial, times(factor, coefficient)) for factor, its in parts for monomial, coefficient in its)
+    return collect((monomial, times(factor, coefficient)) for factor, terms in parts for monomial, coefficient in terms)
 
 
 def collect(terms: Iterable[tuple[Monomial, float]]) -> Sum:
@@ -148,18 +148,18 @@ def multiply(left: Sum, right: Sum) -> Sum:
     return product([*_factors(left, 1), *_factors(right, 1)])
 
 
-def scaled(its: Sum, factor: float) -> Sum:
+def scaled(terms: Sum, factor: float) -> Sum:
     """Return a multiple of a sum; the factor is not 0. Raises UndefinedError where a term would vanish."""
     if factor == 1.0:
-        return its
-    return tuple((monomial, cleaned(kept(factor * coefficient))) for monomial, coefficient in its)
+        return terms
+    return tuple((monomial, cleaned(kept(factor * coefficient))) for monomial, coefficient in terms)
 
 
 def raised_number(value: float, exponent: int) -> float:
     """Return a whole power of a number; raises UndefinedError when it is not finite, or 0 as that of no zero."""
     try:
-        found = float(value**exponent)
-        return kept(found) if value else found
+        raised = float(value**exponent)
+        return kept(raised) if value else raised
     except (OverflowError, ZeroDivisionError):
         raise UndefinedError from None
 
@@ -184,19 +184,19 @@ def distribute(left: Sum, right: Sum) -> Sum:
     return add(*parts)
 
 
-def _factors(its: Sum, exponent: int) -> list[tuple[Atom, int] | float]:
+def _factors(terms: Sum, exponent: int) -> list[tuple[Atom, int] | float]:
     """Return the factors of a power of a sum: a number, and atoms with their exponents."""
-    coefficient, monomial = bracket_or_term(its)
+    coefficient, monomial = bracket_or_term(terms)
     return [raised_number(coefficient, exponent), *((atom, count * exponent) for atom, count in monomial)]
 
 
-def bracket(its: Sum) -> tuple[float, Monomial]:
+def bracket(terms: Sum) -> tuple[float, Monomial]:
     """Return a sum of several terms as a number times a monomial: what all terms share stands before the bracket.
 
     Without what they share, terms may cancel: x^2 - x (x - 1) is x.
     """
-    shared = common([monomial for monomial, _ in its])
-    rest = collect((divided(monomial, shared), coefficient) for monomial, coefficient in its) if shared else its
+    shared = common([monomial for monomial, _ in terms])
+    rest = collect((divided(monomial, shared), coefficient) for monomial, coefficient in terms) if shared else terms
     if len(rest) < 2:
         return (rest[0][1], merged([*shared, *rest[0][0]])) if rest else (0.0, ONE)
     lead = next(coefficient for monomial, coefficient in rest if monomial != ONE)
@@ -289,29 +289,29 @@ def _reduced(coefficient: float, monomial: Monomial) -> Sum:
     return collect([(merged(known.items()), cleaned(coefficient))]) if coefficient else ZERO
 
 
-def _multiplied(factors: dict[Atom, int], its: Sum, exponent: int) -> float:
+def _multiplied(factors: dict[Atom, int], terms: Sum, exponent: int) -> float:
     """Multiply factors by a power of a sum; return the number that remains of it."""
     if not exponent:
         return 1.0
-    if not its:
+    if not terms:
         return 0.0
-    number, monomial = bracket_or_term(its)
+    number, monomial = bracket_or_term(terms)
     for atom, count in monomial:
         factors[atom] = factors.get(atom, 0) + count * exponent
     return raised_number(number, exponent)
 
 
-def _lone_atom(its: Sum) -> Atom:
+def _lone_atom(terms: Sum) -> Atom:
     """Return the atom that a sum is, an empty one when it is none."""
-    number, monomial = bracket_or_term(its)
+    number, monomial = bracket_or_term(terms)
     return monomial[0][0] if number == 1.0 and len(monomial) == 1 and monomial[0][1] == 1 else ()
 
 
-def bracket_or_term(its: Sum) -> tuple[float, Monomial]:
+def bracket_or_term(terms: Sum) -> tuple[float, Monomial]:
     """Return a sum as a number times a monomial; raises UndefinedError of zero."""
-    if not its:
+    if not terms:
         raise UndefinedError
-    return bracket(its) if len(its) > 1 else (its[0][1], its[0][0])
+    return bracket(terms) if len(terms) > 1 else (terms[0][1], terms[0][0])
 
 
 # ------------------------------------------------------------------------------------------------------- functions
@@ -343,15 +343,15 @@ def atom_sum(atom: Atom, coefficient: float = 1.0) -> Sum:
     return ((((atom, 1),), coefficient),)
 
 
-def unsigned(its: Sum) -> tuple[float, Sum]:
+def unsigned(terms: Sum) -> tuple[float, Sum]:
     """Return a sign and a sum whose first term with a variable is positive; their product is the given sum."""
-    lead = next(coefficient for monomial, coefficient in its if monomial != ONE)
-    return (1.0, its) if lead > 0.0 else (-1.0, scaled(its, -1.0))
+    lead = next(coefficient for monomial, coefficient in terms if monomial != ONE)
+    return (1.0, terms) if lead > 0.0 else (-1.0, scaled(terms, -1.0))
 
 
-def split_constant(its: Sum) -> tuple[float, Sum]:
+def split_constant(terms: Sum) -> tuple[float, Sum]:
     """Return the constant term of a sum, and the rest."""
-    return (its[0][1], its[1:]) if its and its[0][0] == ONE else (0.0, its)
+    return (terms[0][1], terms[1:]) if terms and terms[0][0] == ONE else (0.0, terms)
 
 
 def _wave(code: int, argument: Sum) -> Sum:
@@ -375,9 +375,9 @@ def _exponential(argument: Sum) -> Sum:
     for monomial, coefficient in rest:
         is_log = len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == LOG
         if is_log and coefficient.is_integer() and abs(coefficient) <= LARGEST_POWER:
-            scale, its = bracket_or_term(monomial[0][0][1])
+            scale, factors = bracket_or_term(monomial[0][0][1])
             number = times(number, raised_number(scale, int(coefficient)))
-            whole += [(atom, exponent * int(coefficient)) for atom, exponent in its]
+            whole += [(atom, exponent * int(coefficient)) for atom, exponent in factors]
         else:
             left.append((monomial, coefficient))
     if not left:
@@ -401,8 +401,8 @@ def _logarithm(argument: Sum) -> Sum:
     if len(rest) == 1 and rest[0][0][0] == SQRT and rest[0][1] % 2:
         parts.append((0.5 * rest[0][1], function(LOG, rest[0][0][1])))
     elif len(rest) == 1 and rest[0][1] % 2:
-        its = ((((rest[0][0], 1),), 1.0),)
-        parts.append((float(rest[0][1]), atom_sum((LOG, collect(its)))))
+        rooted = ((((rest[0][0], 1),), 1.0),)
+        parts.append((float(rest[0][1]), atom_sum((LOG, collect(rooted)))))
     elif rest:
         parts.append((1.0, atom_sum((LOG, collect([(tuple(rest), 1.0)])))))
     return add(*parts)

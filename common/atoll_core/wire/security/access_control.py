@@ -43,7 +43,7 @@ class RoleBindings:
         """Return the principal under which `name` falls: itself, or what stands before one of its hyphens."""
         parts = name.split("-")
         candidates = ("-".join(parts[:count]) for count in range(len(parts), 0, -1))
-        return next((each for each in candidates if each in self.roles), None)
+        return next((candidate for candidate in candidates if candidate in self.roles), None)
 
     def role(self, name: str) -> Role | None:
         """Return what the principal of `name` may do; None for a stranger."""
@@ -131,13 +131,13 @@ def access_control(role_bindings: RoleBindings) -> dict[str, object]:
     policies: list[dict[str, object]] = []
     for name, role in role_bindings.roles.items():
         ids = []
-        for number, each in enumerate(permissions(name, role)):
+        for number, permission in enumerate(permissions(name, role)):
             ids.append(f"{name}/{number}")
-            rules.append(_rule(ids[-1], each))
+            rules.append(_rule(ids[-1], permission))
         subjects.append({"id": name, "cert_common_names": [name]})
         policies.append({"rules": ids, "subjects": [name]})
-    for number, each in enumerate(_OF_ANYBODY):
-        rules.append(_rule(f"{_ANYBODY}/{number}", each))
+    for number, permission in enumerate(_OF_ANYBODY):
+        rules.append(_rule(f"{_ANYBODY}/{number}", permission))
     subjects.append({"id": _ANYBODY})  # without any condition
     policies.append({"rules": [f"{_ANYBODY}/{number}" for number in range(len(_OF_ANYBODY))], "subjects": [_ANYBODY]})
     return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
@@ -180,7 +180,7 @@ def _keys(*parts: str) -> tuple[str, ...]:
 
 def _own(name: str, *parts: str) -> tuple[str, ...]:
     """Return keys with the name, and with those of its processes, in place of ``{}``."""
-    return _keys(*(part.format(each) for part in parts for each in (name, f"{name}-$*")))
+    return _keys(*(part.format(form) for part in parts for form in (name, f"{name}-$*")))
 
 
 def _hello(name: str) -> tuple[str, ...]:

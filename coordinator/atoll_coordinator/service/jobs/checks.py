@@ -59,7 +59,7 @@ def resume_reason(
     """
     if (has_cuts or resumed) and dataset_digest not in (None, prepared.blob):
         return "its data, prepared again after a restart, came out differently; submit it again under another id"
-    engines = {each.engine for each in resumed.values()} - {ENGINE_REVISION}
+    engines = {state.engine for state in resumed.values()} - {ENGINE_REVISION}
     if engines:
         return (
             f"it was begun by engine revision {min(engines)}, and this is revision {ENGINE_REVISION}, which "

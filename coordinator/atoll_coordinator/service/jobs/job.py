@@ -149,7 +149,7 @@ class Job:
         """The archipelagos that are still searched."""
         if self.state != "running":
             return ()
-        return tuple(each for each in self.archipelagos.values() if each.cut is None)
+        return tuple(archipelago for archipelago in self.archipelagos.values() if archipelago.cut is None)
 
     def announcement(self) -> JobAnnouncement:
         """Return what workers need to know; raises LocalProtocolError before the job is prepared."""
@@ -254,7 +254,7 @@ class Job:
         open_ones = self.open_archipelagos
         for archipelago in open_ones:
             archipelago.collector.cut_now("max-time")
-        cuts = tuple(each.cut for each in open_ones if each.cut is not None)
+        cuts = tuple(archipelago.cut for archipelago in open_ones if archipelago.cut is not None)
         return [CommitCuts(cuts), *self._refine_if_cut(now)] if cuts else []
 
     def finish(self, refinement: Refinement) -> list[JobAction]:
@@ -331,7 +331,7 @@ class Job:
         limit, self.spent_before_refining = self.config.budget.max_time, self.spent_seconds(now)
         self.refining_since = now
         self._step("searched")
-        pools = {name: each.cut.pool() for name, each in self.archipelagos.items() if each.cut is not None}
+        pools = {name: archipelago.cut.pool() for name, archipelago in self.archipelagos.items() if archipelago.cut is not None}
         return [Refine(pools, None if limit is None else max(0.0, limit - self.spent_before_refining))]
 
 

@@ -31,7 +31,7 @@ class Line:
         """`jobs` are all live ones, in the order in which they came."""
         jobs = tuple(jobs)
         self._ahead = {job.id: ahead for ahead, job in enumerate(waiting_jobs(jobs))}
-        self._under_way = sum(each.state in ("preparing", "running") for each in jobs)
+        self._under_way = sum(job.state in ("preparing", "running") for job in jobs)
 
     def ahead_of(self, job: Job) -> int | None:
         """Return how many jobs are before this one in the line; None when it does not wait there."""

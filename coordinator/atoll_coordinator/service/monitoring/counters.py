@@ -27,7 +27,7 @@ class CounterRegistry:
 
     def counters(self, job: Job) -> JobCounters:
         """Return the counters of a job."""
-        duplicates = sum(each.collector.duplicates for each in job.archipelagos.values())
+        duplicates = sum(archipelago.collector.duplicates for archipelago in job.archipelagos.values())
         waited_s = sum(seconds for key, seconds in self._waited_s.items() if key[0] == job.id)
         counters = self._counters.get(job.id, JobCounters())
         return counters.model_copy(update={"duplicates": duplicates, "waited_s": waited_s})

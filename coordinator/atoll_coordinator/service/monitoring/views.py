@@ -45,10 +45,10 @@ def outcomes_of(job: Job) -> list[VariableOutcome]:
     """
     if job.prepared is None:
         return []
-    found = {name: outcome_of(each) for name, each in job.archipelagos.items()}
-    found |= {name: VariableOutcome(name, (entry,), 0, why=KNOWN) for name, entry in job.prepared.known.items()}
-    order = [name for name in job.prepared.dataset.variables if name in found]
-    return [replace(found[name], refined=job.refinement.equations.get(name)) for name in order]
+    outcomes = {name: outcome_of(archipelago) for name, archipelago in job.archipelagos.items()}
+    outcomes |= {name: VariableOutcome(name, (entry,), 0, why=KNOWN) for name, entry in job.prepared.known.items()}
+    order = [name for name in job.prepared.dataset.variables if name in outcomes]
+    return [replace(outcomes[name], refined=job.refinement.equations.get(name)) for name in order]
 
 
 def outcome_of(archipelago: Archipelago) -> VariableOutcome:
@@ -59,18 +59,18 @@ def outcome_of(archipelago: Archipelago) -> VariableOutcome:
         return VariableOutcome(
             archipelago.variable, pool.front, cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why,
             runners_up=pool.runners_up,
-            convergence={each.island: _steps(each.improvements) for each in cut.convergence},
+            convergence={convergence.island: _steps(convergence.improvements) for convergence in cut.convergence},
         )  # fmt: skip
     state = archipelago.collector.state
     return VariableOutcome(
         archipelago.variable, state.front, state.epochs, None, state.evaluations, state.seconds,
         runners_up=state.runners_up,
-        convergence={island: _steps(its) for island, its in state.convergence.items()},
+        convergence={island: _steps(improvements) for island, improvements in state.convergence.items()},
     )  # fmt: skip
 
 
 def _steps(improvements: Sequence[Improvement]) -> tuple[tuple[int, float], ...]:
-    return tuple((each.generation, each.error) for each in improvements)
+    return tuple((improvement.generation, improvement.error) for improvement in improvements)
 
 
 def job_view(
@@ -90,7 +90,7 @@ def job_view(
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
-    variables = tuple(_variable_view(job.prepared, each, job.state) for each in outcomes) if job.prepared else ()
+    variables = tuple(_variable_view(job.prepared, outcome, job.state) for outcome in outcomes) if job.prepared else ()
     return JobView(
         job=job.id,
         name=job.name,
@@ -102,7 +102,7 @@ def job_view(
         warnings=job.prepared.dataset.warnings if job.prepared else (),
         submitted=job.submitted,
         elapsed=now - job.submitted_at,
-        workers=len({worker for each in job.open_archipelagos for worker in each.workers}),
+        workers=len({worker for archipelago in job.open_archipelagos for worker in archipelago.workers}),
         point_evaluations=evaluations,
         point_evaluations_per_second=evaluations / seconds if seconds > 0.0 and evaluations else None,
         variables=variables,
@@ -173,7 +173,7 @@ def _stored_equations(result: dict[str, Any]) -> dict[str, Any]:
     return {
         "warnings": tuple(result["warnings"]),
         "point_evaluations": result["point_evaluations"],
-        "variables": tuple(_stored_variable_view(each) for each in result["equations"]),
+        "variables": tuple(_stored_variable_view(equation) for equation in result["equations"]),
     }
 
 

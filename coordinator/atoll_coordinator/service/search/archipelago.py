@@ -187,7 +187,7 @@ class Archipelago:
             return False
         self._check_report(worker, report, self.placement)
         advanced = self.collector.add_reports(worker, report.epoch, report.islands, seconds)
-        self._update_latest((each.island for each in report.islands), report.epoch)
+        self._update_latest((island_report.island for island_report in report.islands), report.epoch)
         return advanced
 
     def update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> None:
@@ -293,9 +293,9 @@ class Archipelago:
             self._latest[island] = max(self._latest[island], epoch)
 
     def _check_report(self, worker: str, report: EpochReport, placement: Placement) -> None:
-        islands = [each.island for each in report.islands]
+        islands = [island_report.island for island_report in report.islands]
         if len(set(islands)) < len(islands) or not set(islands) <= set(placement.islands_of(worker)):
             raise RemoteProtocolError(f"worker {worker} reported islands {islands}, which are not placed there")
-        for each in report.islands:
-            for addition in (*each.additions, *each.runners_up):
+        for island_report in report.islands:
+            for addition in (*island_report.additions, *island_report.runners_up):
                 self._check(addition.program)

@@ -47,7 +47,7 @@ class StoredSearchState(Frozen):
             epochs=state.epochs,
             front=tuple(stored(entry) for entry in state.front),
             runners_up=tuple(stored(entry) for entry in state.runners_up),
-            counted=tuple(Counted(island=k, evaluations=each) for k, each in state.counted.items()),
+            counted=tuple(Counted(island=k, evaluations=evaluations) for k, evaluations in state.counted.items()),
             evaluations=state.evaluations,
             best_length=state.best_length if math.isfinite(state.best_length) else None,
             improved_at=state.improved_at,
@@ -63,8 +63,8 @@ class StoredSearchState(Frozen):
             front=entries(self.front),
             runners_up=entries(self.runners_up),
             evaluations=dict(self.evaluations),
-            counted={each.island: dict(each.evaluations) for each in self.counted},
-            convergence={each.island: each.improvements for each in self.convergence},
+            counted={counted.island: dict(counted.evaluations) for counted in self.counted},
+            convergence={convergence.island: convergence.improvements for convergence in self.convergence},
             best_length=self.best_length if self.best_length is not None else math.inf,
             improved_at=self.improved_at,
             seconds=self.seconds,
@@ -83,21 +83,21 @@ class Gathering:
     @property
     def is_complete(self) -> bool:
         """Whether the states of all islands are here."""
-        return all(each.is_complete for each in self._assemblies.values())
+        return all(assembly.is_complete for assembly in self._assemblies.values())
 
     @property
     def size(self) -> int:
         """Bytes that are here."""
-        return sum(each.size for each in self._assemblies.values())
+        return sum(assembly.size for assembly in self._assemblies.values())
 
     @property
     def states(self) -> dict[int, State]:
         """The states that are here, by island."""
-        return {island: state for each in self._assemblies.values() for island, state in each.states.items()}
+        return {island: state for assembly in self._assemblies.values() for island, state in assembly.states.items()}
 
     def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
         """Return at most so many pulls, each with its worker; they count as under way."""
-        waiting = [name for name, each in self._assemblies.items() if name not in self._asked and not each.is_complete]
+        waiting = [name for name, assembly in self._assemblies.items() if name not in self._asked and not assembly.is_complete]
         pulls = [(name, self._pull(self._assemblies[name])) for name in waiting[: max(0, most)]]
         self._asked.update(name for name, _ in pulls)
         return pulls

@@ -54,6 +54,6 @@ def schedule_after(schedule: Schedule, epoch: int, interval: int, wants_barrier:
 
 def common_epoch(snapshots: Iterable[Iterable[int]], beyond: int) -> int | None:
     """Return the latest epoch beyond a commit of which every worker has snapshots; None: there is none."""
-    sets = [set(each) for each in snapshots]
+    sets = [set(epochs) for epochs in snapshots]
     shared = set.intersection(*sets) if sets else set()
     return max((epoch for epoch in shared if epoch > beyond), default=None)

@@ -220,7 +220,7 @@ class Collector:
             return False
         ends = order.ends(reached)
         at_end = report.hit is None or (report.hit.generation == reached and reached in ends)
-        return at_end and tuple(each.generation for each in report.counters) == ends
+        return at_end and tuple(counters.generation for counters in report.counters) == ends
 
     def _is_complete(self, epoch: int) -> bool:
         """Tell whether every island has reported as much of an epoch as counts, by the hits that are known."""
@@ -236,7 +236,7 @@ class Collector:
     def _hit(self, epoch: int) -> Position | None:
         """Return where, by the reports that are there, the target was first met in an epoch that is not taken in."""
         reports = (self._filed[key].report for key in self._keys(epoch))
-        hits = (Position(epoch, each.hit.generation, each.island) for each in reports if each and each.hit)
+        hits = (Position(epoch, report.hit.generation, report.island) for report in reports if report and report.hit)
         return min(hits, key=self.limits.commit_order.rank, default=None)
 
     def _needed(self, hit: Position | None, island: int) -> int:
@@ -252,8 +252,8 @@ class Collector:
         hit = self._hit(epoch)
         counted = [(report, self._needed(hit, report.island)) for report in self._release(epoch)]
         state = self.state
-        additions = [entry for each in counted for entry in additions_of(epoch, *each)]
-        near = [entry for each in counted for entry in runners_up_of(epoch, *each)]
+        additions = [entry for report_and_end in counted for entry in additions_of(epoch, *report_and_end)]
+        near = [entry for report_and_end in counted for entry in runners_up_of(epoch, *report_and_end)]
         front, before = merge(state.front, additions), (*state.front, *state.runners_up)
         state.runners_up = runners_up(front, (*before, *additions, *near), self.limits.runners_up)
         if front != state.front:
@@ -271,12 +271,12 @@ class Collector:
 
     def _follow_convergence(self, additions: Iterable[FrontEntry]) -> None:
         """Add the improvements of one epoch; of those in one generation the last is the best."""
-        found = self.state.convergence
-        for entry in sorted(additions, key=lambda each: (each.generation, -each.error)):
-            before = found.get(entry.island, ())
+        convergence = self.state.convergence
+        for entry in sorted(additions, key=lambda addition: (addition.generation, -addition.error)):
+            before = convergence.get(entry.island, ())
             if math.isfinite(entry.error) and (not before or entry.error < before[-1].error):
                 generation = entry.epoch * self.limits.commit_order.generations + entry.generation
-                found[entry.island] = (*before, Improvement(generation=generation, error=entry.error))
+                convergence[entry.island] = (*before, Improvement(generation=generation, error=entry.error))
 
     def _release(self, epoch: int) -> list[IslandReport]:
         """Return the reports of an epoch, by island, and keep no more of them than is needed to compare."""
@@ -333,15 +333,15 @@ def runners_up_of(epoch: int, report: IslandReport, end: int) -> list[FrontEntry
 
 def _tagged(epoch: int, report: IslandReport, stated: Iterable[Addition], end: int) -> list[FrontEntry]:
     return [
-        FrontEntry(each.complexity, each.error, each.mse, epoch, each.generation, report.island, each.program)
-        for each in stated
-        if each.generation <= end
+        FrontEntry(addition.complexity, addition.error, addition.mse, epoch, addition.generation, report.island, addition.program)
+        for addition in stated
+        if addition.generation <= end
     ]
 
 
 def evaluations_at(report: IslandReport, end: int) -> dict[str, int]:
     """Return the cumulative point evaluations by part of an island at generation `end`, the end of a slice."""
-    return next(dict(each.evaluations) for each in report.counters if each.generation == end)
+    return next(dict(counters.evaluations) for counters in report.counters if counters.generation == end)
 
 
 def total_evaluations(islands: Iterable[Mapping[str, int]]) -> dict[str, int]:

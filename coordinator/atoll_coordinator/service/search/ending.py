@@ -38,9 +38,9 @@ class Convergence(Frozen):
     improvements: tuple[Improvement, ...]
 
     @classmethod
-    def of(cls, found: Mapping[int, tuple[Improvement, ...]]) -> "tuple[Convergence, ...]":
+    def of(cls, improvements: Mapping[int, tuple[Improvement, ...]]) -> "tuple[Convergence, ...]":
         """Return those of several islands, by their numbers."""
-        return tuple(cls(island=island, improvements=found[island]) for island in sorted(found))
+        return tuple(cls(island=island, improvements=improvements[island]) for island in sorted(improvements))
 
 
 class Cut(Frozen):

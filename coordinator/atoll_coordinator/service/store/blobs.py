@@ -114,10 +114,10 @@ def _begin(sql: sqlite3.Connection, digest: str, size: int) -> None:
 
 
 def _finish(sql: sqlite3.Connection, digest: str) -> Upload:
-    found = hashlib.sha256()
+    actual = hashlib.sha256()
     for (data,) in sql.execute("SELECT data FROM chunks WHERE digest = ? ORDER BY number", (digest,)):
-        found.update(data)
-    if found.hexdigest() == digest:
+        actual.update(data)
+    if actual.hexdigest() == digest:
         sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
         return "whole"
     sql.execute("DELETE FROM blobs WHERE digest = ?", (digest,))

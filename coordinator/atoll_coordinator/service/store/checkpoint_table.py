@@ -39,11 +39,11 @@ def last_whole(sql: sqlite3.Connection, job: str, islands: int) -> dict[str, tup
     rows = sql.execute(
         "SELECT variable, epoch, progress FROM checkpoints WHERE job = ? ORDER BY epoch DESC", (job,)
     ).fetchall()
-    found: dict[str, tuple[int, bytes]] = {}
+    checkpoints: dict[str, tuple[int, bytes]] = {}
     for variable, epoch, progress in rows:
-        if variable not in found and _is_whole(sql, job, variable, epoch, islands):
-            found[variable] = (epoch, progress)
-    return found
+        if variable not in checkpoints and _is_whole(sql, job, variable, epoch, islands):
+            checkpoints[variable] = (epoch, progress)
+    return checkpoints
 
 
 def _is_whole(sql: sqlite3.Connection, job: str, variable: str, epoch: int, islands: int) -> bool:

@@ -28,9 +28,9 @@ class EventRecord:
 
 def add(sql: sqlite3.Connection, events: Sequence[EventRecord]) -> None:
     """Add events, in order, and forget what is too much of each job; part of the caller's transaction."""
-    rows = [(each.job, each.time, each.kind, each.contents) for each in events]
+    rows = [(event.job, event.time, event.kind, event.contents) for event in events]
     sql.executemany("INSERT INTO events (job, time, kind, contents) VALUES (?, ?, ?, ?)", rows)
-    for job in {each.job: None for each in events}:
+    for job in {event.job: None for event in events}:
         _thin(sql, job)
 
 

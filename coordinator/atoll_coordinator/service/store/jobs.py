@@ -35,7 +35,7 @@ class JobRecord:
         """Whether all has the types that it was written with: SQLite keeps whatever a damaged store holds."""
         texts = (self.id, self.name, self.spec, self.table_digest, self.submitted, self.state)
         return (
-            all(isinstance(each, str) for each in texts)
+            all(isinstance(text, str) for text in texts)
             and isinstance(self.priority, int)
             and isinstance(self.elapsed, int | float)
         )

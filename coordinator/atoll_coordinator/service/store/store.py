@@ -219,7 +219,7 @@ class Store:
             archipelago_table.delete(sql, job)
             event_table.delete(sql, job)
             job_table.delete(sql, job)
-            digests = [each for each in (record.table_digest, record.dataset_digest) if each is not None]
+            digests = [digest for digest in (record.table_digest, record.dataset_digest) if digest is not None]
             blob_table.delete_unused(sql, digests)
 
     def is_deleted(self, job: str) -> bool:

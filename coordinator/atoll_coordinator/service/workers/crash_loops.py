@@ -126,7 +126,7 @@ class CrashLoops:
         for key, loop in counting.items():
             if loop.withdraw(process):
                 self._events.record_withdrawn_death(key, process[0])
-        self._unsaved = [each for each in self._unsaved if (each.worker, each.instance) != process]
+        self._unsaved = [death for death in self._unsaved if (death.worker, death.instance) != process]
         if counting:
             self._store.take_back_deaths(*process)
 
@@ -139,4 +139,4 @@ class CrashLoops:
     def forget(self, job: str) -> None:
         """Forget a job that has ended."""
         self._loops = {key: loop for key, loop in self._loops.items() if key[0] != job}
-        self._unsaved = [each for each in self._unsaved if each.job != job]
+        self._unsaved = [death for death in self._unsaved if death.job != job]

@@ -19,12 +19,12 @@ class Quarantine:
 
     def reserve(self, archipelagos: Sequence[Archipelago], guarded: JobGuard = unguarded) -> None:
         """Reserve workers for the quarantined ones of all open archipelagos, in order; each is looked at `guarded`."""
-        keys = [each.key for each in archipelagos]
+        keys = [archipelago.key for archipelago in archipelagos]
         quarantined: list[ArchipelagoKey] = []
         for key in keys:
             with guarded(key[0]):
                 quarantined += [key] if self._crash_loops.loop(key).state == "quarantined" else []
-        load = Counter(worker for each in archipelagos for worker in each.workers)
+        load = Counter(worker for archipelago in archipelagos for worker in archipelago.workers)
         workers = {worker for worker in self._reserved.values() if worker and not self._membership.is_lost(worker)}
         self._reserved = reserve_workers(
             quarantined,
@@ -42,7 +42,7 @@ class Quarantine:
 
     def waiting(self, archipelagos: Iterable[Archipelago]) -> list[str]:
         """Return the variables of the quarantined ones for which there is no worker."""
-        return [each.variable for each in archipelagos if self._reserved.get(each.key, "") is None]
+        return [archipelago.variable for archipelago in archipelagos if self._reserved.get(archipelago.key, "") is None]
 
     def ready_for(self, key: ArchipelagoKey) -> tuple[str, ...]:
         """Return the workers that can compute an archipelago now, sorted."""

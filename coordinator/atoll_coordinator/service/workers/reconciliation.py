@@ -31,7 +31,7 @@ def corrections(
         with guarded(assignment_status.job):
             messages += _correct_assignment(jobs, worker, assignment_status)
     messages += [CloseJob(job=job) for job in status.jobs if not _is_open(jobs, job)]
-    held = {(each.job, each.variable) for each in status.holdings}
+    held = {(assignment_status.job, assignment_status.variable) for assignment_status in status.holdings}
     missing: list[Placement] = []
     for job_id, job in tuple(jobs.items()):
         with guarded(job_id):

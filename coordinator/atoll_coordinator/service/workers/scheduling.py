@@ -68,7 +68,7 @@ class Scheduler:
         Archipelagos whose placements end are unplaced, and those that are to move get a barrier. Each is looked at
         under `guarded`, so that one over which something breaks keeps no other from its workers.
         """
-        self._quarantine.reserve([each for job in jobs for each in job.open_archipelagos], guarded)
+        self._quarantine.reserve([archipelago for job in jobs for archipelago in job.open_archipelagos], guarded)
         plan = Plan()
         # The term after the current one begins at the checkpoint that is being written.
         changing = [
@@ -80,7 +80,7 @@ class Scheduler:
         ]
         if changing:
             self._update_expected(now)
-        load = _load(each for job in jobs for each in job.open_archipelagos)
+        load = _load(archipelago for job in jobs for archipelago in job.open_archipelagos)
         at_barrier: dict[ArchipelagoKey, Placement | None] = {}
         for _, archipelago in changing:
             with guarded(archipelago.job):
@@ -170,9 +170,9 @@ class Scheduler:
             return None
         others = Counter(load)
         others.subtract(own)
-        found = spread(archipelago.collector.limits.islands, others, ready)
-        busiest = max(others[worker] + islands for worker, islands in Counter(found).items())
-        return found if busiest < max(load.get(worker, 0) for worker in own) else None
+        workers = spread(archipelago.collector.limits.islands, others, ready)
+        busiest = max(others[worker] + islands for worker, islands in Counter(workers).items())
+        return workers if busiest < max(load.get(worker, 0) for worker in own) else None
 
     def _update_expected(self, now: float) -> None:
         """Expect one worker only, once all have been ready or the first one has waited long enough."""

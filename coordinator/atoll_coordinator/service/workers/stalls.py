@@ -52,7 +52,7 @@ def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -
         _stall(archipelago, worker, tuple(i for i in awaited if placement.workers[i] == worker), membership, still_s)
         for worker in workers
     ]
-    lasting = [each for each in stalls if min(still_s, each.seconds) >= PATIENCE_S[each.cause]]
+    lasting = [stall for stall in stalls if min(still_s, stall.seconds) >= PATIENCE_S[stall.cause]]
     return min(lasting, key=_gravity, default=None)
 
 
@@ -135,7 +135,7 @@ class StallDetector:
                 self._stalls[key] = stall
             if _identity(stall) != _identity(before):
                 changes.append((key, stall))
-        open_keys = {each.key for each in archipelagos}
+        open_keys = {archipelago.key for archipelago in archipelagos}
         self._stalls = {key: stall for key, stall in self._stalls.items() if key in open_keys}
         self._seen = {key: seen for key, seen in self._seen.items() if key in open_keys}
         return changes

@@ -151,14 +151,14 @@ class WorkerController:
         """Raise RemoteProtocolError when a worker speaks for islands that are placed elsewhere."""
         wrong: list[str] = []
         claims: tuple[AssignmentStatus | IslandFailure, ...] = (*status.holdings, *status.failures)
-        for each in claims:
-            with self._guarded(each.job, "looking where islands are placed", now):
-                archipelago = self._placed(each.job, each.variable, each.term)
+        for claim in claims:
+            with self._guarded(claim.job, "looking where islands are placed", now):
+                archipelago = self._placed(claim.job, claim.variable, claim.term)
                 islands = archipelago.islands_of(worker) if archipelago is not None else None
-                if islands is not None and isinstance(each, AssignmentStatus) and not islands:
-                    wrong.append(f"worker {worker} holds {each.variable} of job {each.job}, which is placed elsewhere")
-                elif islands is not None and isinstance(each, IslandFailure) and each.island not in islands:
-                    island = f"island {each.island} of {each.variable} of job {each.job}"
+                if islands is not None and isinstance(claim, AssignmentStatus) and not islands:
+                    wrong.append(f"worker {worker} holds {claim.variable} of job {claim.job}, which is placed elsewhere")
+                elif islands is not None and isinstance(claim, IslandFailure) and claim.island not in islands:
+                    island = f"island {claim.island} of {claim.variable} of job {claim.job}"
                     wrong.append(f"worker {worker} says that {island} failed, which is placed elsewhere")
         if wrong:
             raise RemoteProtocolError(wrong[0])
@@ -196,10 +196,10 @@ class WorkerController:
         One that had said that it would leave was not ended by what it computed.
         """
         name = member.hello.name
-        lost = [each for each in self._open_archipelagos() if name in each.workers]
+        lost = [archipelago for archipelago in self._open_archipelagos() if name in archipelago.workers]
         if not lost:
             self._events.record("worker-lost", why, worker=name)
-        for job in dict.fromkeys(each.job for each in lost):
+        for job in dict.fromkeys(archipelago.job for archipelago in lost):
             with self._guarded(job, "taking in that a worker is lost", now):
                 self._events.record("worker-lost", why, job, worker=name)
         reasons: list[tuple[str, str]] = []
@@ -237,13 +237,13 @@ class WorkerController:
 
     def _begin_terms(self, assignments: Sequence[Assignment], guarded: JobGuard) -> list[tuple[Assignment, Placement]]:
         """Make terms durable: all of them at once, since each commit takes its time; where that breaks, one by one."""
-        live = [each for each in assignments if each.job.id in self._jobs]
+        live = [assignment for assignment in assignments if assignment.job.id in self._jobs]
         with self._breakages.tolerated("beginning terms"):
             return self._store_terms(live)
         begun: list[tuple[Assignment, Placement]] = []
-        for each in live:
-            with guarded(each.job.id):
-                begun += self._store_terms([each]) if each.job.id in self._jobs else []
+        for assignment in live:
+            with guarded(assignment.job.id):
+                begun += self._store_terms([assignment]) if assignment.job.id in self._jobs else []
         return begun
 
     def _store_terms(self, assignments: Sequence[Assignment]) -> list[tuple[Assignment, Placement]]:
@@ -254,7 +254,7 @@ class WorkerController:
             return encode(placements[-1])
 
         if assignments:
-            self._store.begin_terms([each.archipelago.key for each in assignments], encode_placement)
+            self._store.begin_terms([assignment.archipelago.key for assignment in assignments], encode_placement)
         return list(zip(assignments, placements, strict=True))
 
     def _place(self, assignment: Assignment, placement: Placement, now: float) -> None:
@@ -293,7 +293,7 @@ class WorkerController:
         quarantined = self._quarantine.waiting(job.open_archipelagos)
         if quarantined:
             return f"islands of {', '.join(quarantined)} are isolated and wait for a worker of their own"
-        is_waiting = any(each.placement is None for each in job.open_archipelagos)
+        is_waiting = any(archipelago.placement is None for archipelago in job.open_archipelagos)
         return self.membership.waiting_reason() if is_waiting else None
 
     def forget(self, job: str) -> None:
@@ -302,7 +302,7 @@ class WorkerController:
         self.crash_loops.forget(job)
 
     def _open_archipelagos(self) -> list[Archipelago]:
-        return [each for job in self._jobs.values() for each in job.open_archipelagos]
+        return [archipelago for job in self._jobs.values() for archipelago in job.open_archipelagos]
 
     def _placed(self, job_id: str, variable: str, term: int) -> Archipelago | None:
         """Return the archipelago that is placed under a term now; None: there is none."""
