@@ -2,8 +2,8 @@
 
 A bound is a text such as ``c > 0`` (every constant), ``0 < c < 10``, ``|c| < 5`` (every size), ``x*y < 0`` (the
 coefficient of the term x*y) or ``inner > 0`` (the numbers inside terms). Constants are those of the expanded equation
-(`atoll_core.expression.writing.expansion`), each with its sign: in ``3*x - 2*x*y`` they are 3 and -2. A bound says nothing
-of terms that an equation does not have. Ends of ranges belong to them: a constant may come to lie on its bound.
+(`atoll_core.expression.writing.expansion`), each with its sign: in ``3*x - 2*x*y`` they are 3 and -2. A bound says
+nothing of terms that an equation does not have. Ends of ranges belong to them: a constant may come to lie on its bound.
 """
 
 import math

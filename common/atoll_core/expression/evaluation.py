@@ -95,7 +95,8 @@ def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[i
                 _gather(adjoint, rights[i], mine * _partial(DEFINITIONS[code].right, *at))
     gradient = [adjoint[place] for place in places]
     zero = np.zeros_like(values[-1])
-    return values[-1], np.array([zero if derivative is None else derivative for derivative in gradient]).reshape(len(gradient), len(zero))
+    rows = [zero if derivative is None else derivative for derivative in gradient]
+    return values[-1], np.array(rows).reshape(len(rows), len(zero))
 
 
 def _partial(partial: Partial, a: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray | float:

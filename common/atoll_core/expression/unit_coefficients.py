@@ -70,7 +70,7 @@ class _Draft:
         self._terms: dict[int, int] = {}
 
     def rewrite(self, index: int, *, has_factor: bool) -> int:
-        """Return the new place of an old node, made explicit; `has_factor` tells whether a constant scales it already."""
+        """Return the new place of an old node, made explicit; `has_factor`: a constant scales it already."""
         code, left, right, _ = self._old[index]
         if code == CONSTANT:
             return self._copy(index)

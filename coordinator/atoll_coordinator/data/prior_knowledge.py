@@ -100,8 +100,8 @@ def _check_agreement(name: str, bounds: Sequence[Bound]) -> None:
     for one, other in combinations(bounds, 2):
         is_of_same = (one.scope, one.shape) == (other.scope, other.shape) or "every" in (one.scope, other.scope)
         if is_of_same and not max(one.lower, other.lower) < min(one.upper, other.upper):
-            both = f"the bounds {one.text!r} and {other.text!r} of '{name}'"
-            raise UsageError(f"{both} contradict each other; leave one of them out")
+            pair = f"the bounds {one.text!r} and {other.text!r} of '{name}'"
+            raise UsageError(f"{pair} contradict each other; leave one of them out")
 
 
 def _check_required(space: SpaceConfig, names: Sequence[str]) -> None:

@@ -55,7 +55,7 @@ def refine_all(
         config: the resolved configuration of the job.
         pools: what the search handed on, by variable.
         deadline: when it must end with the best so far; None: never.
-        laws: those among many variables that preparing found (`sparse.product_laws.laws_among_many`); None: they are sought.
+        laws: those among many variables that preparing found (`sparse.product_laws`); None: they are sought.
     """
     deadline = deadline or Deadline()
     made = _with_units(_refined(preparation, config, pools, deadline, laws), preparation, config)

@@ -59,9 +59,9 @@ def settled_paths(simulator: Simulator, starts: FloatArray, inputs: FloatArray, 
 
 def density_of(states: tuple[str, ...], paths: FloatArray, within: FloatArray | None = None) -> StationaryDensity:
     """Return the density of settled paths (N, S, P); bins are over their range, and that of `within` (S, R)."""
-    both = [np.concatenate([values.ravel(), [] if within is None else within[place]])
+    samples = [np.concatenate([values.ravel(), [] if within is None else within[place]])
             for place, values in enumerate(paths.transpose(1, 0, 2))]  # fmt: skip
-    edges = np.array([np.linspace(values.min(), values.max(), BINS + 1) for values in both])
+    edges = np.array([np.linspace(values.min(), values.max(), BINS + 1) for values in samples])
     density = histograms(paths.transpose(1, 0, 2).reshape(len(edges), -1), edges)
     return StationaryDensity(states, edges, density, paths.mean(axis=(0, 2)), paths.std(axis=(0, 2)))
 

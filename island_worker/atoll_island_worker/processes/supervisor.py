@@ -140,17 +140,17 @@ class Supervisor:
             self._handle_end(process, error.exit_code, now)
 
     def _handle_end(self, process: _Process, code: int, now: float) -> None:
-        who = f"process {process.child.pid} ({process.name})" if process.child is not None else process.name
+        subject = f"process {process.child.pid} ({process.name})" if process.child is not None else process.name
         process.child = None
         pause_s = process.policy.end(code, now)
-        how = f"was ended by signal {-code}" if code < 0 else f"has ended with exit code {code}"
+        ending = f"was ended by signal {-code}" if code < 0 else f"has ended with exit code {code}"
         if pause_s is not None:
-            complain(f"{who} {how}; it is started again in {pause_s:g} s")
+            complain(f"{subject} {ending}; it is started again in {pause_s:g} s")
         elif process.policy.is_given_up:
             others = sum(process.policy.state != "ended" for process in self._processes)
             left = f"{others} {'other goes' if others == 1 else 'others go'} on" if others else "no other is left"
             complain(
-                f"{who} {how}, as it did {process.policy.deaths} times within a minute, and is "
+                f"{subject} {ending}, as it did {process.policy.deaths} times within a minute, and is "
                 f"not started again ({left}); see what was said before, and whether this machine has enough memory"
             )
 

@@ -278,7 +278,7 @@ def _extended(path: Path, name: str, counts: Counter[str]) -> Path:
 
 
 def factored_forms(program: Program) -> Iterator[Program]:
-    """Yield ``a*(s + b*t + …)`` for each term s of the expanded program, a being its coefficient; nothing of one term."""
+    """Yield ``a*(s + b*t + …)`` for each term s of the expansion, a being its coefficient; nothing of one term."""
     try:
         terms = terms_of(program)
     except UndefinedError:

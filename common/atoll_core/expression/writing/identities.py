@@ -65,7 +65,7 @@ def _one(term: Term) -> Sum:
 
 def _expanded(terms: Sum, best: Best) -> Iterator[Sum]:
     """One power of a bracket times the rest, term by term; all brackets at once."""
-    everything: list[tuple[float, Sum]] = []
+    expansions: list[tuple[float, Sum]] = []
     is_open = True
     for monomial, coefficient in terms:
         parts = [(atom, exponent) for atom, exponent in monomial if atom[0] == ADD and exponent > 0]
@@ -80,9 +80,9 @@ def _expanded(terms: Sum, best: Best) -> Iterator[Sum]:
                 if len(whole) > _MOST_TERMS:
                     return
             is_open = False
-        everything.append((1.0, whole))
+        expansions.append((1.0, whole))
     if not is_open:
-        yield add(*everything)
+        yield add(*expansions)
 
 
 def _inner(terms: Sum, best: Best) -> Iterator[Sum]:

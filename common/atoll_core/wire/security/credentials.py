@@ -290,6 +290,6 @@ def _unfit(error: ssl.SSLCertVerificationError, authority: Path, certificate: Pa
     if error.verify_code in _UNTIMELY:
         return f"the authority in {authority} has expired or is not valid yet; make a new one, or check the clock"
     if error.verify_code == _PURPOSE:
-        whom = "a coordinator" if use == "serve" else "workers and clients"
-        return f"the certificate {certificate} is not one for {whom} (its extended key usage says so); use another"
+        users = "a coordinator" if use == "serve" else "workers and clients"
+        return f"the certificate {certificate} is not one for {users} (its extended key usage says so); use another"
     return f"the certificate {certificate} does not hold ({error.verify_message}); make a new one"

@@ -218,11 +218,11 @@ def _order(column: str, matches: Sequence[_Match | None], starts: Sequence[int])
         return forms[0]
     if any(int(match["two"]) > 12 for match in present):
         return forms[1]
-    both = [[match and _date(match, form) for match in matches] for form in forms]
-    ascending = [form for form, values in zip(forms, both, strict=True) if _ascends(values, starts)]
+    dates_by_form = [[match and _date(match, form) for match in matches] for form in forms]
+    ascending = [form for form, values in zip(forms, dates_by_form, strict=True) if _ascends(values, starts)]
     if len(ascending) == 1:
         return ascending[0]
-    if len({one - other for one, other in zip(*both, strict=True) if one is not None and other is not None}) == 1:
+    if len({one - other for one, other in zip(*dates_by_form, strict=True) if one is not None and other is not None}) == 1:
         return f"{forms[0]} (or {forms[1]}: all are of one day)"
     raise DataError(
         f"{column} holds '{present[0][0]}', which may be {forms[0]} or {forms[1]}, and its other rows do not tell; "

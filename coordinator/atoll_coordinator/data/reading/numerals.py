@@ -112,9 +112,9 @@ def _only(file: str, name: str, cells: Sequence[str], ways: set[Decimal]) -> Dec
     cell = next((cell for cell in cells if "," in cell or (number(cell) is not None and "." in cell)), None)
     if len(ways) == 1 or cell is None:
         return next(iter(ways))
-    both = " or ".join(f"{_number(cell, way):g}" for way in ("point", "comma"))
+    readings = " or ".join(f"{_number(cell, way):g}" for way in ("point", "comma"))
     raise DataError(
-        f"column '{name}' of {file} holds '{cell.strip()}', which may be {both}; leave out separators of thousands"
+        f"column '{name}' of {file} holds '{cell.strip()}', which may be {readings}; leave out separators of thousands"
     )
 
 

@@ -58,7 +58,7 @@ class FittedTogether:
 
 
 def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence[Program]) -> FittedTogether | None:
-    """Return `shown` with brackets expanded and shared terms fitted together; None where that is no shorter description.
+    """Return `shown` with brackets expanded and shared terms fitted together; None where that is no shorter.
 
     Equations that are given or have bounds are left as they are.
     """

@@ -2,7 +2,7 @@
 
 - `weak_form`: equations integrated against test functions, so that nothing is differentiated
 - `regression`: libraries of products, backward elimination, terms taken in again; the criterion
-- `product_laws`: the laws of one state in the weak form, or on derivatives where there is no noise, beside other programs
+- `product_laws`: the laws of one state in the weak form, or on derivatives without noise, beside other programs
 - `products`: programs as sums of products, where they are such
 - `pursuit`: sums of a polynomial and of products with functions, constants inside these fitted (matching pursuit)
 - `shapes`: the products with functions that it is made of

@@ -70,7 +70,7 @@ def summarize_process(
     chosen: ChosenProcess, dataset: Dataset, config: JobConfig, candidates: Mapping[str, CandidateSet]
 ) -> Refinement:
     """Return the refinement that the chosen law gives."""
-    fitted, explicit_programs, equations = _written(chosen)
+    fitted, coefficients, equations = _written(chosen)
     shown = fitted.model
     for number, equation in enumerate(equations):
         shown = shown.with_program(number, equation.program)
@@ -95,7 +95,7 @@ def summarize_process(
             _origin(equation.program, its),
         )
     findings = _findings(chosen, fitted, shown, config.seed)
-    return Refinement(refined, process=findings, covariance=_covariance(chosen, fitted, explicit_programs))
+    return Refinement(refined, process=findings, covariance=_covariance(chosen, fitted, coefficients))
 
 
 def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoefficients], list[_Equation]]:
@@ -105,24 +105,24 @@ def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoeffic
     """
     programs = list(chosen.fitted.model.programs)
     for _ in range(2):
-        explicit_programs = [
+        coefficients = [
             make_coefficients_explicit(program)
             if number in chosen.free and chosen.restrictions[number].bounds is None
             else as_written(program)
             for number, program in enumerate(programs)
         ]
-        fitted = _fitted(chosen, explicit_programs)
-        described = _described(chosen, fitted, explicit_programs, programs)
+        fitted = _fitted(chosen, coefficients)
+        described = _described(chosen, fitted, coefficients, programs)
         refuted = [each.refuted_factors for each in described]
         if not any(refuted):
             break
         programs = [
             write_factors(explicit, its, factors) if factors else program
-            for explicit, its, factors, program in zip(explicit_programs, fitted.model.programs, refuted, programs, strict=True)
+            for explicit, its, factors, program in zip(coefficients, fitted.model.programs, refuted, programs, strict=True)
         ]
     places = _slices(chosen, fitted.model)
     covariance, equations = fitted.covariance, []
-    for number, (program, explicit) in enumerate(zip(programs, explicit_programs, strict=True)):
+    for number, (program, explicit) in enumerate(zip(programs, coefficients, strict=True)):
         if number in chosen.free:
             origins = {origin: k for k, origin in enumerate(explicit.origins) if origin is not None}
             written = [origins[constant] for constant in range(len(origins))]
@@ -132,21 +132,21 @@ def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoeffic
             bounds = chosen.restrictions[number].bounds
             program = rounded if bounds is None else bounds.clipped(rounded)
         equations.append(program)
-    described = _described(chosen, fitted, explicit_programs, equations)
-    return fitted, explicit_programs, [_Equation(*each) for each in zip(equations, described, strict=True)]
+    described = _described(chosen, fitted, coefficients, equations)
+    return fitted, coefficients, [_Equation(*each) for each in zip(equations, described, strict=True)]
 
 
-def _covariance(chosen: ChosenProcess, fitted: FittedProcess, explicit_programs: Sequence[ExplicitCoefficients]) -> Covariance:
+def _covariance(chosen: ChosenProcess, fitted: FittedProcess, coefficients: Sequence[ExplicitCoefficients]) -> Covariance:
     """Return the joint covariance of all constants, those of noise left out."""
-    names = tuple((chosen.variables[number], origin) for number in chosen.free for origin in explicit_programs[number].origins)
+    names = tuple((chosen.variables[number], origin) for number in chosen.free for origin in coefficients[number].origins)
     parameters = len(fitted.information)
     matrix = fitted.covariance[: len(names), : len(names)]
     return Covariance(names, matrix, float(len(chosen.likelihood.steps.lengths) - parameters))
 
 
-def _fitted(chosen: ChosenProcess, explicit_programs: Sequence[ExplicitCoefficients]) -> FittedProcess:
+def _fitted(chosen: ChosenProcess, coefficients: Sequence[ExplicitCoefficients]) -> FittedProcess:
     model = chosen.fitted.model
-    for number, explicit in enumerate(explicit_programs):
+    for number, explicit in enumerate(coefficients):
         model = model.with_program(number, explicit.program)
     return chosen.likelihood.fit(model, chosen.free)
 
@@ -162,14 +162,14 @@ def _slices(chosen: ChosenProcess, model: ProcessModel) -> dict[int, slice]:
 
 
 def _described(
-    chosen: ChosenProcess, fitted: FittedProcess, explicit_programs: Sequence[ExplicitCoefficients], programs: Sequence[Program]
+    chosen: ChosenProcess, fitted: FittedProcess, coefficients: Sequence[ExplicitCoefficients], programs: Sequence[Program]
 ) -> list[Known]:
     """Return what is known of the constants of `programs`, as they are written."""
     errors = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
     values, places = fitted.model.parameters(chosen.free), _slices(chosen, fitted.model)
     quantile = student_95(float(len(chosen.likelihood.steps.lengths) - len(values)))
     found = []
-    for number, (explicit, program) in enumerate(zip(explicit_programs, programs, strict=True)):
+    for number, (explicit, program) in enumerate(zip(coefficients, programs, strict=True)):
         if number in chosen.free:
             its = places[number]
             found.append(describe(explicit, program, values[its].tolist(), errors[its].tolist(), quantile))

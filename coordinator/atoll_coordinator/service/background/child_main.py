@@ -116,11 +116,11 @@ class _Sender(logging.Handler):
         super().__init__()
         self._pipe = pipe
 
-    def send(self, kind: str, what: object) -> None:
+    def send(self, kind: str, content: object) -> None:
         """Send one thing; this process ends when nobody is there to hear it."""
         with self.lock:  # type: ignore[union-attr]  # made by the base class, which logging itself relies on
             try:
-                pickle.dump((kind, what), self._pipe, pickle.HIGHEST_PROTOCOL)
+                pickle.dump((kind, content), self._pipe, pickle.HIGHEST_PROTOCOL)
                 self._pipe.flush()
             except BrokenPipeError:
                 os._exit(0)

@@ -142,13 +142,13 @@ class ChildProcess:
         assert pipe is not None
         try:
             while True:
-                kind, what = pickle.load(pipe)
+                kind, content = pickle.load(pipe)
                 if kind == "log":
-                    _log(what)
+                    _log(content)
                 elif kind == "done":
                     self._expected_done += 1
                 else:
-                    self._answers.put(what)
+                    self._answers.put(content)
         except Exception as error:  # also words that the end of the process cut short, or memory that ran out here
             if not isinstance(error, EOFError | pickle.UnpicklingError):
                 self._why = self._why or f"its answer could not be read: {type(error).__name__}: {error}"

@@ -86,8 +86,8 @@ class Prepared:
     """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size.
 
     `known` has the known equations by variable, as members of fronts of their own; `settled` are the variables
-    that have laws by regression (`atoll_coordinator.model.sparse.product_laws.settled_variables`), `laws` those among many
-    variables, which refining takes over (None: it seeks them itself).
+    that have laws by regression (`atoll_coordinator.model.sparse.product_laws.settled_variables`), `laws` those among
+    many variables, which refining takes over (None: it seeks them itself).
     """
 
     preparation: Preparation

@@ -28,10 +28,10 @@ def what_to_send(config: JobConfig, *, is_certain: bool = True) -> str:
         config: of the job.
         is_certain: whether a mistake of ours broke it, and not perhaps the machine, which may be short of memory.
     """
-    whose = f"this is a mistake of Atoll {VERSION}, not of the data:" if is_certain else "if it does so again,"
+    blame = f"this is a mistake of Atoll {VERSION}, not of the data:" if is_certain else "if it does so again,"
     version = "" if is_certain else f"Atoll {VERSION}, "
     return (
-        f"; {whose} please report it with this sentence, {version}the command or call, seed {config.seed} and the data "
+        f"; {blame} please report it with this sentence, {version}the command or call, seed {config.seed} and the data "
         "as a file, or the rows that show it (from Python: pandas.DataFrame(data).to_csv('data.csv', index=False))"
     )
 

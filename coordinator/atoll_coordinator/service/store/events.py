@@ -42,8 +42,8 @@ def _thin(sql: sqlite3.Connection, job: str | None) -> None:
     oldest = "SELECT number FROM events WHERE job IS ? AND {} ORDER BY number LIMIT ?"
     (commits,) = sql.execute("SELECT count(*) FROM events WHERE job IS ? AND kind = 'commit'", (job,)).fetchone()
     spare = min(excess, max(0, commits - LEAST_COMMITS))
-    for which, number in (("kind = 'commit'", spare), ("kind != 'commit'", excess - spare)):
-        sql.execute(f"DELETE FROM events WHERE number IN ({oldest.format(which)})", (job, number))
+    for condition, number in (("kind = 'commit'", spare), ("kind != 'commit'", excess - spare)):
+        sql.execute(f"DELETE FROM events WHERE number IN ({oldest.format(condition)})", (job, number))
 
 
 def read(sql: sqlite3.Connection, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:

@@ -103,8 +103,8 @@ def _cause(
         return "migrants", f"which waits for migrants itself ({status.state})", still_s
     at = f"island {doing.island}, epoch {doing.epoch}"
     if standing >= _STANDING_S:
-        whose = "" if doing.job == archipelago.job else f" of job {doing.job}"
-        return "standing", f"{at}{whose}", standing
+        owner = "" if doing.job == archipelago.job else f" of job {doing.job}"
+        return "standing", f"{at}{owner}", standing
     if doing.job != archipelago.job:
         return "others", f"which computes job {doing.job} in turn", still_s
     return "slow", "", still_s

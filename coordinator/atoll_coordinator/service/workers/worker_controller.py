@@ -156,7 +156,8 @@ class WorkerController:
                 archipelago = self._placed(claim.job, claim.variable, claim.term)
                 islands = archipelago.islands_of(worker) if archipelago is not None else None
                 if islands is not None and isinstance(claim, AssignmentStatus) and not islands:
-                    wrong.append(f"worker {worker} holds {claim.variable} of job {claim.job}, which is placed elsewhere")
+                    placed = f"{claim.variable} of job {claim.job}"
+                    wrong.append(f"worker {worker} holds {placed}, which is placed elsewhere")
                 elif islands is not None and isinstance(claim, IslandFailure) and claim.island not in islands:
                     island = f"island {claim.island} of {claim.variable} of job {claim.job}"
                     wrong.append(f"worker {worker} says that {island} failed, which is placed elsewhere")
