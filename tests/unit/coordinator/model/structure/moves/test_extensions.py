@@ -106,12 +106,12 @@ def test_a_single_use_of_a_variable_is_extended_by_itself():
 def test_functions_open_into_the_beginning_of_their_series(text, inner, outer):
     """It has nearly the values of the function, and no function of a function."""
     program = parsed(text)
-    opened = [
+    differences = [
         values_of(each, INPUTS) - values_of(program, INPUTS)
         for each in leaps(program, ALL)
         if inner in each.operators.tolist() and outer not in each.operators.tolist()
     ]
-    assert min(np.abs(its).max() for its in opened) < 0.05
+    assert min(np.abs(its).max() for its in differences) < 0.05
 
 
 def test_a_variable_leaps_into_its_sine_and_cosine():
