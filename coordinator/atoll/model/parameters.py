@@ -36,7 +36,7 @@ class Parameter:
     unit: str | None = None
     bounds: tuple[float | None, float | None] | None = None
 
-    def interval_at(self, level: float, degrees_of_freedom: float | None) -> tuple[float, float] | None:
+    def interval_at(self, level: float, freedom: float | None) -> tuple[float, float] | None:
         """Return the interval at `level`, by Student's t with so many degrees of freedom (None: infinitely many).
 
         None where there is none, or where it is known at 95 % alone, as that of a constant on its bound is.
@@ -47,7 +47,7 @@ class Parameter:
             return None
         from scipy import special
 
-        quantile = special.ndtri(0.5 + level / 2.0) if degrees_of_freedom is None else special.stdtrit(degrees_of_freedom, 0.5 + level / 2.0)
+        quantile = special.ndtri(0.5 + level / 2.0) if freedom is None else special.stdtrit(freedom, 0.5 + level / 2.0)
         middle = 0.5 * (self.interval[0] + self.interval[1])
         return middle - float(quantile) * self.stderr, middle + float(quantile) * self.stderr
 
