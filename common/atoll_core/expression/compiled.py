@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from atoll_core.expression.builder import ProgramBuilder
-from atoll_core.expression.operators import ARITY, CONSTANT, Functions, definitions, slope_definitions
+from atoll_core.expression.operators import ARITY, CONSTANT, Functions, definitions, partial_definitions
 from atoll_core.expression.program import Program
 
 _LONGEST: Final = 200
@@ -70,4 +70,4 @@ def _call(name: str) -> Callable[..., str]:
 
 
 _FUNCTIONS: Final = Functions(*map(_call, Functions._fields))
-_OPERATORS: Final = {**definitions(_FUNCTIONS), **slope_definitions(_FUNCTIONS)}
+_OPERATORS: Final = {**definitions(_FUNCTIONS), **partial_definitions(_FUNCTIONS)}

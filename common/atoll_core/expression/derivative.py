@@ -1,8 +1,8 @@
-"""Derivatives of programs, as programs: by one sweep from the output back over the slopes of the table of operators.
+"""Derivatives of programs, as programs: by one sweep from the output back over the table of operators.
 
-The slopes are called with parts of a program under construction, on which arithmetic adds nodes. What a part passes on
-is the same for all variables, so that derivatives of one program share what they have in common. Constants are
-differentiated as variables, see `with_variables`.
+Partial derivatives are called with parts of a program under construction, on which arithmetic adds nodes. What a part
+passes on is the same for all variables, so that derivatives of one program share what they have in common. Constants
+are differentiated as variables, see `with_variables`.
 """
 
 from collections.abc import Callable
@@ -31,9 +31,9 @@ from atoll_core.expression.operators import (
     TANH,
     VARIABLE,
     Functions,
-    Slope,
+    Partial,
     definitions,
-    slope_definitions,
+    partial_definitions,
 )
 from atoll_core.expression.program import Node, Program, constant_places
 
@@ -41,25 +41,25 @@ from atoll_core.expression.program import Node, Program, constant_places
 def derivative(program: Program, variable: int) -> Program:
     """Return the derivative by the input variable of this index, the constant 0 where the program does not have it.
 
-    It has `SLOPE_OPERATORS` besides others, and more nodes than a message takes. Where a slope of the table has no
-    finite value, neither has it.
+    It has `PARTIAL_OPERATORS` besides others, and more nodes than a message takes. Where a partial derivative of the
+    table has no finite value, neither has it.
     """
     draft = _Draft()
     output = draft.copy(program.nodes())[-1]
     depends = _dependent(draft.nodes[: output + 1], variable)
-    slopes = {output: _Part(draft, draft.constant(1.0))}
+    adjoints = {output: _Part(draft, draft.constant(1.0))}
     for place in range(output, -1, -1):
         code, *arguments, _ = draft.nodes[place]
-        if place not in slopes or not depends[place] or not ARITY[code]:
+        if place not in adjoints or not depends[place] or not ARITY[code]:
             continue
         left, right = (_Part(draft, argument) for argument in arguments)
         at = left, right, _Part(draft, place)
-        for argument, slope in ((left, _OPERATORS[code].left), (right, _OPERATORS[code].right))[: ARITY[code]]:
-            if slope.sign and depends[argument.place]:
-                share, known = _share(slopes[place], slope, *at), slopes.get(argument.place)
-                slopes[argument.place] = share if known is None else known + share
+        for argument, partial in ((left, _OPERATORS[code].left), (right, _OPERATORS[code].right))[: ARITY[code]]:
+            if partial.sign and depends[argument.place]:
+                share, known = _share(adjoints[place], partial, *at), adjoints.get(argument.place)
+                adjoints[argument.place] = share if known is None else known + share
     leaf = next((place for place, node in enumerate(draft.nodes) if node[:2] == (VARIABLE, variable)), None)
-    return draft.program(slopes[leaf].place if leaf in slopes else draft.constant(0.0))
+    return draft.program(adjoints[leaf].place if leaf in adjoints else draft.constant(0.0))
 
 
 def with_variables(program: Program, first: int) -> Program:
@@ -125,16 +125,16 @@ def _call(code: int) -> Callable[..., Any]:
 
 
 _FUNCTIONS: Final = Functions(*map(_call, (SIN, COS, EXP, LOG, SQRT, ABS, TANH, POW, SIGN, BASE_LOG)))
-_OPERATORS: Final = {**definitions(_FUNCTIONS), **slope_definitions(_FUNCTIONS)}
+_OPERATORS: Final = {**definitions(_FUNCTIONS), **partial_definitions(_FUNCTIONS)}
 
 
-def _share(part: _Part, slope: Slope, a: _Part, b: _Part, v: _Part) -> _Part:
+def _share(part: _Part, partial: Partial, a: _Part, b: _Part, v: _Part) -> _Part:
     """Return what the derivative by an operator's value, `part`, adds to that by an argument."""
-    for factor in slope.factors:
+    for factor in partial.factors:
         part = part * factor(a, b, v)
-    if slope.divisor is not None:
-        part = part.under(DIVIDE, slope.divisor(a, b, v))
-    return part if slope.sign > 0 else part.under(NEGATE)
+    if partial.divisor is not None:
+        part = part.under(DIVIDE, partial.divisor(a, b, v))
+    return part if partial.sign > 0 else part.under(NEGATE)
 
 
 def _dependent(nodes: list[Node], variable: int) -> list[bool]:

@@ -18,7 +18,7 @@ from atoll_core.expression.operators import (
     Functions,
     Partial,
     definitions,
-    slope_definitions,
+    partial_definitions,
 )
 from atoll_core.expression.program import Program
 
@@ -44,7 +44,7 @@ def _base_log(x: FloatArray, v: FloatArray) -> FloatArray:
 NUMPY: Final = Functions(
     _periodic(np.sin), _periodic(np.cos), np.exp, np.log, np.sqrt, np.abs, np.tanh, _power, np.sign, _base_log
 )
-DEFINITIONS: Final = {**definitions(NUMPY), **slope_definitions(NUMPY)}
+DEFINITIONS: Final = {**definitions(NUMPY), **partial_definitions(NUMPY)}
 
 
 def value_of(code: int, left: float, right: float) -> float:

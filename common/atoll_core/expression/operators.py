@@ -67,10 +67,10 @@ OPERATORS: Final = (
 )
 """Indexed by code."""
 
-SLOPE_OPERATORS: Final = (Operator(SIGN, "sign", 1, "sign"), Operator(BASE_LOG, "base log", 2))
+PARTIAL_OPERATORS: Final = (Operator(SIGN, "sign", 1, "sign"), Operator(BASE_LOG, "base log", 2))
 """What derivatives need besides `OPERATORS`, with the next codes: nothing searches for them or sends them."""
 
-ARITY: Final = tuple(operator.arity for operator in (*OPERATORS, *SLOPE_OPERATORS))
+ARITY: Final = tuple(operator.arity for operator in (*OPERATORS, *PARTIAL_OPERATORS))
 BY_NAME: Final = {operator.name: operator for operator in OPERATORS if operator.arity > 0}
 """The operators a user can select with ``--operators``."""
 FUNCTIONS: Final = {operator.code: operator.text for operator in OPERATORS if operator.arity == 1 and operator.text}
@@ -103,7 +103,7 @@ PartialFactor = Callable[[Any, Any, Any], Any]
 
 
 class Partial(NamedTuple):
-    """The partial derivative of an operator's value by one argument: ``sign * factors[0] * ... / divisor``, 0 by sign 0."""
+    """The partial derivative by one argument: ``sign * factors[0] * ... / divisor``, 0 by sign 0."""
 
     sign: int = 1
     factors: tuple[PartialFactor, ...] = ()
@@ -149,11 +149,11 @@ def definitions(functions: Functions) -> dict[int, Definition]:
     }
 
 
-def slope_definitions(functions: Functions) -> dict[int, Definition]:
-    """Return the definitions of `SLOPE_OPERATORS`, whose slopes are those of second derivatives."""
+def partial_definitions(functions: Functions) -> dict[int, Definition]:
+    """Return the definitions of `PARTIAL_OPERATORS`, whose partial derivatives are those of second derivatives."""
     return {
-        SIGN: Definition(lambda a, b: functions.sign(a), Slope(0)),
-        BASE_LOG: Definition(lambda a, b: functions.base_log(a, b), Slope(1, (), _a), Slope(0)),
+        SIGN: Definition(lambda a, b: functions.sign(a), Partial(0)),
+        BASE_LOG: Definition(lambda a, b: functions.base_log(a, b), Partial(1, (), _a), Partial(0)),
     }
 
 

@@ -10,7 +10,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.expression.compiled import function_of
 from atoll_core.expression.derivative import derivative, with_variables
 from atoll_core.expression.evaluation import NUMPY, values_and_gradient, values_of
-from atoll_core.expression.operators import ARITY, CONSTANT, OPERATORS, SLOPE_OPERATORS, VARIABLE
+from atoll_core.expression.operators import ARITY, CONSTANT, OPERATORS, PARTIAL_OPERATORS, VARIABLE
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.export import to_sympy
 from atoll_core.expression.text.parsing import from_infix
@@ -62,21 +62,21 @@ def test_first_and_second_derivatives_of_random_programs_are_those_of_sympy(seed
     if not np.isfinite(values_of(program, rows)).all():
         return  # sympy, which arranges formulas anew, has values where programs have none
     for first, symbol in enumerate(SYMBOLS):
-        slope = derivative(program, first)
-        agree(values_of(slope, rows), exact(formula.diff(symbol), rows))
-        agree(values_of(derivative(slope, first), rows), exact(formula.diff(symbol, 2), rows))
+        partial = derivative(program, first)
+        agree(values_of(partial, rows), exact(formula.diff(symbol), rows))
+        agree(values_of(derivative(partial, first), rows), exact(formula.diff(symbol, 2), rows))
 
 
 @pytest.mark.parametrize("text", TEXTS)
 def test_first_and_second_derivatives_are_differences(text: str) -> None:
     program, rows, step = from_infix(text, NAMES), points(1), 1e-5
     for first, move in enumerate(step * np.eye(3)[:, :, None]):
-        slope = derivative(program, first)
+        partial = derivative(program, first)
         difference = (values_of(program, rows + move) - values_of(program, rows - move)) / (2 * step)
-        np.testing.assert_allclose(values_of(slope, rows), difference, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(values_of(partial, rows), difference, rtol=1e-6, atol=1e-6)
         for second, other in enumerate(step * np.eye(3)[:, :, None]):
-            difference = (values_of(slope, rows + other) - values_of(slope, rows - other)) / (2 * step)
-            np.testing.assert_allclose(values_of(derivative(slope, second), rows), difference, rtol=1e-6, atol=1e-6)
+            difference = (values_of(partial, rows + other) - values_of(partial, rows - other)) / (2 * step)
+            np.testing.assert_allclose(values_of(derivative(partial, second), rows), difference, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(200))
@@ -85,9 +85,9 @@ def test_derivatives_by_constants_are_those_of_the_sweep_of_numbers(seed: int) -
     places = constant_places(program)
     _, expected = values_and_gradient(program, rows, places)
     more = np.vstack([rows, np.repeat(program.constants[places][:, None], rows.shape[1], axis=1)])
-    for number, slopes in enumerate(expected):
+    for number, adjoints in enumerate(expected):
         values = values_of(derivative(with_variables(program, 3), 3 + number), more)
-        np.testing.assert_allclose(values, slopes, rtol=1e-9, atol=1e-300)
+        np.testing.assert_allclose(values, adjoints, rtol=1e-9, atol=1e-300)
 
 
 @pytest.mark.parametrize(
@@ -123,8 +123,8 @@ def test_derivatives_have_no_needless_nodes(text: str, expected: str) -> None:
     assert len(derivative(from_infix(text, NAMES), 0)) == len(from_infix(expected, NAMES))
 
 
-@pytest.mark.parametrize("operator", SLOPE_OPERATORS, ids=lambda operator: operator.name)
-def test_nothing_sends_what_only_slopes_are_made_of(operator) -> None:
+@pytest.mark.parametrize("operator", PARTIAL_OPERATORS, ids=lambda operator: operator.name)
+def test_nothing_sends_what_only_derivatives_are_made_of(operator) -> None:
     program = Program.of([(VARIABLE, 0, 0, 0.0), (operator.code, 0, 0, 0.0)])
     with pytest.raises(RemoteProtocolError, match="unknown operator"):
         Program.from_bytes(program.to_bytes(), 1)
