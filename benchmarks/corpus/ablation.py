@@ -28,8 +28,8 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Pools
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
-from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.background.job_tasks import refinement_failed
+from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig

@@ -26,7 +26,9 @@ def run(options: Namespace) -> None:
 def _searched(seed: int) -> list[tuple[str, ...]]:
     its = case("uneven", 0.0, seed, Namespace(runs=None, max_time=None, dysts=None))
     preparation = prepare(its.table, its.config)
-    settled = product_laws.settled_variables(preparation, its.config, product_laws.laws_among_many(preparation, its.config))
+    settled = product_laws.settled_variables(
+        preparation, its.config, product_laws.laws_among_many(preparation, its.config)
+    )
     return [_row(seed, "each", workers, preparation, its.config, settled) for workers in (1, 3)] + [
         _row(seed, "all or none", 1, preparation, its.config, frozenset())
     ]

@@ -12,8 +12,8 @@ from atoll_core.config import PRESETS
 from atoll_core.wire.codec import dataset_to_bytes, decode, encode
 from atoll_core.wire.messages.workers import EpochReport, IslandReport, Reports
 from atoll_island_worker.compute.engine import Engine
-from atoll_island_worker.session.events import Computed
 from atoll_island_worker.session.epoch_tasks import Task, TaskKey
+from atoll_island_worker.session.events import Computed
 from benchmarks.harness.systems import table_of, trajectories
 
 SYSTEM: Final = "predator_prey"

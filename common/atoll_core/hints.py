@@ -11,7 +11,9 @@ _LIKENESS: Final = 0.6
 def similar_file(path: Path) -> str:
     """Return ``; did you mean 'a.csv'?`` for a file that is not there, "" where its folder has none like it."""
     try:
-        return did_you_mean(path.name, [neighbour.name for neighbour in path.parent.iterdir() if neighbour.name != path.name])
+        return did_you_mean(
+            path.name, [neighbour.name for neighbour in path.parent.iterdir() if neighbour.name != path.name]
+        )
     except OSError:
         return ""
 

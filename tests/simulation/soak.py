@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from atoll.terminal.output import note, say
-from tests.simulation.harness.participants import STUBS, Cast
 from tests.simulation.harness.fault_schedule import Schedule, schedule_of
+from tests.simulation.harness.participants import STUBS, Cast
 from tests.simulation.harness.schedule_run import Outcome, ScheduleRun
 from tests.simulation.harness.shrink import shrunk
 

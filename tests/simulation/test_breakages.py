@@ -24,10 +24,10 @@ from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.workers.worker_controller import WorkerController
 from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.service.workers.scheduling import Assignment, Scheduler
+from atoll_coordinator.service.workers.worker_controller import WorkerController
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.errors import AtollError, RefusedError
 from atoll_core.wire import topics

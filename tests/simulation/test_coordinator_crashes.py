@@ -15,8 +15,8 @@ from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.clients import Request, Submit
 from atoll_core.wire.security.access_control import RoleBindings
 from tests.simulation.bus.network import SimulatedNetwork
-from tests.simulation.harness.participants import Cast
 from tests.simulation.harness.fault_schedule import JobPlan
+from tests.simulation.harness.participants import Cast
 from tests.simulation.harness.schedule_run import ScheduleRun, calm_schedule
 from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk
 

@@ -18,8 +18,6 @@ from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.schema import _prepare
 from atoll_coordinator.service.store.store import Store
 from tests.simulation.bus.faults import Plan
-from tests.simulation.harness.guests import Guest
-from tests.simulation.harness.participants import Cast
 from tests.simulation.harness.fault_schedule import (
     Fault,
     GuestKind,
@@ -30,6 +28,8 @@ from tests.simulation.harness.fault_schedule import (
     job_config,
     schedule_of,
 )
+from tests.simulation.harness.guests import Guest
+from tests.simulation.harness.participants import Cast
 from tests.simulation.harness.schedule_run import Outcome, ScheduleRun, calm_schedule
 from tests.simulation.harness.shrink import shrunk
 from tests.simulation.harness.simulated_disk import READS, CoordinatorDied, Disk
@@ -106,7 +106,9 @@ def test_another_answer_is_found() -> None:
 
 
 def test_a_job_that_does_not_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("atoll_coordinator.service.workers.worker_controller.WorkerController.place", lambda self, now: None)
+    monkeypatch.setattr(
+        "atoll_coordinator.service.workers.worker_controller.WorkerController.place", lambda self, now: None
+    )
     outcome = play(disturbed())
     assert any("do not end" in each for each in outcome.wrong), told(outcome)
 

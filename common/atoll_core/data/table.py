@@ -110,7 +110,9 @@ class Table:
         if all(self.line_of_row[row] > 0 for row in shown):
             parts = []
             for file in dict.fromkeys(files):
-                lines = [str(self.line_of_row[row]) for row, row_file in zip(shown, files, strict=True) if row_file == file]
+                lines = [
+                    str(self.line_of_row[row]) for row, row_file in zip(shown, files, strict=True) if row_file == file
+                ]
                 parts.append(f"{_plural('line', lines)} {', '.join(lines)} of {self.files[file]}")
             text += f" ({'; '.join(parts)})"
         return text + (f", {len(rows)} in all" if len(rows) > 1 else "")

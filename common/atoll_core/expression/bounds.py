@@ -19,7 +19,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.writing.expansion import Role, Shape, inner_numbers, expand_program, shape_of, terms_of
+from atoll_core.expression.writing.expansion import Role, Shape, expand_program, inner_numbers, shape_of, terms_of
 from atoll_core.expression.writing.sums_of_products import ONE, UndefinedError
 
 EVERY: Final = "c"

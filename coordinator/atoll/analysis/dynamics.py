@@ -15,8 +15,8 @@ from atoll.analysis.flow import UNBOUNDED, Flow, follow, follow_rates
 from atoll.model.simulation import Inputs, interpolated
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.base import Curves
-from atoll_coordinator.result.result import Result
 from atoll_coordinator.result.listed_trajectories import Simulated, Smoothed
+from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 
 ROWS: Final = 2000

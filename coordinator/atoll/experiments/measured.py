@@ -12,8 +12,8 @@ from atoll_coordinator.data.trajectories.trajectories import format_number
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.result.base import Curve
 from atoll_coordinator.result.findings import Errors, Noise
-from atoll_coordinator.result.result import Result
 from atoll_coordinator.result.listed_trajectories import Recorded, Smoothed
+from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray

@@ -342,4 +342,8 @@ class Model(Shortcuts):
         """Standard errors on either side of a 95 % band."""
         from scipy import special
 
-        return float(special.stdtrit(self._degrees_of_freedom, 0.5 + LEVEL / 2.0) if self._degrees_of_freedom else special.ndtri(0.975))
+        return float(
+            special.stdtrit(self._degrees_of_freedom, 0.5 + LEVEL / 2.0)
+            if self._degrees_of_freedom
+            else special.ndtri(0.975)
+        )

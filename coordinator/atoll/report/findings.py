@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from atoll.model.equations import DIGITS
 from atoll.model.model import Model
 from atoll_coordinator.result.findings import System
-from atoll_coordinator.result.result import Result
 from atoll_coordinator.result.listed_trajectories import Simulated
+from atoll_coordinator.result.result import Result
 from atoll_core.errors import DataError, UsageError
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix

@@ -10,8 +10,8 @@ from typing import Final
 from atoll.model.parameters import constant_names, interval_text, r2_text
 from atoll_coordinator.result.equations import Candidate, Constant, Equation, GroupEquation, SimpleTogether, Units
 from atoll_coordinator.result.findings import Errors, ExcludedRows, Noise, Place, Quantisation
-from atoll_coordinator.result.result import Result
 from atoll_coordinator.result.listed_trajectories import Simulated
+from atoll_coordinator.result.result import Result
 
 MOST_LINES: Final = 12
 """Trajectories and pairs of constants listed one by one; of more, the worst are."""

@@ -25,8 +25,8 @@ from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.piece_lengths import select_model
-from atoll_coordinator.model.stochastic.process_choice import ProcessChoice
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
+from atoll_coordinator.model.stochastic.process_choice import ProcessChoice
 from atoll_coordinator.model.structure.constant_units import equation_units
 from atoll_core.config import JobConfig
 from atoll_core.machine.cores import usable_cores

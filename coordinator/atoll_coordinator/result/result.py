@@ -24,8 +24,8 @@ from atoll_coordinator.result.findings import (
     SharedTerm,
     System,
 )
-from atoll_coordinator.result.reading import SCHEMA, as_parts, json_of, read_file
 from atoll_coordinator.result.listed_trajectories import Recorded, Simulated, Simulation, Smoothed, Smoothing
+from atoll_coordinator.result.reading import SCHEMA, as_parts, json_of, read_file
 from atoll_core.errors import UsageError
 
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"

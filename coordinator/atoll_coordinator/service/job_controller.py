@@ -235,7 +235,9 @@ class JobController:
         """Return the current placements of a job."""
         job = self.jobs.get(job_id)
         open_ones = job.open_archipelagos if job is not None else ()
-        return Placements(placements=tuple(archipelago.placement for archipelago in open_ones if archipelago.placement is not None))
+        return Placements(
+            placements=tuple(archipelago.placement for archipelago in open_ones if archipelago.placement is not None)
+        )
 
     def job_of_dataset(self, digest: str) -> str | None:
         """Return the id of a live job whose prepared dataset this is; None: there is none."""

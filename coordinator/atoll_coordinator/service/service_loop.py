@@ -10,8 +10,8 @@ from functools import singledispatchmethod
 from typing import Final
 
 from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.background.runner import CheckpointWritten, TaskRunner
 from atoll_coordinator.service.background.job_tasks import JobPrepared, JobRefined, PreparationBegun, PreparationFailed
+from atoll_coordinator.service.background.runner import CheckpointWritten, TaskRunner
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests

@@ -68,7 +68,9 @@ def density_of(states: tuple[str, ...], paths: FloatArray, within: FloatArray | 
 
 def histograms(values: FloatArray, edges: FloatArray) -> FloatArray:
     """Return the densities (S, B) of `values` (S, R) in bins between `edges` (S, B + 1)."""
-    return np.array([np.histogram(sample, bounds, density=True)[0] for sample, bounds in zip(values, edges, strict=True)])
+    return np.array(
+        [np.histogram(sample, bounds, density=True)[0] for sample, bounds in zip(values, edges, strict=True)]
+    )
 
 
 def _is_settled(paths: FloatArray) -> bool:

@@ -16,8 +16,8 @@ from atoll_core.config import JobConfig
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import RunQueue, brief
-from atoll_island_worker.session.events import JobReady, LoadFailed, Outcome, Snapshot
 from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
+from atoll_island_worker.session.events import JobReady, LoadFailed, Outcome, Snapshot
 
 _LOG = logging.getLogger(__name__)
 _JOIN_LIMIT_S: Final = 2.0

@@ -11,8 +11,8 @@ from typing import Protocol
 
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
-from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
 from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
+from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
 
 
 class Work(Protocol):

@@ -26,11 +26,11 @@ from atoll_core.wire.messages.workers import (
     States,
 )
 from atoll_island_worker.session.actions import Send, SendReport
+from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
 from atoll_island_worker.session.events import Computed, Snapshot
 from atoll_island_worker.session.local_island import PULL_AFTER_S, LocalIsland
 from atoll_island_worker.session.retransmit_buffer import RetransmitBuffer
 from atoll_island_worker.session.state_transfer import StateTransfer
-from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
 
 MOST_AHEAD: Final = 1024
 """Mail is filed of epochs at most so far beyond the last one that may begin here."""

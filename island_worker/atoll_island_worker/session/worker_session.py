@@ -39,6 +39,7 @@ from atoll_island_worker.session.actions import (
     SendHeartbeat,
     StopAt,
 )
+from atoll_island_worker.session.epoch_tasks import TaskKey
 from atoll_island_worker.session.events import (
     Abandoned,
     Broken,
@@ -57,7 +58,6 @@ from atoll_island_worker.session.events import (
 )
 from atoll_island_worker.session.pending_messages import PendingMessages
 from atoll_island_worker.session.shard import Shard
-from atoll_island_worker.session.epoch_tasks import TaskKey
 
 JobState = Literal["unknown", "loading", "loaded"]
 JobStep = Literal["placed", "ready", "close"]

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from tests.simulation.harness.participants import USUAL_BACKGROUND_S, Participants
 from tests.simulation.harness.fault_schedule import Fault
+from tests.simulation.harness.participants import USUAL_BACKGROUND_S, Participants
 from tests.simulation.harness.stub_islands import StubCompute
 
 

@@ -19,8 +19,8 @@ from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, 
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.views import FINAL_STATES
 from atoll_core.wire.messages.workers import WorkerStatus
-from tests.simulation.harness.participants import Participants
 from tests.simulation.harness.fault_schedule import GuestKind, GuestPlan
+from tests.simulation.harness.participants import Participants
 
 TABLE_BYTES: Final = 3_000_000
 PATIENCE: Final = 3

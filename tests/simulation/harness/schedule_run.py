@@ -19,9 +19,9 @@ from atoll_core.errors import AtollError, RefusedError, UnreachableError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.fault_injector import FaultInjector
+from tests.simulation.harness.fault_schedule import GuestPlan, JobPlan, Schedule
 from tests.simulation.harness.guests import Guest
 from tests.simulation.harness.participants import STUBS, Cast, Participants
-from tests.simulation.harness.fault_schedule import GuestPlan, JobPlan, Schedule
 from tests.simulation.harness.simulated_cluster import comparable
 from tests.simulation.harness.simulated_disk import FULL
 

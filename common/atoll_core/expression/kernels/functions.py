@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 
 from atoll_core.compilation.jit import IS_COMPILED, callback, inlined
-from atoll_core.expression.kernels.operator_choice import choose, nothing
 from atoll_core.expression.kernels.elementary import (
     strict_cos,
     strict_exp,
@@ -20,6 +19,7 @@ from atoll_core.expression.kernels.elementary import (
     strict_tanh,
 )
 from atoll_core.expression.kernels.lanes import LANES, get, put, square_root
+from atoll_core.expression.kernels.operator_choice import choose, nothing
 from atoll_core.expression.operators import ABS, COS, EXP, LOG, POW, SIN, TANH, Functions, PartialFactor, definitions
 
 Int = int | np.int64

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_core.compilation.jit import inlined
-from atoll_core.expression.kernels.operator_choice import choose, nothing
 from atoll_core.expression.kernels.functions import (
     RIGHT,
     STRICT,
@@ -21,6 +20,7 @@ from atoll_core.expression.kernels.functions import (
     product,
 )
 from atoll_core.expression.kernels.lanes import LANES, copy, fill, lane_operation, place
+from atoll_core.expression.kernels.operator_choice import choose, nothing
 from atoll_core.expression.operators import (
     ABS,
     ADD,

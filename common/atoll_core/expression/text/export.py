@@ -100,7 +100,11 @@ class _Typeset(Renderer[str]):
 
     def _open(self, operand: Signed) -> str:
         """Return a part that what is around it closes."""
-        return self.signed(operand.form.parts[0]) if operand.form.kind is Kind.GROUP and not operand.negative else self.signed(operand)
+        return (
+            self.signed(operand.form.parts[0])
+            if operand.form.kind is Kind.GROUP and not operand.negative
+            else self.signed(operand)
+        )
 
     def _base(self, operand: Signed) -> str:
         return self.plain(operand) if _stands_alone(operand) else self._bracketed(operand)
@@ -209,7 +213,9 @@ def _stands_alone(operand: Signed) -> bool:
 
 def _begins_with_number(operand: Signed) -> bool:
     """Tell whether digits stand first in a factor that is no product of its own."""
-    return operand.is_constant or (operand.form.kind in (Kind.NATURAL, Kind.POWER) and operand.form.parts[0].is_constant)
+    return operand.is_constant or (
+        operand.form.kind in (Kind.NATURAL, Kind.POWER) and operand.form.parts[0].is_constant
+    )
 
 
 def _number(value: float, digits: int) -> tuple[str, str]:

@@ -309,7 +309,9 @@ def _expanded_angles(terms: Sum, best: Best) -> Iterator[Sum]:
                     if len(other) >= len(atom[1]) or not other:
                         continue
                     rest = product([coefficient, *merged([*monomial, (atom, -1)])])
-                    yield add((1.0, _without(terms, term)), (1.0, distribute(rest, _of_two(atom[0], part, sign, other))))
+                    yield add(
+                        (1.0, _without(terms, term)), (1.0, distribute(rest, _of_two(atom[0], part, sign, other)))
+                    )
 
 
 def _of_two(code: int, part: Sum, sign: float, other: Sum) -> Sum:

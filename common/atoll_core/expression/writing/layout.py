@@ -23,7 +23,16 @@ from atoll_core.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll_core.expression.writing.sums_of_products import ONE, Atom, Monomial, Sum, cleaned, raised_number, scaled, times
+from atoll_core.expression.writing.sums_of_products import (
+    ONE,
+    Atom,
+    Monomial,
+    Sum,
+    cleaned,
+    raised_number,
+    scaled,
+    times,
+)
 
 NODE: Final = 1 << 36
 """What a node costs; the other costs decide between writings of as many nodes."""

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from atoll_core.config import JobConfig, Frozen
+from atoll_core.config import Frozen, JobConfig
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_PAGE_JOBS, MAX_UPLOAD, Count, Digest, Id, Priority, Sentence
 from atoll_core.wire.messages.views import CoordinatorView, EventView, JobView, WorkerView
 

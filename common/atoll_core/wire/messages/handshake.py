@@ -40,7 +40,7 @@ class Welcome(Tolerant):
     """
 
     kind: Literal["welcome"] = "welcome"
-    cluster: Id
+    realm: Id
     incarnation: Count
     protocol: Count
     version: Annotated[str, Field(max_length=64)]

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from atoll_core.config import JobConfig, Frozen
+from atoll_core.config import Frozen, JobConfig
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.limits import (
     CHUNK_SIZE,

@@ -222,7 +222,10 @@ def _order(column: str, matches: Sequence[_Match | None], starts: Sequence[int])
     ascending = [form for form, values in zip(forms, dates_by_form, strict=True) if _ascends(values, starts)]
     if len(ascending) == 1:
         return ascending[0]
-    if len({one - other for one, other in zip(*dates_by_form, strict=True) if one is not None and other is not None}) == 1:
+    if (
+        len({one - other for one, other in zip(*dates_by_form, strict=True) if one is not None and other is not None})
+        == 1
+    ):
         return f"{forms[0]} (or {forms[1]}: all are of one day)"
     raise DataError(
         f"{column} holds '{present[0][0]}', which may be {forms[0]} or {forms[1]}, and its other rows do not tell; "

@@ -68,7 +68,8 @@ def _split(measurements: Measurements, pieces: Sequence[Sequence[Range]], reason
     times = tuple(whole.times[number][part] for number, part in parts)
     states = {name: [along[number][part] for number, part in parts] for name, along in whole.states.items()}
     pieces_of = {
-        number: [name for name, (origin, _) in zip(names, parts, strict=True) if origin == number] for number, _ in parts
+        number: [name for name, (origin, _) in zip(names, parts, strict=True) if origin == number]
+        for number, _ in parts
     }
     texts = [
         f"{whole.names[number]} into {', '.join(piece_names)}"

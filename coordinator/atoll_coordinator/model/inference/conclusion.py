@@ -11,6 +11,13 @@ from atoll_coordinator.model.inference.attractor import look_for_chaos
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.inference.shared_terms import fit_together
+from atoll_coordinator.model.inference.standard_errors import (
+    Errors,
+    describe_constants,
+    estimate_errors,
+    find_correlations,
+    joint_covariance,
+)
 from atoll_coordinator.model.inference.trajectory_simulation import (
     bands,
     fit_starts,
@@ -18,13 +25,6 @@ from atoll_coordinator.model.inference.trajectory_simulation import (
     r2_of,
     scaled_covariance,
     simulated,
-)
-from atoll_coordinator.model.inference.standard_errors import (
-    Errors,
-    describe_constants,
-    estimate_errors,
-    find_correlations,
-    joint_covariance,
 )
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import (

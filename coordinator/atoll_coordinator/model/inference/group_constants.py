@@ -23,8 +23,14 @@ from atoll_coordinator.model.inference.conclusion import (
     state_errors,
     unseen_comparison,
 )
-from atoll_coordinator.model.inference.trajectory_simulation import bands, not_simulated, r2_of, scaled_covariance, simulated
 from atoll_coordinator.model.inference.standard_errors import Errors, estimate_errors
+from atoll_coordinator.model.inference.trajectory_simulation import (
+    bands,
+    not_simulated,
+    r2_of,
+    scaled_covariance,
+    simulated,
+)
 from atoll_coordinator.model.refinement import (
     Constant,
     Covariance,
@@ -129,7 +135,9 @@ def _refinement(final: Final, shared: frozenset[Place], errors: Errors, values: 
     is_one = shared.issuperset(comparison.places(model.fit.system))
     return Refinement(
         equations,
-        Simulation(task.variables, (*trajectories, *(out.trajectories if out else ())), student_95(errors.degrees_of_freedom)),
+        Simulation(
+            task.variables, (*trajectories, *(out.trajectories if out else ())), student_95(errors.degrees_of_freedom)
+        ),
         errors=state_errors(final),
         warnings=(*remarks(task), *pole_remarks(final)),
         covariance=by_group[0].covariance if is_one else None,
@@ -298,7 +306,9 @@ class _Described:
         return tuple(
             GroupCovariance(
                 name,
-                Covariance(tuple(names), self._errors.covariance[np.ix_(columns, columns)], self._errors.degrees_of_freedom)
+                Covariance(
+                    tuple(names), self._errors.covariance[np.ix_(columns, columns)], self._errors.degrees_of_freedom
+                )
                 if names
                 else None,
             )

@@ -22,7 +22,15 @@ from atoll_coordinator.model.shooting.system import Place, SharedNumber
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places
-from atoll_core.expression.writing.expansion import Expansion, Role, Shape, write_expansion, raised_quotients, shape_of, terms_of
+from atoll_core.expression.writing.expansion import (
+    Expansion,
+    Role,
+    Shape,
+    raised_quotients,
+    shape_of,
+    terms_of,
+    write_expansion,
+)
 from atoll_core.expression.writing.sums_of_products import Sum, UndefinedError
 
 _ROUNDING: Final = 2.0**-50

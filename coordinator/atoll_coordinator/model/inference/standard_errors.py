@@ -57,8 +57,8 @@ class Errors:
         if self.lower is not None and self.upper is not None:
             lower, upper = np.sort([multiples * self.lower[columns], multiples * self.upper[columns]], axis=0)
         return Errors(
-            multiples * self.values[columns], scale * self.covariance[np.ix_(columns, columns)], self.degrees_of_freedom,
-            self.scale, self.widening[columns], lower, upper,
+            multiples * self.values[columns], scale * self.covariance[np.ix_(columns, columns)],
+            self.degrees_of_freedom, self.scale, self.widening[columns], lower, upper,
             {
                 place: abs(float(multiples[place])) * self.reaches[number]
                 for place, number in enumerate(columns.tolist())

@@ -130,7 +130,11 @@ def _with_held(fitted: Fitted, held: npt.NDArray[np.bool_]) -> Fitted:
 
 
 def _bounded(
-    known: Known, fitted: Fitted, ranges: tuple[FloatArray, FloatArray], criterion: RegressionCriterion, degrees_of_freedom: int
+    known: Known,
+    fitted: Fitted,
+    ranges: tuple[FloatArray, FloatArray],
+    criterion: RegressionCriterion,
+    degrees_of_freedom: int,
 ) -> Known:
     """Return the constants with intervals within their bounds; those on a bound are as good as given for the others."""
     lower, upper = ranges

@@ -16,8 +16,8 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.text.infix import to_infix
-from atoll_core.expression.writing.layout import written
 from atoll_core.expression.writing.expansion import inner_numbers, shape_of, terms_of
+from atoll_core.expression.writing.layout import written
 from atoll_core.expression.writing.sums_of_products import ONE, Monomial, UndefinedError
 
 _SAME_NUMBER: Final = 1e-9

@@ -31,9 +31,9 @@ from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_estimates
 from atoll_coordinator.model.selection.candidates import CandidateSet, form
-from atoll_coordinator.model.stochastic.process_choice import ChosenProcess, is_zero
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.path_ensembles import settle, simulate_ensemble
+from atoll_coordinator.model.stochastic.process_choice import ChosenProcess, is_zero
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic.paths import Simulator
 from atoll_core.config import JobConfig
@@ -118,7 +118,9 @@ def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoeffic
             break
         programs = [
             write_factors(explicit, its, factors) if factors else program
-            for explicit, its, factors, program in zip(coefficients, fitted.model.programs, refuted, programs, strict=True)
+            for explicit, its, factors, program in zip(
+                coefficients, fitted.model.programs, refuted, programs, strict=True
+            )
         ]
     places = _slices(chosen, fitted.model)
     covariance, equations = fitted.covariance, []
@@ -136,9 +138,13 @@ def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoeffic
     return fitted, coefficients, [_Equation(*each) for each in zip(equations, described, strict=True)]
 
 
-def _covariance(chosen: ChosenProcess, fitted: FittedProcess, coefficients: Sequence[ExplicitCoefficients]) -> Covariance:
+def _covariance(
+    chosen: ChosenProcess, fitted: FittedProcess, coefficients: Sequence[ExplicitCoefficients]
+) -> Covariance:
     """Return the joint covariance of all constants, those of noise left out."""
-    names = tuple((chosen.variables[number], origin) for number in chosen.free for origin in coefficients[number].origins)
+    names = tuple(
+        (chosen.variables[number], origin) for number in chosen.free for origin in coefficients[number].origins
+    )
     parameters = len(fitted.information)
     matrix = fitted.covariance[: len(names), : len(names)]
     return Covariance(names, matrix, float(len(chosen.likelihood.steps.lengths) - parameters))
@@ -162,7 +168,10 @@ def _slices(chosen: ChosenProcess, model: ProcessModel) -> dict[int, slice]:
 
 
 def _described(
-    chosen: ChosenProcess, fitted: FittedProcess, coefficients: Sequence[ExplicitCoefficients], programs: Sequence[Program]
+    chosen: ChosenProcess,
+    fitted: FittedProcess,
+    coefficients: Sequence[ExplicitCoefficients],
+    programs: Sequence[Program],
 ) -> list[Known]:
     """Return what is known of the constants of `programs`, as they are written."""
     errors = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Protocol
 
-from atoll_coordinator.service.background.process_pool import ProcessPool, T
 from atoll_coordinator.service.background.job_tasks import Preparer, Refiner, prepare_table, refine
+from atoll_coordinator.service.background.process_pool import ProcessPool, T
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 
 

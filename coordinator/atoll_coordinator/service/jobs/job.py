@@ -331,7 +331,11 @@ class Job:
         limit, self.spent_before_refining = self.config.budget.max_time, self.spent_seconds(now)
         self.refining_since = now
         self._step("searched")
-        pools = {name: archipelago.cut.pool() for name, archipelago in self.archipelagos.items() if archipelago.cut is not None}
+        pools = {
+            name: archipelago.cut.pool()
+            for name, archipelago in self.archipelagos.items()
+            if archipelago.cut is not None
+        }
         return [Refine(pools, None if limit is None else max(0.0, limit - self.spent_before_refining))]
 
 

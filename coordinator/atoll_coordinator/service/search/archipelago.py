@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
+from atoll_coordinator.service.search.checkpoint_gathering import Gathering, StoredSearchState
 from atoll_coordinator.service.search.checkpoint_schedule import (
     FIRST_INTERVAL,
     common_epoch,
     interval_of,
     schedule_after,
 )
-from atoll_coordinator.service.search.checkpoint_gathering import Gathering, StoredSearchState
 from atoll_coordinator.service.search.collector import Collector, Limits, Measure, SearchState
 from atoll_coordinator.service.search.ending import Cut
 from atoll_core.errors import RemoteProtocolError

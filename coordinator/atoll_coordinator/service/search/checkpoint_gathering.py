@@ -97,7 +97,9 @@ class Gathering:
 
     def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
         """Return at most so many pulls, each with its worker; they count as under way."""
-        waiting = [name for name, assembly in self._assemblies.items() if name not in self._asked and not assembly.is_complete]
+        waiting = [
+            name for name, assembly in self._assemblies.items() if name not in self._asked and not assembly.is_complete
+        ]
         pulls = [(name, self._pull(self._assemblies[name])) for name in waiting[: max(0, most)]]
         self._asked.update(name for name, _ in pulls)
         return pulls

@@ -333,7 +333,15 @@ def runners_up_of(epoch: int, report: IslandReport, end: int) -> list[FrontEntry
 
 def _tagged(epoch: int, report: IslandReport, stated: Iterable[Addition], end: int) -> list[FrontEntry]:
     return [
-        FrontEntry(addition.complexity, addition.error, addition.mse, epoch, addition.generation, report.island, addition.program)
+        FrontEntry(
+            addition.complexity,
+            addition.error,
+            addition.mse,
+            epoch,
+            addition.generation,
+            report.island,
+            addition.program,
+        )
         for addition in stated
         if addition.generation <= end
     ]

@@ -257,7 +257,9 @@ def _view(name: str, member: Member, now: float) -> WorkerView:
         host=member.hello.host,
         pid=member.hello.pid,
         state=state,
-        islands=sum(assignment_status.islands for assignment_status in status.holdings) if status and state != "lost" else 0,
+        islands=sum(assignment_status.islands for assignment_status in status.holdings)
+        if status and state != "lost"
+        else 0,
         doing=f"{doing.job}/{doing.variable} island {doing.island} epoch {doing.epoch}" if doing is not None else "",
         standing=max(0.0, now - member.progressed_at) if _is_computing(member) else 0.0,
         counters=status.counters if status is not None else Counters(),

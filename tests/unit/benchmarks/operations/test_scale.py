@@ -14,8 +14,8 @@ from atoll_core.data.table import Table
 from atoll_core.errors import AtollError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.workers import Addition, EpochReport, IslandReport, SliceCounters
-from atoll_island_worker.session.events import Computed, JobReady, Snapshot
 from atoll_island_worker.session.epoch_tasks import Task, TaskKey
+from atoll_island_worker.session.events import Computed, JobReady, Snapshot
 from benchmarks.operations import big_data as bigdata
 from benchmarks.operations import many_jobs as manyjobs
 from benchmarks.operations import scale, scaling

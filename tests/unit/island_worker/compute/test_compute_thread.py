@@ -18,8 +18,8 @@ from atoll_core.wire.codec import dataset_to_bytes
 from atoll_core.wire.messages.workers import SliceCounters
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.compute.engine import Engine
-from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobReady, LoadFailed, Rejected
 from atoll_island_worker.session.epoch_tasks import Task, TaskKey
+from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobReady, LoadFailed, Rejected
 
 LIMIT_S = 20.0
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)

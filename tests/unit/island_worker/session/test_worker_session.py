@@ -42,6 +42,7 @@ from atoll_island_worker.session.actions import (
     SendReport,
     StopAt,
 )
+from atoll_island_worker.session.epoch_tasks import ShardKey, TaskKey
 from atoll_island_worker.session.events import (
     Abandoned,
     Broken,
@@ -58,7 +59,6 @@ from atoll_island_worker.session.events import (
     Tick,
 )
 from atoll_island_worker.session.worker_session import Session
-from atoll_island_worker.session.epoch_tasks import ShardKey, TaskKey
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.sparse.rates.functions import Beside, dictionary
 from atoll_coordinator.model.sparse.rates.rate_sums import Atom
 from atoll_coordinator.model.sparse.shapes import powers
+from atoll_coordinator.model.sparse.windows.terms import Terms, depends
 from atoll_coordinator.model.sparse.windows.window_rows import WindowRows
 from atoll_coordinator.model.sparse.windows.window_sums import WindowSum, eliminated, fitted, improved, polished
-from atoll_coordinator.model.sparse.windows.terms import Terms, depends
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.builder import operators_in
 

@@ -6,7 +6,7 @@ import pytest
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.writing.expansion import factored_forms, expand_program, raised_quotients, shape_of, terms_of
+from atoll_core.expression.writing.expansion import expand_program, factored_forms, raised_quotients, shape_of, terms_of
 
 NAMES = ("x", "y")
 POINTS = np.random.default_rng(3).uniform(0.5, 2.0, (2, 20))

@@ -12,8 +12,8 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference import conclusion
 from atoll_coordinator.model.inference.conclusion import _no_elaborations, _shortened, _show, _standard_deviation
-from atoll_coordinator.model.inference.trajectory_simulation import fit_starts
 from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
+from atoll_coordinator.model.inference.trajectory_simulation import fit_starts
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Alternative, Pool
 from atoll_coordinator.model.selection import joint_search, piece_lengths

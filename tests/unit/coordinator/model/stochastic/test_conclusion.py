@@ -9,9 +9,9 @@ from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Grade
 from atoll_coordinator.model.regression.covariance import Known
-from atoll_coordinator.model.stochastic.process_choice import ChosenProcess
 from atoll_coordinator.model.stochastic.conclusion import _Equation, _judge, _pattern, joint_objections
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
+from atoll_coordinator.model.stochastic.process_choice import ChosenProcess
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of

@@ -6,8 +6,8 @@ from scipy import linalg
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.stochastic.process_choice import ChosenProcess, ProcessChoice, is_zero
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
+from atoll_coordinator.model.stochastic.process_choice import ChosenProcess, ProcessChoice, is_zero
 from atoll_core.config import DataConfig, JobConfig, SpaceConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of

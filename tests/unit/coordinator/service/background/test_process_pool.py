@@ -24,8 +24,6 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.service.background import process_pool as module
 from atoll_coordinator.service.background.child_process import ProcessDiedError, cause_of
 from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.background.process_pool import ProcessPool, TaskCancelledError
-from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.background.job_tasks import (
     JobPrepared,
     JobRefined,
@@ -35,6 +33,8 @@ from atoll_coordinator.service.background.job_tasks import (
     refine,
     refine_job,
 )
+from atoll_coordinator.service.background.process_pool import ProcessPool, TaskCancelledError
+from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.monitoring.breakages import what_to_send
 from atoll_coordinator.service.search.archipelago import Checkpoint

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from atoll_coordinator.service.search.checkpoint_gathering import Gathering, StoredSearchState
 from atoll_coordinator.service.search.checkpoint_schedule import (
     COST_S,
     COST_S_PER_BYTE,
@@ -18,7 +19,6 @@ from atoll_coordinator.service.search.checkpoint_schedule import (
     interval_of,
     schedule_after,
 )
-from atoll_coordinator.service.search.checkpoint_gathering import Gathering, StoredSearchState
 from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.ending import Improvement
 from atoll_core.errors import RemoteProtocolError
