@@ -276,7 +276,7 @@ def test_a_job_whose_table_has_gone_fails_and_the_others_go_on(monkeypatch: pyte
     world.submit(config(), job="first")
     world.submit(config(), job="second")
     view = world.finish("first")
-    assert (view.state, view.reason) == ("failed", "its table is not in the store any more; submit it again")
+    assert (view.state, view.reason) == ("failed", "its table is missing or damaged in the store; submit it again")
     assert world.finish("second").state == "done"
 
 

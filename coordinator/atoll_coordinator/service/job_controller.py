@@ -461,7 +461,7 @@ class JobController:
         try:
             table = self._store.get_blob(waiting.table)
         except KeyError:
-            self.fail_job(waiting.id, "internal", "its table is not in the store any more; submit it again", now)
+            self.fail_job(waiting.id, "internal", "its table is missing or damaged in the store; submit it again", now)
             return
         self._store.update_job(waiting.id, state="preparing")
         waiting.start_preparing()

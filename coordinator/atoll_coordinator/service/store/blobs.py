@@ -13,12 +13,23 @@ Upload = Literal["partial", "whole", "wrong"]
 
 
 def add(sql: sqlite3.Connection, digest: str, data: bytes) -> None:
-    """Add a blob, whole."""
-    if is_complete(sql, digest):
+    """Add a blob, whole; one that is there and damaged is replaced."""
+    if is_complete(sql, digest) and keep_if_sound(sql, digest):
         return
     sql.execute("INSERT OR REPLACE INTO blobs VALUES (?, ?, 1)", (digest, len(data)))
     pieces = ((digest, n, data[n * CHUNK_SIZE : (n + 1) * CHUNK_SIZE]) for n in range(chunk_count(len(data))))
     sql.executemany("INSERT INTO chunks VALUES (?, ?, ?)", pieces)
+
+
+def keep_if_sound(sql: sqlite3.Connection, digest: str) -> bool:
+    """Return whether the bytes of a blob have its digest; forget it if not."""
+    actual = hashlib.sha256()
+    for (data,) in sql.execute("SELECT data FROM chunks WHERE digest = ? ORDER BY number", (digest,)):
+        actual.update(data)
+    if actual.hexdigest() == digest:
+        return True
+    sql.execute("DELETE FROM blobs WHERE digest = ?", (digest,))
+    return False
 
 
 def is_complete(sql: sqlite3.Connection, digest: str) -> bool:
@@ -114,11 +125,7 @@ def _begin(sql: sqlite3.Connection, digest: str, size: int) -> None:
 
 
 def _finish(sql: sqlite3.Connection, digest: str) -> Upload:
-    actual = hashlib.sha256()
-    for (data,) in sql.execute("SELECT data FROM chunks WHERE digest = ? ORDER BY number", (digest,)):
-        actual.update(data)
-    if actual.hexdigest() == digest:
-        sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
-        return "whole"
-    sql.execute("DELETE FROM blobs WHERE digest = ?", (digest,))
-    return "wrong"
+    if not keep_if_sound(sql, digest):
+        return "wrong"
+    sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
+    return "whole"

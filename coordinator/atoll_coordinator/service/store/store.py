@@ -361,9 +361,11 @@ class Store:
             return blob_table.is_complete(sql, digest)
 
     def get_blob(self, digest: str) -> bytes:
-        """Return a blob; raises KeyError when it is not there, whole."""
+        """Return a blob; raises KeyError when it is not there, whole, or damaged: then it is forgotten."""
         with self._transaction() as sql:
-            size = blob_table.size(sql, digest)
+            size, is_sound = blob_table.size(sql, digest), blob_table.keep_if_sound(sql, digest)
+        if not is_sound:
+            raise KeyError(digest)
         return b"".join(self.get_chunk(digest, index) for index in range(chunk_count(size)))
 
     def get_chunk(self, digest: str, index: int) -> bytes:

@@ -141,6 +141,20 @@ def test_what_is_not_there_is_a_key_error(store: Store) -> None:
     store.delete_unused_blobs(store.unused_blobs())
 
 
+def test_a_damaged_blob_is_forgotten_and_can_be_put_again(store: Store) -> None:
+    data, digest = _upload(CHUNK_SIZE + 1)
+    for act in (lambda: store.get_blob(digest), lambda: store.put_blob(data)):
+        assert store.put_blob(data) == digest
+        store._connection.execute("UPDATE chunks SET data = x'08' WHERE digest = ? AND number = 1", (digest,))
+        with contextlib.suppress(KeyError):
+            assert act() == digest
+    assert store.get_blob(digest) == data
+    store._connection.execute("UPDATE chunks SET data = x'08' WHERE digest = ? AND number = 1", (digest,))
+    with pytest.raises(KeyError):
+        store.get_blob(digest)
+    assert store.missing_chunks(digest, len(data)) == (0, 1)
+
+
 def _upload(size: int) -> tuple[bytes, str]:
     data = b"\x07" * size
     return data, hashlib.sha256(data).hexdigest()
