@@ -43,7 +43,7 @@ HANDLERS: list[tuple[type, str]] = [
     (RequestDispatcher, "_chunk"),
     (RequestDispatcher, "_states"),
     (Handshake, "answer"),
-    (Authorization, "refuse_ask"),
+    (Authorization, "refuse_request"),
     (JobDeletion, "delete_expired"),
     (JobController, "_change"),
     (JobController, "start_search"),
