@@ -55,6 +55,7 @@ CONTENTS: Final = {
     "Operations": ("service", "scale", "project/deploy/README", "project/deploy/tls/README", "project/SECURITY"),
     "For developers": (
         "architecture",
+        "how-to/export-format",
         "protocol",
         "project/CONTRIBUTING",
         "project/tests/README",

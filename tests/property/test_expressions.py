@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from atoll.export.formats import LANGUAGES
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import (
     ADD,
@@ -29,12 +30,11 @@ from atoll_core.expression.operators import (
 from atoll_core.expression.program import Program
 from atoll_core.expression.simplification import complexity, simplify_program
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_code, to_infix, tree_size
-from atoll_core.expression.text.notation import JULIA, MATLAB, MODELICA, PYTHON, XPPAUT, C
 from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 from tests.property.programs import HOSTILE_NAMES, NAMES, ROWS, programs
 
-LANGUAGES = (C, JULIA, MATLAB, MODELICA, PYTHON, XPPAUT)
+NOTATIONS = [language.notation for language in LANGUAGES.values()]
 TAME = st.floats(0.5, 2.0)
 QUICK = settings(max_examples=150, deadline=None, derandomize=True, database=None)
 
@@ -68,7 +68,7 @@ def test_names_that_begin_like_functions_are_names_beside_each_operator():
         for code in (ADD, SUBTRACT, MULTIPLY, DIVIDE, POW):
             program = Program.of([(VARIABLE, 0, 0, 0.0), (VARIABLE, 1, 0, 0.0), (code, 0, 1, 0.0)])
             assert from_infix(to_infix(program, names), names) == program
-            assert all(name in to_code(program, names, language, {}) for name in names[:2] for language in LANGUAGES)
+            assert all(name in to_code(program, names, notation, {}) for name in names[:2] for notation in NOTATIONS)
 
 
 @pytest.mark.parametrize("exponent", [2, 3, 63, 64, 65, 66, 100])

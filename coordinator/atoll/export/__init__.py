@@ -1,7 +1,7 @@
-"""A model in the formats of other programs: one writer for each.
+"""A model in the formats of other programs.
 
-`formats` is the table of them, `methods` what a model has; `content` is what all formats hold, and a `Wording` of it in
-one language; `naming` finds names that a language takes. `python`, `c`, `julia`, `matlab`, `modelica`, `xppaut` and
-`sbml` (units: `sbml_units`) write one text each, `petab` a folder, `text` what people and sympy read. How languages
-write expressions stands in `atoll_core.expression.text.notation`.
+`formats` is the table of them. `describing` makes a `description` of a model, which is in no language yet; `language`
+writes it by the words and the `template` of one, with names that `naming` finds. The languages: `python`, `c` (both
+with `integrators` of their own), `julia`, `matlab`, `modelica`, `xppaut` and `sbml` (units: `sbml_units`). `petab`
+writes a folder, `text` what people and sympy read.
 """

@@ -2,9 +2,11 @@
 
 from typing import Final
 
-from atoll.export.content import Content, Language, Wording, refuse_noise
+from atoll.export import integrators
+from atoll.export.language import Language
 from atoll.export.naming import Naming
-from atoll_core.expression.text.notation import C
+from atoll_core.expression.operators import ABS
+from atoll_core.expression.text.notation import Notation
 
 _WORDS: Final = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long "
@@ -24,84 +26,50 @@ _MACROS: Final = (
 """Of the headers that the program includes, in the usual dialects: a column called so would be something else."""
 
 LANGUAGE: Final = Language(
-    C,
-    Naming(frozenset([*_WORDS.split(), *_MACROS.split()]), ("table_",)),
-    "t",
-    "//",
-    "numbers are inf or nan, and the simulation ends with a message and exit code 1",
-    "Compile with: cc -std=c99 -O2 -ffp-contract=off model.c -lm. Run with: ./a.out [until [steps]].",
-)
+    name="C",
+    notation=Notation({ABS: "fabs"}, power="pow({0}, {1})", natural="pow({0}, {1})", is_call=True),
+    naming=Naming(frozenset([*_WORDS.split(), *_MACROS.split()]), ("table_",)),
+    time="t",
+    comment="//",
+    remark=", {}",
+    where_undefined="numbers are inf or nan, and the simulation ends with a message and exit code 1",
+    usage="Compile with: cc -std=c99 -O2 -ffp-contract=off model.c -lm. Run with: ./a.out [until [steps]].",
+    regression="""\
+#include <math.h>
 
+$if constants:
+static double parameters[$parameters] = {
+$for constants:    $value, // $name$remark
+};
+$end
+// $target
+$if inputs:double value(<<inputs|double $name>>)
+$unless inputs:double value(void)
+{
+$for parameters:    const double $name = parameters[$place];
+    return $formula;
+}
+""",
+    motion="""\
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
 
-def write(content: Content) -> str:
-    """Return the source of a program; of a regression that of a function. Raises UsageError for a process."""
-    refuse_noise(content, "C")
-    words = Wording(content, LANGUAGE)
-    its = _regression(words) if not content.states else _motion(words)
-    return "\n".join([*words.heading(), "", *its]) + "\n"
+#define SIZE $states
 
+static const double start[SIZE] = {<<states|$start>>};
+// beside these errors are small: how large the states are, as far as they come back from it
+static const double sizes[SIZE] = {<<states|$size>>};
+static const double begin_time = $first_time, end_time = $last_time;
+static const long step_count = $steps;
+$if parameters:
+static double parameters[$parameters] = {
+$for constants:    $value, // $name$remark
+$for held:    $value, // $name, input
+};
+$end
+$if tables:
 
-def _regression(words: Wording) -> list[str]:
-    arguments = ", ".join(f"double {words[each.name]}" for each in words.content.inputs)
-    lines = ["#include <math.h>", "", *_parameters(words, [])]
-    lines += [f"// {words.target}", f"double value({arguments or 'void'})", "{", *_taken(words, [])]
-    return [*lines, f"    return {words.rates[0]};", "}"]
-
-
-def _motion(words: Wording) -> list[str]:
-    its = words.content
-    held = [(words[each.name], each.value) for each in its.held]
-    size = len(its.states)
-    lines = ["#include <math.h>", "#include <stdio.h>", "#include <stdlib.h>", "", f"#define SIZE {size}", ""]
-    lines += [f"static const double start[SIZE] = {{{', '.join(map(repr, its.start))}}};"]
-    lines += ["// beside these errors are small: how large the states are, as far as they come back from it"]
-    lines += [f"static const double sizes[SIZE] = {{{', '.join(map(repr, its.sizes))}}};"]
-    lines += [f"static const double begin_time = {its.begin!r}, end_time = {its.end!r};"]
-    lines += [f"static const long step_count = {its.steps};", *_parameters(words, held)]
-    lines += _ALONG.splitlines() if its.tables else []
-    for each in its.tables:
-        assert each.table is not None
-        rows = [f"    {{{', '.join(map(repr, row))}}}," for row in each.table.tolist()]
-        lines += [
-            "",
-            f"// {words.about(each)}",
-            f"static const double table_{words[each.name]}[{len(rows)}][5] = {{",
-            *rows,
-            "};",
-        ]
-    lines += [
-        "",
-        "// the rate dx/dt at time t and a state",
-        "static void rates(double t, const double state[SIZE], double rate[SIZE])",
-        "{",
-    ]
-    lines += [f"    const double {name} = state[{place}];" for place, name in enumerate(words.states)]
-    lines += _taken(words, [name for name, _ in held])
-    for each in its.tables:
-        assert each.table is not None
-        name = words[each.name]
-        lines.append(f"    const double {name} = along(table_{name}, {len(each.table)}, {each.until!r}, t);")
-    lines += [f"    (void)({name});" for name in ("t", *words.states)]
-    lines += [f"    rate[{place}] = {text};" for place, text in enumerate(words.rates)]
-    header = ",".join([words.time, *words.states])
-    return [*lines, "}", *_INTEGRATOR.replace("HEADER", header).splitlines()]
-
-
-def _parameters(words: Wording, held: list[tuple[str, float]]) -> list[str]:
-    its = [(words[each], each.value, words.note(each)) for each in words.content.constants]
-    its += [(name, value, "input") for name, value in held]
-    if not its:
-        return []
-    lines = [f"    {value!r}, // {name}" + (f", {note}" if note else "") for name, value, note in its]
-    return [f"static double parameters[{len(its)}] = {{", *lines, "};"]
-
-
-def _taken(words: Wording, held: list[str]) -> list[str]:
-    names = [*(words[each] for each in words.content.constants), *held]
-    return [f"    const double {name} = parameters[{place}];" for place, name in enumerate(names)]
-
-
-_ALONG: Final = """
 // An input at time t: cubic between the times of its table, constant beyond.
 static double along(const double table[][5], long rows, double until, double t)
 {
@@ -117,98 +85,25 @@ static double along(const double table[][5], long rows, double until, double t)
     const double s = t - table[low][0];
     return table[low][1] + s * (table[low][2] + s * (table[low][3] + s * table[low][4]));
 }
-"""
+$end
+$for tables:
 
-_INTEGRATOR: Final = """
-// The pair of orders 5 and 4 of Dormand and Prince (1980).
-static const double nodes[7] = {0, 1.0 / 5, 3.0 / 10, 4.0 / 5, 8.0 / 9, 1, 1};
-static const double weights[7][6] = {
-    {0},
-    {1.0 / 5},
-    {3.0 / 40, 9.0 / 40},
-    {44.0 / 45, -56.0 / 15, 32.0 / 9},
-    {19372.0 / 6561, -25360.0 / 2187, 64448.0 / 6561, -212.0 / 729},
-    {9017.0 / 3168, -355.0 / 33, 46732.0 / 5247, 49.0 / 176, -5103.0 / 18656},
-    {35.0 / 384, 0, 500.0 / 1113, 125.0 / 192, -2187.0 / 6784, 11.0 / 84},
+// $about
+static const double table_$name[$cubics][5] = {
+$for cubics:    {$since, $c0, $c1, $c2, $c3},
 };
-static const double errors[7] = {71.0 / 57600,      0,         -71.0 / 16695, 71.0 / 1920,
-                                 -17253.0 / 339200, 22.0 / 525, -1.0 / 40};
-static const double tolerance = 1e-12; // relative error of a step, about
+$end
 
-// Go from time *t to time end with steps of about *step, stages[0] being the rates there; 0 where that is not possible.
-static int advance(double *t, double end, double x[SIZE], double stages[7][SIZE], double *step,
-                   const double least[SIZE])
+// the rate dx/dt at time t and a state
+static void rates(double t, const double state[SIZE], double rate[SIZE])
 {
-    static long count = 0;
-    double moved[SIZE];
-    while (*t < end) {
-        int is_finite = *t + *step != *t && ++count <= 10000000;
-        for (int i = 0; i < SIZE; i++)
-            is_finite = is_finite && isfinite(stages[0][i]);
-        if (!is_finite)
-            return 0;
-        const double h = fmin(*step, end - *t);
-        for (int k = 1; k < 7; k++) {
-            for (int i = 0; i < SIZE; i++) {
-                double sum = 0;
-                for (int j = 0; j < k; j++)
-                    sum += weights[k][j] * stages[j][i];
-                moved[i] = x[i] + h * sum;
-            }
-            rates(*t + nodes[k] * h, moved, stages[k]);
-        }
-        double size = 0;
-        for (int i = 0; i < SIZE; i++) {
-            double sum = 0;
-            for (int k = 0; k < 7; k++)
-                sum += errors[k] * stages[k][i];
-            const double its = fabs(h * sum / (least[i] + tolerance * fmax(fabs(x[i]), fabs(moved[i]))));
-            size = its <= size ? size : its; // also where it is not a number
-        }
-        if (!(size <= 1)) {
-            *step = isfinite(size) ? h * fmax(0.2, 0.9 * pow(size, -0.2)) : 0.2 * h;
-            continue;
-        }
-        *t = h == end - *t ? end : *t + h;
-        for (int i = 0; i < SIZE; i++) {
-            x[i] = moved[i];
-            stages[0][i] = stages[6][i];
-        }
-        const double grown = h * fmin(5, 0.9 * pow(fmax(size, 1e-10), -0.2));
-        *step = h < *step ? fmax(*step, grown) : grown;
-    }
-    return 1;
-}
-
-static void print_row(double t, const double x[SIZE])
-{
-    printf("%.17g", t);
-    for (int i = 0; i < SIZE; i++)
-        printf(",%.17g", x[i]);
-    printf("\\n");
-}
-
-int main(int count, char **words)
-{
-    const double until = count > 1 ? strtod(words[1], NULL) : end_time;
-    const long steps = count > 2 ? strtol(words[2], NULL, 10) : step_count;
-    double x[SIZE], stages[7][SIZE], least[SIZE], t = begin_time;
-    rates(t, start, stages[0]);
-    for (int i = 0; i < SIZE; i++) {
-        x[i] = start[i];
-        least[i] = tolerance * (x[i] == 0 ? sizes[i] : fmin(fabs(x[i]), sizes[i]));
-    }
-    double step = 1e-4 * (until - t);
-    printf("HEADER\\n");
-    print_row(t, x);
-    for (long k = 1; k <= steps; k++) {
-        const double end = k == steps ? until : begin_time + (until - begin_time) / steps * k;
-        if (!advance(&t, end, x, stages, &step, least)) {
-            fprintf(stderr, "the solution does not go on beyond time %.17g\\n", t);
-            return 1;
-        }
-        print_row(t, x);
-    }
-    return 0;
+$for states:    const double $name = state[$place];
+$for parameters:    const double $name = parameters[$place];
+$for tables:    const double $name = along(table_$name, $cubics, $until, t);
+    (void)(t);
+$for states:    (void)($name);
+$for states:    rate[$place] = $rate;
 }
 """
+    + integrators.C,
+)

@@ -1,70 +1,70 @@
-"""The table of formats: what each is called, who opens it, and what writes it."""
+"""The table of formats of one file: languages, and what is written of a result, which need not be a model."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from atoll.export import c, julia, matlab, modelica, python, sbml, text, xppaut
-from atoll.export.content import Content, content_of
+from atoll.export.describing import HeldInputs, Times, describe
+from atoll.export.description import Description
+from atoll.export.language import Language
+from atoll.model.beginnings import Given
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
 
-
-@dataclass(frozen=True)
-class Format:
-    """A format of one file: its `name` in options, what it `holds`, who `opens` it.
-
-    Exactly one writer is given: `of_content` where a file has an initial state and times; `of_result` where it
-    holds what a result has, which need not be a model. `without_tables` is the name of a program that cannot take
-    inputs along tables, "" of others.
-    """
-
-    name: str
-    holds: str
-    opens: str
-    of_content: Callable[[Content], str] | None = None
-    of_result: Callable[[Result], str] | None = None
-    without_tables: str = ""
-
-
-FORMATS: Final = {
-    each.name: each
-    for each in (
-        Format("python", "a module with its own integrator", "Python with numpy", python.write),
-        Format("c", "a C99 program with its own integrator, CSV out", "any C compiler", c.write),
-        Format("julia", "a ModelingToolkit system", "Julia: OrdinaryDiffEq, BifurcationKit, Attractors", julia.write),
-        Format("matlab", "a function that calls ode45", "MATLAB, Octave", matlab.write),
-        Format("modelica", "a model", "OpenModelica, Dymola; FMUs by them", modelica.write),
-        Format("xppaut", "an .ode file", "XPPAUT and its AUTO", xppaut.write, without_tables="XPPAUT"),
-        Format("sbml", "rate rules, L3V2", "COPASI, tellurium, AMICI, Julia's SBMLToolkit", sbml.write),
-        Format("latex", "the equations, aligned", "LaTeX", None, text.as_latex),
-        Format("sympy", "the equations as sympy objects", "Python with sympy", None, text.as_sympy),
-        Format("csv", "the fronts, a row for each equation", "spreadsheets, pandas, R", None, text.as_csv),
-        Format("json", "the whole result", "coordinator, atoll.Model", None, Result.to_json),
-    )
+LANGUAGES: Final[Mapping[str, Language]] = {
+    "python": python.LANGUAGE,
+    "c": c.LANGUAGE,
+    "julia": julia.LANGUAGE,
+    "matlab": matlab.LANGUAGE,
+    "modelica": modelica.LANGUAGE,
+    "xppaut": xppaut.LANGUAGE,
+    "sbml": sbml.LANGUAGE,
 }
-"""By name. PEtab is a folder and has its own writer (`atoll.export.petab`)."""
-
+OF_RESULTS: Final[Mapping[str, Callable[[Result], str]]] = {
+    "latex": text.as_latex,
+    "sympy": text.as_sympy,
+    "csv": text.as_csv,
+    "json": Result.to_json,
+}
 PETAB: Final = "petab"
-NAMES: Final = (*FORMATS, PETAB)
+"""A folder, with a writer of its own (`atoll.export.petab`)."""
+NAMES: Final = (*LANGUAGES, *OF_RESULTS, PETAB)
 
 
-def format_of(name: str) -> Format:
-    """Return a format of one file by its name; raises UsageError."""
-    if name not in FORMATS:
+def written(model: "Model", name: str, x0: Given | None = None, t: Times = None, u: HeldInputs = None) -> str:
+    """Return the model in a format of one file, by its name; see `atoll.Model.export`."""
+    if name in OF_RESULTS:
+        return OF_RESULTS[name](model.result)
+    if name not in LANGUAGES:
+        known = ", ".join([*LANGUAGES, *OF_RESULTS])
+        raise UsageError(f"{name!r} is no format of an export; choose one of {known}, or petab with a folder")
+    return write(describe(model, x0, t, u, LANGUAGES[name].without_tables), LANGUAGES[name])
+
+
+def write(model: Description, language: Language) -> str:
+    """Return a file of a language; raises UsageError where it cannot hold the model."""
+    require_holds(model, language)
+    return language.write(model)
+
+
+def require_holds(model: Description, language: Language) -> None:
+    """Raise UsageError where a process would lose its noise, a regression its function, or an input its table."""
+    if model.covariance and not language.has_noise:
+        *others, last = (name for name, other in LANGUAGES.items() if other.has_noise)
+        raise UsageError(f"{language.name} cannot hold the noise of a process; {', '.join(others)} and {last} can")
+    if not model.states and not language.regression:
+        able = ", ".join([name for name, other in LANGUAGES.items() if other.regression])
         raise UsageError(
-            f"{name!r} is no format of an export; choose one of {', '.join(FORMATS)}, or petab with a folder"
+            f"{language.name} holds what moves in time, and this model does not; {able}, latex and sympy can"
         )
-    return FORMATS[name]
+    if language.without_tables:
+        refuse_tables(model, language.name)
 
 
-def written(model: "Model", name: str, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
-    """Return a model in a format of one file; see `atoll.Model.export`."""
-    chosen = format_of(name)
-    if chosen.of_content is not None:
-        return chosen.of_content(content_of(model, x0, t, u, chosen.without_tables))
-    assert chosen.of_result is not None
-    return chosen.of_result(model.result)
+def refuse_tables(model: Description, name: str) -> None:
+    """Raise UsageError where an input goes along a table."""
+    if model.tables:
+        raise UsageError(f"{name} cannot hold the table of the input '{model.tables[0].name}'; give one number for it")

@@ -2,9 +2,9 @@
 
 from typing import Final
 
-from atoll.export.content import Content, Language, Wording
+from atoll.export.language import Language
 from atoll.export.naming import Naming
-from atoll_core.expression.text.notation import JULIA
+from atoll_core.expression.text.notation import Notation
 
 _WORDS: Final = (
     "abstract baremodule begin break catch const continue do else elseif end export false finally for function "
@@ -17,105 +17,36 @@ _WORDS: Final = (
 )
 
 LANGUAGE: Final = Language(
-    JULIA,
-    Naming(frozenset(_WORDS.split()), ("table_", "along_")),
-    "t",
-    "#",
-    "a rate is not finite or an error is raised, and the solver ends with a return code",
-)
-_PACKAGES: Final = "Needs the packages ModelingToolkit (10 or later) and OrdinaryDiffEq."
-_PACKAGES_OF_NOISE: Final = "Needs the packages ModelingToolkit (10 or later) and StochasticDiffEq."
+    name="Julia",
+    notation=Notation(cotangent="cot"),
+    naming=Naming(frozenset(_WORDS.split()), ("table_", "along_")),
+    time="t",
+    comment="#",
+    remark="  # {}",
+    where_undefined="a rate is not finite or an error is raised, and the solver ends with a return code",
+    has_noise=True,
+    usage="""\
+$if process:Needs the packages ModelingToolkit (10 or later) and StochasticDiffEq.
+$unless process:
+$if states:Needs the packages ModelingToolkit (10 or later) and OrdinaryDiffEq.
+$end
+""",
+    regression="""\
+# $target
+function value(<<inputs|$name>>)
+$for constants:    $name = $value$remark
+    return $formula
+end
+""",
+    motion="""\
+$if process:using ModelingToolkit, StochasticDiffEq
+$unless process:using ModelingToolkit, OrdinaryDiffEq
+using ModelingToolkit: t_nounits as t, D_nounits as D
 
+$for constants:@parameters $name = $value$remark
+$for held:@parameters $name = $value  # input, $about
+$if tables:
 
-def write(content: Content) -> str:
-    """Return the source of a script; of a regression that of a function."""
-    words = Wording(content, LANGUAGE)
-    if not content.states:
-        return "\n".join([*words.heading(), "", *_regression(words)]) + "\n"
-    packages = _PACKAGES_OF_NOISE if content.covariance else _PACKAGES
-    return "\n".join([*words.heading(packages), "", *_motion(words)]) + "\n"
-
-
-def _regression(words: Wording) -> list[str]:
-    arguments = ", ".join(words[each.name] for each in words.content.inputs)
-    lines = [f"    {words[each]} = {each.value!r}" + _note(words.note(each)) for each in words.content.constants]
-    return [f"# {words.target}", f"function value({arguments})", *lines, f"    return {words.rates[0]}", "end"]
-
-
-def _motion(words: Wording) -> list[str]:
-    its = words.content
-    solver = "StochasticDiffEq" if its.covariance else "OrdinaryDiffEq"
-    lines = [f"using ModelingToolkit, {solver}", "using ModelingToolkit: t_nounits as t, D_nounits as D", ""]
-    constants = [(f"{words[each]} = {each.value!r}", _note(words.note(each))) for each in its.constants]
-    lines += [f"@parameters {text}{note}" for text, note in constants]
-    lines += [f"@parameters {words[each.name]} = {each.value!r}  # input, {words.about(each)}" for each in its.held]
-    lines += _tables(words)
-    for state, begin in zip(its.states, its.start, strict=True):
-        lines.append(f"@variables {words[state.name]}(t) = {begin!r}  # {words.about(state)}")
-    lines += [*_equations(words), "@named system = System(equations, t)", "model = mtkcompile(system)", ""]
-    lines += _solution(words)
-    row = ", ".join(f"solution[{name}][row]" for name in words.states)
-    lines += ["", f'println("{",".join([words.time, *words.states])}")', "for row in eachindex(solution.t)"]
-    return [*lines, f'    println(join((solution.t[row], {row}), ","))', "end"]
-
-
-def _tables(words: Wording) -> list[str]:
-    if not words.content.tables:
-        return []
-    lines = _ALONG.splitlines()
-    for each in words.content.tables:
-        assert each.table is not None
-        rows = [f"    {' '.join(map(repr, row))}" for row in each.table.tolist()]
-        name = words[each.name]
-        lines += ["", f"# {words.about(each)}", f"const table_{name} = [", *rows, "]"]
-        lines += [
-            f"along_{name}(time::Real) = along(table_{name}, {each.until!r}, time)",
-            f"@register_symbolic along_{name}(time)",
-        ]
-        lines += [f"{name} = along_{name}(t)"]
-    return [*lines, ""]
-
-
-def _equations(words: Wording) -> list[str]:
-    rates = words.rates
-    lines: list[str] = []
-    if words.content.covariance:
-        assignments, rows = words.noise
-        lines += ["", "@brownians " + " ".join(words.normals)]
-        lines += [f"{name} = {text}" for name, text in assignments]
-        rates = [
-            " + ".join([rate, *(f"{g}*{w}" for g, w in zip(row, words.normals, strict=True) if g)])
-            for rate, row in zip(rates, rows, strict=True)
-        ]
-    texts = [f"    D({name}) ~ {text}" for name, text in zip(words.states, rates, strict=True)]
-    return [*lines, "", "equations = [", ",\n".join(texts), "]"]
-
-
-def _solution(words: Wording) -> list[str]:
-    its = words.content
-    span = f"({its.begin!r}, {its.end!r})"
-    saved = f"range({its.begin!r}, {its.end!r}; length = {its.steps + 1})"
-    if its.covariance:
-        step = (its.end - its.begin) / its.steps / 100
-        return [
-            f"problem = SDEProblem(model, [], {span})",
-            f"solution = solve(problem, EM(); dt = {step!r}, saveat = {saved})",
-        ]
-    tolerance = "abstol = least, reltol = 1e-12"
-    pairs = ", ".join(f"string({name}) => {1e-12 * size!r}" for name, size in zip(words.states, its.sizes, strict=True))
-    return [
-        f"tolerances = Dict({pairs})",
-        "least = [tolerances[string(state)] for state in unknowns(model)]  # in the order of the compiled system",
-        f"problem = ODEProblem(model, [], {span})",
-        f"solution = solve(problem, Vern9(); {tolerance}, saveat = {saved})",
-    ]
-
-
-def _note(text: str) -> str:
-    return f"  # {text}" if text else ""
-
-
-_ALONG: Final = """
 # An input at a time: cubic between the times of its table, constant beyond.
 function along(table, until, time)
     time = clamp(time, table[1, 1], until)
@@ -123,4 +54,46 @@ function along(table, until, time)
     s = time - table[row, 1]
     return table[row, 2] + s*(table[row, 3] + s*(table[row, 4] + s*table[row, 5]))
 end
-"""
+$for tables:
+
+# $about
+const table_$name = [
+$for cubics:    $since $c0 $c1 $c2 $c3
+]
+along_$name(time::Real) = along(table_$name, $until, time)
+@register_symbolic along_$name(time)
+$name = along_$name(t)
+$end
+
+$end
+$for states:@variables $name(t) = $start  # $about
+$if process:
+
+@brownians <<states|$normal| >>
+$for noise:$name = $expression
+$end
+
+equations = [
+$for states,:    D($name) ~ $rate<<terms| + $root*$factor|>>
+]
+@named system = System(equations, t)
+model = mtkcompile(system)
+
+$if process:
+problem = SDEProblem(model, [], ($first_time, $last_time))
+solution = solve(problem, EM(); dt = $substep, saveat = range($first_time, $last_time; length = $rows))
+$end
+$unless process:
+tolerances = Dict(<<states|string($name) => $least>>)
+least = [tolerances[string(state)] for state in unknowns(model)]  # in the order of the compiled system
+problem = ODEProblem(model, [], ($first_time, $last_time))
+solution = solve(problem, Vern9(); abstol = least, reltol = 1e-12, \
+saveat = range($first_time, $last_time; length = $rows))
+$end
+
+println("$header")
+for row in eachindex(solution.t)
+    println(join((solution.t[row], <<states|solution[$name][row]>>), ","))
+end
+""",
+)

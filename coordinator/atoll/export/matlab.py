@@ -2,9 +2,10 @@
 
 from typing import Final
 
-from atoll.export.content import Content, Language, Wording, refuse_noise
+from atoll.export.language import Language
 from atoll.export.naming import Naming
-from atoll_core.expression.text.notation import MATLAB
+from atoll_core.expression.operators import LOG, SQRT
+from atoll_core.expression.text.notation import Notation
 
 _WORDS: Final = (
     "break case catch classdef continue else elseif end for function global if otherwise parfor persistent return "
@@ -15,80 +16,56 @@ _WORDS: Final = (
 )
 
 LANGUAGE: Final = Language(
-    MATLAB,
-    Naming(frozenset(_WORDS.split()), ("along_",), longest=63),
-    "t",
-    "%",
-    "ode45 ends early, or with an error where a number would become complex",
-    "Save as atoll_model.m. [t, x] = atoll_model(last) solves by ode45, one column of x for each state; "
+    name="MATLAB",
+    notation=Notation(  # the plain functions would go on with complex numbers, where the real ones end with an error
+        {LOG: "reallog", SQRT: "realsqrt"}, power="realpow({0}, {1})", natural="{0}^{1}", is_call=True, cotangent="cot"
+    ),
+    naming=Naming(frozenset(_WORDS.split()), ("along_",), longest=63),
+    time="t",
+    comment="%",
+    remark=" % {}",
+    where_undefined="ode45 ends early, or with an error where a number would become complex",
+    usage="Save as atoll_model.m. [t, x] = atoll_model(last) solves by ode45, one column of x for each state; "
     "without results it prints CSV. For a stiff model write ode15s in place of ode45.",
+    regression="""\
+function value = atoll_model(<<inputs|$name>>)
+$for constants:    $name = $value;$remark
+    value = $formula;
+end
+""",
+    motion="""\
+function [t, x] = atoll_model(last)
+    if nargin < 1, last = $last_time; end
+    times = linspace($first_time, last, $rows);
+    options = odeset('RelTol', 1e-12, 'AbsTol', [<<states|$least>>]);
+    [t, x] = ode45(@rates, times, [<<states|$start>>], options);
+    if nargout == 0
+        fprintf('$header\\n');
+        fprintf('%.17g<<states|,%.17g|>>\\n', [t, x].');
+        clear t x
+    end
+end
+
+function rate = rates(t, state)
+$for states:    $name = state($number); % $about
+$for constants:    $name = $value;$remark
+$for held:    $name = $value; % input
+$for tables:    $name = along_$name(t);
+    rate = [
+$for states:        $rate;
+    ];
+end
+$for tables:
+
+function value = along_$name(t)  % cubic between the times of a table, constant beyond
+    persistent table
+    if isempty(table)
+        table = mkpp([<<cubics|$since>>, $until], [
+$for cubics:        $c3, $c2, $c1, $c0;
+        ]);
+    end
+    value = ppval(table, min(max(t, $since), $until));
+end
+$end
+""",
 )
-
-
-def write(content: Content) -> str:
-    """Return the source of a function file. Raises UsageError for a process."""
-    refuse_noise(content, "MATLAB")
-    words = Wording(content, LANGUAGE)
-    its = _regression(words) if not content.states else _motion(words)
-    return "\n".join([*words.heading(), "", *its]) + "\n"
-
-
-def _regression(words: Wording) -> list[str]:
-    arguments = ", ".join(words[each.name] for each in words.content.inputs)
-    return [f"function value = atoll_model({arguments})", *_constants(words), f"    value = {words.rates[0]};", "end"]
-
-
-def _motion(words: Wording) -> list[str]:
-    its = words.content
-    start = ", ".join(map(repr, its.start))
-    header = ",".join([words.time, *words.states])
-    lines = ["function [t, x] = atoll_model(last)", f"    if nargin < 1, last = {its.end!r}; end"]
-    lines += [f"    times = linspace({its.begin!r}, last, {its.steps + 1});"]
-    least = ", ".join(repr(1e-12 * size) for size in its.sizes)
-    lines += [f"    options = odeset('RelTol', 1e-12, 'AbsTol', [{least}]);"]
-    lines += [f"    [t, x] = ode45(@rates, times, [{start}], options);", "    if nargout == 0"]
-    lines += [f"        fprintf('{header}\\n');"]
-    numbers = ",".join(["%.17g"] * (len(its.states) + 1))
-    lines += [
-        f"        fprintf('{numbers}\\n', [t, x].');",
-        "        clear t x",
-        "    end",
-        "end",
-        "",
-        "function rate = rates(t, state)",
-    ]
-    lines += [
-        f"    {name} = state({place}); % {words.about(state)}"
-        for place, (name, state) in enumerate(zip(words.states, its.states, strict=True), start=1)
-    ]
-    lines += [*_constants(words), *_inputs(words)]
-    lines += ["    rate = [", *(f"        {text};" for text in words.rates), "    ];", "end"]
-    for each in its.tables:
-        assert each.table is not None
-        name = words[each.name]
-        rows = [f"        {', '.join(map(repr, row[:0:-1]))};" for row in each.table.tolist()]
-        breaks = [*each.table[:, 0].tolist(), each.until]
-        lines += ["", f"function value = along_{name}(t)  % cubic between the times of a table, constant beyond"]
-        lines += [
-            "    persistent table",
-            "    if isempty(table)",
-            f"        table = mkpp([{', '.join(map(repr, breaks))}], [",
-            *rows,
-        ]
-        lines += [
-            "        ]);",
-            "    end",
-            f"    value = ppval(table, min(max(t, {breaks[0]!r}), {each.until!r}));",
-            "end",
-        ]
-    return lines
-
-
-def _constants(words: Wording) -> list[str]:
-    its = [(words[each], each.value, words.note(each)) for each in words.content.constants]
-    return [f"    {name} = {value!r};" + (f" % {note}" if note else "") for name, value, note in its]
-
-
-def _inputs(words: Wording) -> list[str]:
-    lines = [f"    {words[each.name]} = {each.value!r}; % input" for each in words.content.held]
-    return lines + [f"    {words[each.name]} = along_{words[each.name]}(t);" for each in words.content.tables]

@@ -7,15 +7,19 @@ of PEtab begin at time 0: times are counted from the beginning of their trajecto
 import csv
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.export import sbml
-from atoll.export.content import Content, Wording, content_of, inputs_beside_time, refuse_tables
+from atoll.export.describing import describe, inputs_beside_time
+from atoll.export.description import Description, State
+from atoll.export.formats import refuse_tables, require_holds
+from atoll.export.language import Wording
 from atoll.model.beginnings import measured_beginning, values_of_curve
 from atoll.model.parameters import Parameter
 from atoll.model.rows import inputs_of, rows_of
@@ -39,7 +43,54 @@ problems:
     measurement_files: [measurements.tsv]
 """
 
-Row = dict[str, Any]
+_CONDITIONS: Final = ("conditionId", "conditionName")
+_OBSERVABLES: Final = (
+    "observableId", "observableFormula", "observableTransformation", "noiseFormula", "noiseDistribution",
+)  # fmt: skip
+_MEASUREMENTS: Final = ("observableId", "simulationConditionId", "measurement", "time")
+_PARAMETERS: Final = (
+    "parameterId", "parameterName", "parameterScale", "lowerBound", "upperBound", "nominalValue", "estimate",
+)  # fmt: skip
+
+Row = tuple[str | float, ...]
+Columns = Mapping[str, npt.ArrayLike]
+"""Measured columns of a trajectory by name, or a frame."""
+
+
+def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | None = None) -> None:
+    """Write a PEtab problem into a folder; see `atoll.Model.to_petab`."""
+    start, times = (None, None) if data is None else _beginning(model, data)
+    placeholders = dict.fromkeys(inputs_beside_time(model), 0.0)
+    description = describe(model, start, times, placeholders)
+    refuse_tables(description, "PEtab")
+    require_holds(description, sbml.LANGUAGE)
+    document = sbml.write(description, has_start_parameters=True)
+    trajectories = _recorded(model) if data is None else _given(model, data)
+    if not trajectories:
+        raise UsageError(
+            "the result holds no measurements of trajectories", python="give them as data", command="give --data FILE"
+        )
+    tables = _Tables(model, description, trajectories)
+    files = {
+        "conditions.tsv": _text((*_CONDITIONS, *tables.given), tables.conditions()),
+        "observables.tsv": _text(_OBSERVABLES, tables.observables()),
+        "measurements.tsv": _text(_MEASUREMENTS, tables.measurements()),
+        "parameters.tsv": _text(_PARAMETERS, tables.parameters()),
+    }
+    save({"problem.yaml": _PROBLEM, "model.xml": document, **files}, folder)
+
+
+def save(files: Mapping[str, str], folder: str | Path) -> None:
+    """Write files into a folder, which is made; raises UsageError."""
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        for name, text in files.items():
+            (Path(folder) / name).write_text(text, "utf-8")
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be written ({error.strerror}); name another folder") from error
+
+
+# ------------------------------------------------------------------------------------------------------ measurements
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,50 +105,6 @@ class Trajectory:
     values: Mapping[str, FloatArray]
     start: tuple[float, ...]
     inputs: Mapping[str, FloatArray]
-
-
-def write(model: "Model", content: Content, data: Sequence[Mapping[str, Any]] | None = None) -> dict[str, str]:
-    """Return the files of a problem by name.
-
-    Args:
-        model: whose constants are estimated.
-        content: of the same model.
-        data: measured columns by name, for each trajectory; None: what the result holds, at most 200 rows of each.
-
-    Raises:
-        UsageError: the model has no time, is a process or has a table of an input; there are no measurements.
-    """
-    refuse_tables(content, "PEtab")
-    document = sbml.write(content, sbml.Options(has_start_parameters=True))
-    words = Wording(content, sbml.LANGUAGE)
-    trajectories = _recorded(model) if data is None else _given(model, data)
-    if not trajectories:
-        raise UsageError(
-            "the result holds no measurements of trajectories", python="give them as data", command="give --data FILE"
-        )
-    states = [each.name for each in content.states if any(each.name in its.values for its in trajectories)]
-    noise = {name: _Noise.of(model, name, trajectories) for name in states}
-    return {
-        "problem.yaml": _PROBLEM,
-        "model.xml": document,
-        "conditions.tsv": _table(_conditions(content, words, trajectories)),
-        "observables.tsv": _table(_observables(words, noise)),
-        "measurements.tsv": _table(_measurements(words, states, trajectories)),
-        "parameters.tsv": _table(_parameters(content, words, noise, trajectories)),
-    }
-
-
-def save(files: Mapping[str, str], folder: str | Path) -> None:
-    """Write files into a folder, which is made; raises UsageError."""
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        for name, text in files.items():
-            (Path(folder) / name).write_text(text, "utf-8")
-    except OSError as error:
-        raise UsageError(f"{folder} cannot be written ({error.strerror}); name another folder") from error
-
-
-# ------------------------------------------------------------------------------------------------------ measurements
 
 
 def _recorded(model: "Model") -> list[Trajectory]:
@@ -133,17 +140,17 @@ def _trajectory(
     return Trajectory(part.name, times[first:], values, tuple(named[name] for name in model.states), inputs)
 
 
-def _given(model: "Model", data: Sequence[Mapping[str, Any]]) -> list[Trajectory]:
+def _given(model: "Model", data: Sequence[Columns]) -> list[Trajectory]:
     """Return measurements that are given, each with the initial state of its first row."""
     trajectories = []
     for number, part in enumerate(data, start=1):
         times, values, start = rows_of(model, part)
-        inputs = inputs_of(model, part)
-        trajectories.append(Trajectory(str(number), times, values, tuple(start[name] for name in model.states), inputs))
+        first = tuple(start[name] for name in model.states)
+        trajectories.append(Trajectory(str(number), times, values, first, inputs_of(model, part)))
     return trajectories
 
 
-def beginning(model: "Model", data: Sequence[Mapping[str, Any]]) -> tuple[dict[str, float], FloatArray]:
+def _beginning(model: "Model", data: Sequence[Columns]) -> tuple[dict[str, float], FloatArray]:
     """Return the initial state and the times of the first trajectory of measurements that are given."""
     if not data:
         raise UsageError("no trajectory of measurements was given; give at least one")
@@ -165,10 +172,10 @@ class _Noise:
     size: float
 
     @classmethod
-    def of(cls, model: "Model", state: str, trajectories: Sequence[Trajectory]) -> "_Noise":
-        noise = model.result.noise.get(model.result.columns_by_symbol.get(state, state)) or Noise()
+    def of(cls, model: "Model", state: State, values: FloatArray) -> "_Noise":
+        """Return those of the measured values of a state."""
+        noise = model.result.noise.get(state.column) or Noise()
         errors = noise.errors or Errors()
-        values = np.concatenate([part.values[state] for part in trajectories if state in part.values])
         size = float(np.sqrt(np.nanmean(values**2))) or 1.0
         rounding = float(np.spacing(size))
         sd = next((sd for sd in (errors.sd, noise.sd) if sd and sd > rounding), rounding)
@@ -184,109 +191,96 @@ class _Noise:
 # ------------------------------------------------------------------------------------------------------------ tables
 
 
-def _conditions(content: Content, words: Wording, trajectories: Sequence[Trajectory]) -> Iterable[Row]:
-    has_time = any(each.kind == "time" for each in content.inputs)
-    for number, part in enumerate(trajectories, start=1):
-        row: Row = {"conditionId": f"trajectory_{number}", "conditionName": part.name}
-        for state in content.states:
-            name = sbml.start_name(words, state.name)
-            row[name] = f"{name}_{number}"
-        row |= {words[each.name]: _constant_input(part, each.name) for each in content.held}
-        yield row | ({"begin_time": float(part.times[0])} if has_time else {})
+class _Tables:
+    """The tables of a problem, row by row."""
+
+    def __init__(self, model: "Model", description: Description, trajectories: Sequence[Trajectory]) -> None:
+        self._description = description
+        self._words = Wording(description, sbml.LANGUAGE)
+        self._trajectories = trajectories
+        self._measured = {
+            state: np.concatenate([part.values[state.name] for part in trajectories if state.name in part.values])
+            for state in description.states
+            if any(state.name in part.values for part in trajectories)
+        }
+        self._noise = {state: _Noise.of(model, state, values) for state, values in self._measured.items()}
+
+    @property
+    def given(self) -> list[str]:
+        """What conditions give the model: initial states, inputs, the time at which it begins."""
+        starts = [sbml.start_name(self._words, state) for state in self._description.states]
+        inputs = [self._words[held] for held in self._description.held]
+        return [*starts, *inputs, *(["begin_time"] if self._description.depends_on_time else [])]
+
+    def conditions(self) -> Iterator[Row]:
+        """Yield the initial state and the inputs of each trajectory."""
+        for number, part in enumerate(self._trajectories, start=1):
+            starts = [f"{sbml.start_name(self._words, state)}_{number}" for state in self._description.states]
+            inputs = [_constant_input(part, held.name) for held in self._description.held]
+            begin = [float(part.times[0])] if self._description.depends_on_time else []
+            yield f"trajectory_{number}", part.name, *starts, *inputs, *begin
+
+    def observables(self) -> Iterator[Row]:
+        """Yield the measured states with their errors."""
+        for state, noise in self._noise.items():
+            name = self._words[state]
+            yield f"observable_{name}", name, "lin", noise.formula(name), "normal"
+
+    def measurements(self) -> Iterator[Row]:
+        """Yield the measured values, those that are missing left out."""
+        for number, part in enumerate(self._trajectories, start=1):
+            times = (part.times - part.times[0]).tolist()
+            for state in self._measured:
+                values = part.values[state.name].tolist() if state.name in part.values else ()
+                for time, value in zip(times, values, strict=False):
+                    if math.isfinite(value):
+                        yield f"observable_{self._words[state]}", f"trajectory_{number}", value, time
+
+    def parameters(self) -> Iterator[Row]:
+        """Yield what is estimated: constants, initial states, standard deviations of errors."""
+        for constant in self._description.constants:
+            low, high = _bounds(constant)
+            yield self._words[constant], f"constant {constant.name}", "lin", low, high, constant.value, 1
+        for number, part in enumerate(self._trajectories, start=1):
+            for state, value in zip(self._description.states, part.start, strict=True):
+                name = f"{sbml.start_name(self._words, state)}_{number}"
+                reach = self._width(state)
+                title = f"{state.column} at the beginning of {part.name}"
+                yield name, title, "lin", value - reach, value + reach, value, 1
+        for state, noise in self._noise.items():
+            name, title = f"sd_{self._words[state]}", f"errors of {state.name}"
+            yield name, title, "log10", noise.sd / _REACH, noise.sd * _REACH, noise.sd, 1
+
+    def _width(self, state: State) -> float:
+        """Return how far a state has moved in all; of one that was not measured, how fast those that were have."""
+        values = self._measured.get(state)
+        if values is None:
+            parts = [(part.times, curve) for part in self._trajectories for curve in part.values.values()]
+            values = np.concatenate([np.gradient(curve, times) for times, curve in parts])
+        return float(np.nanmax(values) - np.nanmin(values)) or 1.0
 
 
 def _constant_input(part: Trajectory, name: str) -> float:
     """Return the value of an input along a trajectory; raises UsageError where it is not one."""
     values = np.unique(part.inputs.get(name, ()))
     if len(values) != 1 or not np.isfinite(values[0]):
-        found = "is not known" if not len(values) else "changes"
+        fault = "is not known" if not len(values) else "changes"
         raise UsageError(
-            f"the input '{name}' {found} along trajectory {part.name}; PEtab holds inputs that stay the same"
+            f"the input '{name}' {fault} along trajectory {part.name}; PEtab holds inputs that stay the same"
         )
     return float(values[0])
 
 
-def _observables(words: Wording, noise: Mapping[str, _Noise]) -> Iterable[Row]:
-    for state, its in noise.items():
-        yield {
-            "observableId": f"observable_{words[state]}",
-            "observableFormula": words[state],
-            "observableTransformation": "lin",
-            "noiseFormula": its.formula(words[state]),
-            "noiseDistribution": "normal",
-        }
-
-
-def _measurements(words: Wording, states: Sequence[str], trajectories: Sequence[Trajectory]) -> Iterable[Row]:
-    for number, part in enumerate(trajectories, start=1):
-        for state in states:
-            times = (part.times - part.times[0]).tolist()
-            for time, value in zip(times, part.values[state].tolist() if state in part.values else (), strict=False):
-                if math.isfinite(value):
-                    yield {
-                        "observableId": f"observable_{words[state]}",
-                        "simulationConditionId": f"trajectory_{number}",
-                        "measurement": value,
-                        "time": time,
-                    }
-
-
-def _parameters(
-    content: Content, words: Wording, noise: Mapping[str, _Noise], trajectories: Sequence[Trajectory]
-) -> Iterable[Row]:
-    for constant in content.constants:
-        yield _parameter(words[constant], f"constant {constant.name}", constant.value, _bounds(constant))
-    for number, part in enumerate(trajectories, start=1):
-        for state, value in zip(content.states, part.start, strict=True):
-            name = f"{sbml.start_name(words, state.name)}_{number}"
-            title = f"{state.column} at the beginning of {part.name}"
-            reach = _width(state.name, trajectories)
-            yield _parameter(name, title, value, (value - reach, value + reach))
-    for state_name, its in noise.items():
-        bounds = (its.sd / _REACH, its.sd * _REACH)
-        yield _parameter(f"sd_{words[state_name]}", f"errors of {state_name}", its.sd, bounds, "log10")
-
-
-def _width(state: str, trajectories: Sequence[Trajectory]) -> float:
-    """Return how far a state has moved in all; of one that was not measured, how fast those that were have."""
-    values = [part.values[state] for part in trajectories if state in part.values]
-    if not values:
-        values = [np.gradient(its, part.times) for part in trajectories for its in part.values.values()]
-    found = np.concatenate(values)
-    return float(np.nanmax(found) - np.nanmin(found)) or 1.0
-
-
-def _bounds(its: Parameter) -> tuple[float, float]:
+def _bounds(constant: Parameter) -> tuple[float, float]:
     """Return the bounds that were set for a constant, and on open sides those of its standard error."""
-    reach = _REACH * (its.stderr or abs(its.value) or 1.0)
-    low, high = its.bounds or (None, None)
-    return its.value - reach if low is None else low, its.value + reach if high is None else high
+    reach = _REACH * (constant.stderr or abs(constant.value) or 1.0)
+    low, high = constant.bounds or (None, None)
+    return constant.value - reach if low is None else low, constant.value + reach if high is None else high
 
 
-def _parameter(name: str, title: str, value: float, bounds: tuple[float, float], scale: str = "lin") -> Row:
-    return {
-        "parameterId": name,
-        "parameterName": title,
-        "parameterScale": scale,
-        "lowerBound": bounds[0],
-        "upperBound": bounds[1],
-        "nominalValue": value,
-        "estimate": 1,
-    }
-
-
-def _table(rows: Iterable[Row]) -> str:
-    its = list(rows)
+def _text(header: Sequence[str], rows: Iterator[Row]) -> str:
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(its[0]), delimiter="\t", lineterminator="\n")
-    writer.writeheader()
-    for row in its:
-        writer.writerow({name: repr(value) if isinstance(value, float) else value for name, value in row.items()})
+    writer = csv.writer(stream, delimiter="\t", lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([repr(value) if isinstance(value, float) else value for value in row] for row in rows)
     return stream.getvalue()
-
-
-def export_petab(model: "Model", folder: str | Path, data: Sequence[Mapping[str, Any]] | None = None) -> None:
-    """Write a PEtab problem into a folder; see `atoll.Model.to_petab`."""
-    start, times = (None, None) if data is None else beginning(model, data)
-    placeholders = dict.fromkeys(inputs_beside_time(model), 0.0)
-    save(write(model, content_of(model, start, times, placeholders), data), folder)

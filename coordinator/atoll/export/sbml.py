@@ -4,31 +4,17 @@ Written as text here: libsbml writes 15 digits of a number, which gives other do
 ``sbml``), it checks what was written.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import Final
 from xml.sax.saxutils import escape, quoteattr
 
-from atoll.export.content import Content, Formula, Input, Language, Wording, refuse_noise, refuse_regression
+from atoll.export.description import Description, Formula, Input, State
+from atoll.export.language import Language, Wording
 from atoll.export.naming import Naming, harmless
 from atoll.export.sbml_units import Units
+from atoll.export.template import Values, fill
 from atoll_core.errors import UsageError
-from atoll_core.expression.operators import (
-    ADD,
-    ARITY,
-    CONSTANT,
-    DIVIDE,
-    FUNCTIONS,
-    INVERSE,
-    LOG,
-    MULTIPLY,
-    NEGATE,
-    POW,
-    SQRT,
-    SQUARE,
-    SUBTRACT,
-    VARIABLE,
-)
+from atoll_core.expression.operators import OPERATORS
 from atoll_core.expression.text.notation import INFIX
 
 _WORDS: Final = (
@@ -36,48 +22,94 @@ _WORDS: Final = (
     "piecewise lambda model end at in is has var species compartment function event sin cos tan exp ln log log10 "
     "sqrt abs tanh pow power root floor ceil factorial begin_time substance volume area length extent atoll_model"
 )
-LANGUAGE: Final = Language(
-    INFIX,
-    Naming(frozenset(_WORDS.split()), ("start_", "sd_", "observable_")),
-    "time",
-    "",
-    "the tool ends the simulation",
+_ELEMENTS: Final = {"+": "plus", "-": "minus", "*": "times", "/": "divide", "pow": "power", "log": "ln", "sqrt": "root"}
+"""Operators in MathML, where they are called otherwise than here."""
+_TIME: Final = '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time"> time </csymbol>'
+
+
+class _Sbml(Language):
+    def write(self, model: Description) -> str:
+        return write(model)
+
+
+LANGUAGE: Final = _Sbml(
+    name="SBML",
+    notation=INFIX,
+    naming=Naming(frozenset(_WORDS.split()), ("start_", "sd_", "observable_")),
+    time="time",
+    comment="",
+    where_undefined="the tool ends the simulation",
+    motion="""\
+<?xml version="1.0" encoding="UTF-8"?>
+<sbml xmlns="http://www.sbml.org/sbml/level3/version2/core" level="3" version="2">
+  <model id="atoll_model" name="model found by Atoll"$time_unit>
+    <notes><body xmlns="http://www.w3.org/1999/xhtml">
+$for heading:      <p>$line</p>
+    </body></notes>
+$if units:
+    <listOfUnitDefinitions>
+$for units:
+      <unitDefinition id="$name"><listOfUnits>
+$for factors:        <unit kind="$kind" exponent="$exponent" scale="0" multiplier="$multiplier"/>
+      </listOfUnits></unitDefinition>
+$end
+    </listOfUnitDefinitions>
+$end
+    <listOfParameters>
+$for parameters:
+$unless notes:      <parameter id="$id"$attributes/>
+$if notes:
+      <parameter id="$id"$attributes>
+        <notes><body xmlns="http://www.w3.org/1999/xhtml">
+$for notes:          <p>$line</p>
+        </body></notes>
+      </parameter>
+$end
+$end
+    </listOfParameters>
+$if starts:
+    <listOfInitialAssignments>
+$for starts:      <initialAssignment symbol="$id">$math</initialAssignment>
+    </listOfInitialAssignments>
+$end
+    <listOfRules>
+$for rules:
+      <$kind variable="$id">
+        $math
+      </$kind>
+$end
+    </listOfRules>
+  </model>
+</sbml>
+""",
 )
 
-_NAMES: Final = {
-    **FUNCTIONS,
-    **{ADD: "plus", SUBTRACT: "minus", MULTIPLY: "times", DIVIDE: "divide", POW: "power", LOG: "ln", SQRT: "root"},
-}
-"""Operators in MathML."""
-_TIME: Final = '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time"> time </csymbol>'
-_MATH: Final = '<math xmlns="http://www.w3.org/1998/Math/MathML">'
 
-
-@dataclass(frozen=True)
-class Options:
-    """How the file is to be used.
+def write(model: Description, *, has_start_parameters: bool = False) -> str:
+    """Return a document.
 
     With `has_start_parameters` the initial state is that of constants named after the states, which others can set, and
     the time of the equations is that of the simulation plus the constant ``begin_time``.
-    """
-
-    has_start_parameters: bool = False
-
-
-def write(content: Content, options: Options = Options()) -> str:
-    """Return a document.
 
     Raises:
-        UsageError: of a process and of a regression; libsbml finds an error.
+        UsageError: libsbml finds an error.
     """
-    refuse_noise(content, "SBML")
-    refuse_regression(content, "SBML")
-    text = "\n".join(_document(content, options)) + "\n"
+    words, units = Wording(model, LANGUAGE), Units()
+    starts = [{"id": words[state], "math": _math(_name(start_name(words, state)))} for state in model.states]
+    values: Values = {
+        "time_unit": _attributes(timeUnits=units.of(model.time_unit)),
+        "heading": _lines(words.heading),
+        "parameters": [*_parameters(words, units, has_start_parameters)],
+        "starts": starts if has_start_parameters else [],
+        "rules": [*_rules(words, has_start_parameters)],
+        "units": units.definitions(),
+    }
+    text = "\n".join(fill(LANGUAGE.motion, values)) + "\n"
     check(text)
     return text
 
 
-def start_name(words: Wording, state: str) -> str:
+def start_name(words: Wording, state: State) -> str:
     """Return the name of the constant that a state begins with."""
     return f"start_{words[state]}"
 
@@ -98,121 +130,59 @@ def check(text: str) -> None:
             )
 
 
-def _document(content: Content, options: Options) -> Iterable[str]:
-    words = Wording(content, LANGUAGE)
-    units = Units()
-    time = _TIME
-    if options.has_start_parameters and any(each.kind == "time" for each in content.inputs):
-        time = f"<apply><plus/>{_TIME}<ci> begin_time </ci></apply>"
-    time_unit = units.of(content.time_unit)
-    body = [*_parameters(content, words, units, options), *_starts(content, words, options)]
-    body += _rules(content, words, time)
-    yield '<?xml version="1.0" encoding="UTF-8"?>'
-    yield '<sbml xmlns="http://www.sbml.org/sbml/level3/version2/core" level="3" version="2">'
-    yield f'  <model id="atoll_model" name="model found by Atoll"{_attribute("timeUnits", time_unit)}>'
-    yield from _notes(words.heading(), "    ")
-    yield from units.definitions()
-    yield from body
-    yield "  </model>"
-    yield "</sbml>"
-
-
-def _parameters(content: Content, words: Wording, units: "Units", options: Options) -> Iterable[str]:
-    yield "    <listOfParameters>"
-    for state, begin in zip(content.states, content.start, strict=True):
-        unit = units.of(state.unit)
-        value = "" if options.has_start_parameters else repr(begin)
-        yield from _parameter(words[state.name], state.column, value, unit, [words.about(state)], is_constant=False)
-        if options.has_start_parameters:
-            name = start_name(words, state.name)
-            yield from _parameter(name, f"{state.column} at the beginning", repr(begin), unit, [])
-    if options.has_start_parameters and any(each.kind == "time" for each in content.inputs):
-        yield from _parameter(
-            "begin_time", "time at which the simulation begins", "0.0", units.of(content.time_unit), []
-        )
-    for constant in content.constants:
+def _parameters(words: Wording, units: Units, has_start_parameters: bool) -> Iterator[Values]:
+    model = words.model
+    for state in model.states:
+        unit, start = units.of(state.unit), repr(state.start)
+        value = "" if has_start_parameters else start
+        yield _parameter(words[state], state.column, value, unit, words.about(state), constant="false")
+        if has_start_parameters:
+            yield _parameter(start_name(words, state), f"{state.column} at the beginning", start, unit)
+    if has_start_parameters and model.depends_on_time:
+        yield _parameter("begin_time", "time at which the simulation begins", "0.0", units.of(model.time_unit))
+    for constant in model.constants:
         notes = [words.note(constant)] if constant.stderr is not None else []
         if constant.interval is not None:
             notes.append(f"95 % interval {constant.interval[0]!r} to {constant.interval[1]!r}")
-        yield from _parameter(
-            words[constant], f"constant {constant.name}", repr(constant.value), units.of(constant.unit), notes
-        )
-    for held in content.held:
-        unit = units.of(held.unit)
-        yield from _parameter(words[held.name], held.column, repr(held.value), unit, [f"input, {words.about(held)}"])
-    for each in content.tables:
-        unit = units.of(each.unit)
-        yield from _parameter(
-            words[each.name], each.column, "", unit, [f"input, {words.about(each)}"], is_constant=False
-        )
-    yield "    </listOfParameters>"
+        unit = units.of(constant.unit)
+        yield _parameter(words[constant], f"constant {constant.name}", repr(constant.value), unit, *notes)
+    for held in model.held:
+        note = f"input, {words.about(held)}"
+        yield _parameter(words[held], held.column, repr(held.value), units.of(held.unit), note)
+    for table in model.tables:
+        note = f"input, {words.about(table)}"
+        yield _parameter(words[table], table.column, "", units.of(table.unit), note, constant="false")
 
 
-def _parameter(
-    name: str, title: str, value: str, unit: str, notes: list[str], *, is_constant: bool = True
-) -> Iterable[str]:
-    kind = "true" if is_constant else "false"
-    attributes = f"{_attribute('name', harmless(title))}{_attribute('value', value)}{_attribute('units', unit)}"
-    text = f'      <parameter id="{name}"{attributes} constant="{kind}"'
-    if not notes:
-        yield f"{text}/>"
-        return
-    yield f"{text}>"
-    yield from _notes(notes, "        ")
-    yield "      </parameter>"
+def _parameter(name: str, title: str, value: str, unit: str, *notes: str, constant: str = "true") -> Values:
+    attributes = _attributes(name=harmless(title), value=value, units=unit, constant=constant)
+    return {"id": name, "attributes": attributes, "notes": _lines(notes)}
 
 
-def _starts(content: Content, words: Wording, options: Options) -> Iterable[str]:
-    if not options.has_start_parameters:
-        return
-    yield "    <listOfInitialAssignments>"
-    for state in content.states:
-        math = f"{_MATH}<ci> {start_name(words, state.name)} </ci></math>"
-        yield f'      <initialAssignment symbol="{words[state.name]}">{math}</initialAssignment>'
-    yield "    </listOfInitialAssignments>"
+def _rules(words: Wording, has_start_parameters: bool) -> Iterator[Values]:
+    model = words.model
+    for table in model.tables:
+        yield {"kind": "assignmentRule", "id": words[table], "math": _math(_piecewise(table))}
+    time = _apply("plus", _TIME, _name("begin_time")) if has_start_parameters else _TIME
+    elements = {variable.name: _name(words[variable]) for variable in model.variables}
+    symbols = [elements.get(name, time) for name in model.symbols]
+    for state in model.states:
+        yield {"kind": "rateRule", "id": words[state], "math": _math(_expression(state.rate, symbols, words))}
 
 
-def _rules(content: Content, words: Wording, time: str) -> Iterable[str]:
-    yield "    <listOfRules>"
-    for each in content.tables:
-        yield f'      <assignmentRule variable="{words[each.name]}">'
-        yield f"        {_MATH}{_table(each)}</math>"
-        yield "      </assignmentRule>"
-    symbols = [_element(words, name, content, time) for name in content.symbols]
-    for state, formula in zip(content.states, content.rates, strict=True):
-        yield f'      <rateRule variable="{words[state.name]}">'
-        yield f"        {_MATH}{_mathml(formula, symbols, words)}</math>"
-        yield "      </rateRule>"
-    yield "    </listOfRules>"
+# --------------------------------------------------------------------------------------------------------------- MathML
 
 
-def _element(words: Wording, name: str, content: Content, time: str) -> str:
-    is_time = any(each.name == name and each.kind == "time" for each in content.inputs)
-    return time if is_time else f"<ci> {words[name]} </ci>"
+def _math(content: str) -> str:
+    return f'<math xmlns="http://www.w3.org/1998/Math/MathML">{content}</math>'
 
 
-def _mathml(formula: Formula, symbols: list[str], words: Wording) -> str:
-    """Return a formula as MathML, node by node."""
-    found: list[str] = []
-    for place, (code, left, right, value) in enumerate(formula.program.nodes()):
-        if code == VARIABLE:
-            found.append(symbols[left])
-        elif code == CONSTANT:
-            name = formula.constants.get(place)
-            found.append(_number(value) if name is None else f"<ci> {words.constant(name)} </ci>")
-        else:
-            found.append(_applied(code, found[left], found[right] if ARITY[code] == 2 else ""))
-    return found[-1]
+def _apply(function: str, *operands: str) -> str:
+    return f"<apply><{function}/>{''.join(operands)}</apply>"
 
 
-def _applied(code: int, left: str, right: str) -> str:
-    if code == INVERSE:
-        return f"<apply><divide/>{_number(1.0)}{left}</apply>"
-    if code == SQUARE:
-        return f"<apply><power/>{left}{_number(2.0)}</apply>"
-    if code == NEGATE:
-        return f"<apply><minus/>{left}</apply>"
-    return f"<apply><{_NAMES[code]}/>{left}{right}</apply>"
+def _name(name: str) -> str:
+    return f"<ci> {name} </ci>"
 
 
 def _number(value: float) -> str:
@@ -222,34 +192,55 @@ def _number(value: float) -> str:
     return f"<cn> {mantissa} </cn>"
 
 
-def _table(its: Input) -> str:
+def _expression(formula: Formula, symbols: Sequence[str], words: Wording) -> str:
+    """Return a formula, node by node."""
+    nodes: list[str] = []
+    for place, (code, left, right, value) in enumerate(formula.program.nodes()):
+        match OPERATORS[code].name:
+            case "variable":
+                nodes.append(symbols[left])
+            case "constant":
+                name = formula.constants.get(place)
+                nodes.append(_number(value) if name is None else _name(words.constant(name)))
+            case "inverse":
+                nodes.append(_apply("divide", _number(1.0), nodes[left]))
+            case "square":
+                nodes.append(_apply("power", nodes[left], _number(2.0)))
+            case "neg":
+                nodes.append(_apply("minus", nodes[left]))
+            case operator:
+                operands = (left, right)[: OPERATORS[code].arity]
+                nodes.append(_apply(_ELEMENTS.get(operator, operator), *(nodes[operand] for operand in operands)))
+    return nodes[-1]
+
+
+def _piecewise(variable: Input) -> str:
     """Return an input as cubics of the time, piece by piece, constant before and behind."""
-    assert its.table is not None
-    rows = its.table.tolist()
-    ends = [*(row[0] for row in rows[1:]), its.until]
-    parts = [f"<piece>{_number(rows[0][1])}<apply><lt/>{_TIME}{_number(rows[0][0])}</apply></piece>"]
+    assert variable.table is not None
+    rows = variable.table.tolist()
+    ends = [*(row[0] for row in rows[1:]), variable.until]
+    parts = [f"<piece>{_number(rows[0][1])}{_apply('lt', _TIME, _number(rows[0][0]))}</piece>"]
     for row, end in zip(rows, ends, strict=True):
-        begun, ended = f"<geq/>{_TIME}{_number(row[0])}", f"<lt/>{_TIME}{_number(end)}"
-        inside = f"<apply><and/><apply>{begun}</apply><apply>{ended}</apply></apply>"
-        parts.append(f"<piece>{_cubic(row, f'<apply><minus/>{_TIME}{_number(row[0])}</apply>')}{inside}</piece>")
-    s = its.until - rows[-1][0]
+        inside = _apply("and", _apply("geq", _TIME, _number(row[0])), _apply("lt", _TIME, _number(end)))
+        parts.append(f"<piece>{_cubic(row, _apply('minus', _TIME, _number(row[0])))}{inside}</piece>")
+    s = variable.until - rows[-1][0]
     last = rows[-1][1] + s * (rows[-1][2] + s * (rows[-1][3] + s * rows[-1][4]))
     return f"<piecewise>{''.join(parts)}<otherwise>{_number(last)}</otherwise></piecewise>"
 
 
-def _cubic(row: list[float], s: str) -> str:
+def _cubic(row: Sequence[float], s: str) -> str:
     text = _number(row[4])
     for coefficient in reversed(row[1:4]):
-        text = f"<apply><plus/>{_number(coefficient)}<apply><times/>{s}{text}</apply></apply>"
+        text = _apply("plus", _number(coefficient), _apply("times", s, text))
     return text
 
 
-def _notes(lines: Iterable[str], indent: str) -> Iterable[str]:
-    body = '<body xmlns="http://www.w3.org/1999/xhtml">'
-    yield f"{indent}<notes>{body}"
-    yield from (f"{indent}  <p>{escape(harmless(line))}</p>" for line in lines if line.strip())
-    yield f"{indent}</body></notes>"
+# ----------------------------------------------------------------------------------------------------------------- text
 
 
-def _attribute(name: str, value: str) -> str:
-    return f" {name}={quoteattr(value)}" if value else ""
+def _lines(texts: Sequence[str]) -> list[Values]:
+    return [{"line": escape(harmless(text))} for text in texts if text.strip()]
+
+
+def _attributes(**values: str) -> str:
+    return "".join(f" {name}={quoteattr(value)}" for name, value in values.items() if value)

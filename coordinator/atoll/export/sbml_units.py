@@ -1,9 +1,9 @@
 """Units of columns and constants as unit definitions of SBML: products of powers of the SI's base units."""
 
 import math
-from collections.abc import Iterable
 from typing import Final
 
+from atoll.export.template import Values
 from atoll_coordinator.units import expanded, is_factor, parse_unit
 from atoll_core.errors import UsageError
 
@@ -34,18 +34,18 @@ class Units:
             return ""
         return self._known.setdefault(factors, f"unit_{len(self._known) + 1}")
 
-    def definitions(self) -> Iterable[str]:
-        """Yield the lines that define all units that were asked for."""
-        if not self._known:
-            return
-        yield "    <listOfUnitDefinitions>"
-        for factors, name in self._known.items():
-            yield f'      <unitDefinition id="{name}"><listOfUnits>'
-            for kind, exponent, multiplier in factors:
-                numbers = f'exponent="{exponent:g}" scale="0" multiplier="{multiplier!r}"'
-                yield f'        <unit kind="{kind}" {numbers}/>'
-            yield "      </listOfUnits></unitDefinition>"
-        yield "    </listOfUnitDefinitions>"
+    def definitions(self) -> list[Values]:
+        """Return the definitions of all units that were asked for, as the template of a document names their parts."""
+        return [
+            {
+                "name": name,
+                "factors": [
+                    {"kind": kind, "exponent": f"{exponent:g}", "multiplier": multiplier}
+                    for kind, exponent, multiplier in factors
+                ],
+            }
+            for factors, name in self._known.items()
+        ]
 
 
 def factors_of(text: str) -> tuple[Factor, ...]:

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from atoll.analysis.analysis import Analysis
     from atoll.experiments.determination import Identifiability, ProfiledConstant
     from atoll.experiments.suggestion import Cost, Suggestions
+    from atoll.export.describing import HeldInputs, Times
+    from atoll.export.petab import Columns
+    from atoll.model.beginnings import Given
     from atoll.model.model import Model
 
 
@@ -198,37 +201,37 @@ class Shortcuts:
 
     # ------------------------------------------------------------------------------------------- other programs
 
-    def export(self, format: str, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+    def export(self, format: str, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return the model in a format of one file, by its name."""
         from atoll.export.formats import written
 
         return written(self.itself, format, x0, t, u)
 
-    def to_python(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+    def to_python(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return a Python module that needs numpy alone and integrates by itself."""
         return self.export("python", x0, t, u)
 
-    def to_c(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+    def to_c(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return a C99 program that integrates by itself and prints CSV."""
         return self.export("c", x0, t, u)
 
-    def to_julia(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+    def to_julia(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return a Julia script with a system of ModelingToolkit."""
         return self.export("julia", x0, t, u)
 
-    def to_matlab(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+    def to_matlab(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return a MATLAB function that calls ode45."""
         return self.export("matlab", x0, t, u)
 
-    def to_modelica(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+    def to_modelica(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return a Modelica model."""
         return self.export("modelica", x0, t, u)
 
-    def to_xppaut(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+    def to_xppaut(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return an .ode file of XPPAUT."""
         return self.export("xppaut", x0, t, u)
 
-    def to_sbml(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
+    def to_sbml(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return SBML L3V2, checked by libsbml where it is installed (``pip install 'atoll[sbml]'``)."""
         return self.export("sbml", x0, t, u)
 
@@ -244,7 +247,7 @@ class Shortcuts:
         """Return the content of result.json."""
         return self.export("json")
 
-    def to_petab(self, folder: str | Path, data: Sequence[Mapping[str, Any]] | None = None) -> None:
+    def to_petab(self, folder: str | Path, data: "Sequence[Columns] | None" = None) -> None:
         """Write a PEtab problem: SBML, measurements, noise and bounds.
 
         Args:

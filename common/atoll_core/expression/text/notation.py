@@ -1,14 +1,15 @@
-"""How languages write expressions: one row for each, beside the table of operators.
+"""How a language writes expressions, beside the table of operators.
 
 A notation says how functions are called and how powers are written; the rest, + - * / with brackets, is the same in all
-of them. `INFIX` is that of Atoll's own expressions, which our parser and sympy read.
+languages. `INFIX` is that of Atoll's own expressions, which our parser and sympy read; those of other languages stand
+with the rest of their words (`atoll.export`).
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from atoll_core.expression.operators import ABS, FUNCTIONS, LOG, SQRT
+from atoll_core.expression.operators import FUNCTIONS
 from atoll_core.expression.text.form import COTANGENT, TANGENT
 
 
@@ -45,13 +46,3 @@ class Notation:
 
 
 INFIX: Final = Notation(power="{0}**{1}", natural="{0}**{1}", cotangent="cot")
-PYTHON: Final = Notation(prefix="np.", power="np.power({0}, {1})", natural="{0}**{1}", is_call=True)
-"""Of numpy; `np.power` is not a number where a Python power would be complex."""
-C: Final = Notation({ABS: "fabs"}, power="pow({0}, {1})", natural="pow({0}, {1})", is_call=True)
-JULIA: Final = Notation(cotangent="cot")
-MATLAB: Final = Notation(
-    {LOG: "reallog", SQRT: "realsqrt"}, power="realpow({0}, {1})", natural="{0}^{1}", is_call=True, cotangent="cot"
-)
-"""The real functions end with an error where the plain ones would go on with complex numbers."""
-MODELICA: Final = Notation()
-XPPAUT: Final = Notation({LOG: "ln"})

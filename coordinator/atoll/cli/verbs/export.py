@@ -3,7 +3,6 @@
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.saved_model import chosen_times, deliver, held_inputs, load, start_of
@@ -16,23 +15,23 @@ from atoll_core.errors import UsageError
 
 def export(options: argparse.Namespace) -> int:
     """Write the model of ``options.result`` in ``options.format``. Return the exit code."""
-    from atoll.export.content import held_at_zero
-    from atoll.export.formats import PETAB, format_of
+    from atoll.export.describing import describe
+    from atoll.export.formats import LANGUAGES, OF_RESULTS, PETAB, write
 
     if options.format == PETAB:
         _write_petab(_chosen(load(options), options), options)
         return DONE
     if options.data is not None:
         raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
-    form = format_of(options.format)
-    if form.of_result is not None:
-        deliver(form.of_result(_result(options)), options.output)
+    if options.format in OF_RESULTS:
+        deliver(OF_RESULTS[options.format](_result(options)), options.output)
         return DONE
     model = _chosen(load(options), options)
-    beginning = _beginning(model, options)
-    deliver(model.export(options.format, **beginning), options.output)
-    for sentence in held_at_zero(model, beginning.get("x0"), beginning.get("u"), form.without_tables):
-        note(f"coordinator: {sentence}; give --hold{'' if form.without_tables else ' or --initial FILE'}")
+    language = LANGUAGES[options.format]
+    description = describe(model, *_beginning(model, options), language.without_tables)
+    deliver(write(description, language), options.output)
+    for sentence in description.zeros:
+        note(f"coordinator: {sentence}; give --hold{' or --initial FILE' if language.has_tables else ''}")
     return DONE
 
 
@@ -64,15 +63,17 @@ def _chosen(model: Model, options: argparse.Namespace) -> Model:
     return model
 
 
-def _beginning(model: Model, options: argparse.Namespace) -> dict[str, Any]:
+def _beginning(
+    model: Model, options: argparse.Namespace
+) -> tuple[Mapping[str, float] | None, FloatArray | None, dict[str, FloatArray | float] | None]:
     """Return initial state, times and inputs, as far as options tell them."""
     if model.is_regression:
-        return {}
+        return None, None, None
     start = start_of(model, options.initial)
     is_told = options.until is not None or options.step is not None or start.times is not None
     times = chosen_times(model, start, options) if is_told else None
-    inputs: dict[str, Any] = {} if times is None else dict(start.inputs(times))
-    return {"x0": start.state, "t": times, "u": inputs | held_inputs(model, options)}
+    inputs = {} if times is None else start.inputs(times)
+    return start.state, times, {**inputs, **held_inputs(model, options)}
 
 
 def _write_petab(model: Model, options: argparse.Namespace) -> None:

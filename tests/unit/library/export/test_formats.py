@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from atoll.cli.options.parser import EXPORT_FORMATS
-from atoll.export.formats import FORMATS, NAMES
+from atoll.export.formats import LANGUAGES, NAMES
 from atoll.model.beginnings import times_of
 from atoll.model.model import Model
 from atoll_core.errors import UsageError
@@ -28,7 +28,6 @@ from tests.unit.library.export.exported import (
 from tests.unit.library.model.results import result
 
 READERS = {"xppaut": readers.read_xppaut, "modelica": readers.read_modelica, "julia": readers.read_julia}
-OF_CONTENT = [name for name, its in FORMATS.items() if its.of_content is not None]
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +67,7 @@ def test_every_operator_and_hostile_names_keep_their_meaning() -> None:
         assert difference(read(its.export(name)).simulate(TIMES), its) < 1e-8
 
 
-@pytest.mark.parametrize("format", OF_CONTENT)
+@pytest.mark.parametrize("format", LANGUAGES)
 def test_names_are_plain_and_said(format: str) -> None:
     text = everything().export(format)
     assert re.search(r"\btheta\b", text)
@@ -93,7 +92,7 @@ def test_a_state_may_have_the_name_of_a_constant_or_of_a_helper() -> None:
     assert run_python(Model(noisy).to_python())["noise"](0.0, np.array([1.0, 1.0])).shape == (2, 2)
 
 
-@pytest.mark.parametrize("format", OF_CONTENT)
+@pytest.mark.parametrize("format", LANGUAGES)
 def test_constants_have_all_digits_and_their_errors(format: str) -> None:
     text = decay().export(format, {"x": 0.1 + 0.2})
     assert "0.30000000000000004" in text
@@ -102,7 +101,7 @@ def test_constants_have_all_digits_and_their_errors(format: str) -> None:
     assert "standard error 0.1" in text or format == "xppaut"
 
 
-@pytest.mark.parametrize("format", OF_CONTENT)
+@pytest.mark.parametrize("format", LANGUAGES)
 def test_whole_numbers_without_errors_are_no_parameters(format: str) -> None:
     assert "c1" not in model({"x": "-2.0*x"}).export(format)
 
@@ -278,7 +277,7 @@ def test_no_text_breaks_out_of_a_comment() -> None:
     its = model({"x": "-2.5*x"}).result.as_dict()
     its["equations"][0]["reason"] = "*/ \\\nimport os #\u2028system()\u202e"
     its["data"]["files"] = ['a".csv\r\nexit']
-    for name in OF_CONTENT:
+    for name in LANGUAGES:
         lines = Model(its).export(name).splitlines()
         assert not any(line.startswith(("import os", "system", "exit")) for line in lines)
         assert not any(line.endswith("\\") for line in lines)

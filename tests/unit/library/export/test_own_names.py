@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.export import c, julia, matlab, modelica, python, sbml, xppaut
-from atoll.export.content import Language
-from atoll.export.formats import FORMATS
+from atoll.export import c
+from atoll.export.formats import LANGUAGES
 from atoll.export.naming import Naming
 from atoll.model.model import Model
 from atoll_core.expression.operators import OPERATORS
@@ -19,15 +18,6 @@ from benchmarks.exports import programs, readers
 from tests.unit.library.export.exported import TIMES, difference, model, process, run_python
 from tests.unit.library.model.results import constant, result
 
-LANGUAGES: dict[str, Language] = {
-    "python": python.LANGUAGE,
-    "c": c.LANGUAGE,
-    "julia": julia.LANGUAGE,
-    "matlab": matlab.LANGUAGE,
-    "modelica": modelica.LANGUAGE,
-    "xppaut": xppaut.LANGUAGE,
-    "sbml": sbml.LANGUAGE,
-}
 MARK = re.compile(r"zq\w*")
 """Names of columns that no language and no file has, as they are recognised in a text."""
 ASIDE = {"modelica": r"annotation\(.*", "xppaut": r"@.*"}
@@ -148,7 +138,3 @@ def test_python_runs_with_every_such_name_and_agrees() -> None:
 def test_other_files_are_read_with_every_such_name_and_agree(name: str, read: object) -> None:
     its = hostile(name)
     assert difference(read(its.export(name)).simulate(TIMES), its) < 1e-8  # type: ignore[operator]
-
-
-def test_every_format_with_names_is_tested() -> None:
-    assert {name for name, its in FORMATS.items() if its.of_content is not None} == set(LANGUAGES)
