@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
+from pydantic import JsonValue
 
 from atoll.api.discover import discover
 from atoll.api.tables import numbers_of
@@ -90,13 +91,15 @@ class Discoverer:
     @property
     def equations_(self) -> dict[str, str]:
         """The right-hand side of each state, constants rounded."""
-        return {each.variable: each.expression for each in self._model.equations}
+        return {equation.variable: equation.expression for equation in self._model.equations}
 
     @property
-    def front_(self) -> dict[str, list[Mapping[str, Any]]]:
+    def front_(self) -> dict[str, list[Mapping[str, JsonValue]]]:
         """By state, the best expression of each complexity with its errors."""
         equations = self._model.result.equations
-        return {one.variable: [member.model_dump(mode="json") for member in one.front] for one in equations}
+        return {
+            equation.variable: [member.model_dump(mode="json") for member in equation.front] for equation in equations
+        }
 
     def equations(self, precision: int = DIGITS) -> list[str]:
         """Return the right-hand sides, constants rounded to so many significant digits."""
@@ -104,12 +107,14 @@ class Discoverer:
         from atoll_core.expression.text.parsing import from_infix
 
         names = list(self._model.result.names)
-        return [to_infix(from_infix(each.exact, names), names, digits=precision) for each in self._model.equations]
+        return [
+            to_infix(from_infix(equation.exact, names), names, digits=precision) for equation in self._model.equations
+        ]
 
     def print(self, precision: int = DIGITS) -> None:
         """Print the equations."""
-        for each, text in zip(self._model.equations, self.equations(precision), strict=True):
-            sys.stdout.write(f"{each.lhs} = {text}\n")
+        for equation, text in zip(self._model.equations, self.equations(precision), strict=True):
+            sys.stdout.write(f"{equation.lhs} = {text}\n")
 
     def predict(self, x: Any, u: Any = None, *, group: object = None) -> Any:
         """Return the derivatives (N, D) at states, of a list a list.
@@ -126,9 +131,9 @@ class Discoverer:
         `group` is as of `predict`.
         """
         times = np.atleast_1d(numbers(t, "times"))
-        found = self._of(group).simulate(numbers(x0, "an initial state"), times, u, has_bands=False)
-        states = np.full((len(times), found.x.shape[1]), np.nan)
-        states[: len(found.x)] = found.x
+        simulation = self._of(group).simulate(numbers(x0, "an initial state"), times, u, has_bands=False)
+        states = np.full((len(times), simulation.x.shape[1]), np.nan)
+        states[: len(simulation.x)] = simulation.x
         return states
 
     def score(self, x: Any, t: Any = 1.0, u: Any = None, x_dot: Any = None, *, group: object = None) -> float:
@@ -136,15 +141,15 @@ class Discoverer:
 
         `group` is as of `predict`.
         """
-        measured, found = [], []
+        measured, predicted = [], []
         for index, part in enumerate(_parts(x)):
             rows = _rows(part)
             times = _times(_of(t, index, len(_parts(x))), len(rows))
             slopes = np.gradient(rows, times, axis=0) if x_dot is None else _rows(_parts(x_dot)[index])
             measured.append(slopes)
-            found.append(self.predict(rows, None if u is None else _parts(u)[index], group=group))
-        all_measured, all_found = np.concatenate(measured), np.concatenate(found)
-        left = ((all_measured - all_found) ** 2).sum(axis=0)
+            predicted.append(self.predict(rows, None if u is None else _parts(u)[index], group=group))
+        all_measured, all_predicted = np.concatenate(measured), np.concatenate(predicted)
+        left = ((all_measured - all_predicted) ** 2).sum(axis=0)
         spread = ((all_measured - all_measured.mean(axis=0)) ** 2).sum(axis=0)
         return float(np.mean(1.0 - left / np.where(spread > 0.0, spread, np.inf)))
 
@@ -211,7 +216,7 @@ def _names(x: Any, u: Any, given: Sequence[str] | None) -> tuple[list[str], list
 
 def _own(part: Any, letter: str, count: int) -> list[str]:
     columns = getattr(part, "columns", None)
-    return [f"{letter}{index}" for index in range(count)] if columns is None else [str(each) for each in columns]
+    return [f"{letter}{index}" for index in range(count)] if columns is None else [str(column) for column in columns]
 
 
 def _dots(names: Sequence[str]) -> list[str]:

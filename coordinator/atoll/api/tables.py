@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_coordinator.data.reading.columns import TIME
 from atoll_coordinator.data.reading.dates import Dates, dates_of_array, times_of
@@ -40,8 +41,8 @@ def table_of(data: Any, config: DataConfig) -> Table:
             f"found {type(data).__name__}"
         )
     labels: dict[str, dict[str, float]] = {}
-    its = _joined([_columns_of(part, config, labels) for part in parts])
-    return replace(its, labels={name: tuple(texts) for name, texts in labels.items()})
+    table = _joined([_columns_of(part, config, labels) for part in parts])
+    return replace(table, labels={name: tuple(texts) for name, texts in labels.items()})
 
 
 def _has_columns(part: Any) -> bool:
@@ -59,31 +60,31 @@ def _columns_of(part: Any, config: DataConfig, labels: dict[str, dict[str, float
     named = _named_arrays(part)
     plain = [split_unit(name)[0] for name in named]
     trajectory, needed = find_trajectory_column(plain, config), named_columns(config)
-    found: dict[str, FloatArray | Dates] = {}
-    for (name, values), its in zip(named.items(), plain, strict=True):
+    columns: dict[str, FloatArray | Dates] = {}
+    for (name, values), plain_name in zip(named.items(), plain, strict=True):
         if values.ndim != 1:
             raise DataError(f"column '{name}' has the shape {values.shape}; one number for each row is expected")
         dates = _dates_of(values)
         numbers = None if dates is not None else numbers_of(values, f"column '{name}'")
         if dates is not None:
-            found[_time_name(its, plain, config)] = dates
+            columns[_time_name(plain_name, plain, config)] = dates
         elif numbers is not None:
-            found[f"{name} [s]" if values.dtype.kind == "m" and its == name else name] = numbers
-        elif its == trajectory:
-            found[name] = _numbered(values, {})
-        elif its == config.group:
-            found[name] = _numbered(values, labels.setdefault(its, {}))
-        elif its in needed:
+            columns[f"{name} [s]" if values.dtype.kind == "m" and plain_name == name else name] = numbers
+        elif plain_name == trajectory:
+            columns[name] = _numbered(values, {})
+        elif plain_name == config.group:
+            columns[name] = _numbered(values, labels.setdefault(plain_name, {}))
+        elif plain_name in needed:
             raise DataError(f"column '{name}' holds text; numbers are expected")
-    if named and not found:
+    if named and not columns:
         raise DataError("all columns hold text; numbers are expected")
-    lengths = {_length(values) for values in found.values()}
+    lengths = {_length(values) for values in columns.values()}
     if len(lengths) != 1 or lengths == {0}:
         raise DataError(f"columns have {sorted(lengths)} rows; one number of rows, above 0, is expected")
-    return found
+    return columns
 
 
-def _named_arrays(part: Any) -> dict[str, Any]:
+def _named_arrays(part: Any) -> dict[str, npt.NDArray[Any]]:
     """Return the columns of a mapping, a frame or an xarray data set, and the index of a pandas frame if it says more
     than which row it is."""
     if hasattr(part, "data_vars") and hasattr(part, "coords"):  # xarray
@@ -101,7 +102,7 @@ def _named_arrays(part: Any) -> dict[str, Any]:
     return named
 
 
-def _array(values: Any, name: str) -> Any:
+def _array(values: Any, name: str) -> npt.NDArray[Any]:
     try:
         return np.asarray(values)
     except ValueError:
@@ -135,7 +136,7 @@ def _time_name(name: str, names: Sequence[str], config: DataConfig) -> str:
     """
     if name == config.time or (config.time is None and name in TIME_NAMES):
         return name
-    other = config.time or next((each for each in TIME_NAMES if each in names), None)
+    other = config.time or next((known for known in TIME_NAMES if known in names), None)
     if other is not None:
         raise DataError(f"column '{name}' holds dates or times beside the time '{other}'; leave out one of them")
     return TIME
@@ -195,8 +196,9 @@ def _joined(parts: Sequence[Mapping[str, FloatArray | Dates]]) -> Table:
     nowhere = np.zeros(columns.shape[1], dtype=np.int64)
     names = tuple(name for name, _ in units)
     remarks = "; ".join(f"{name}: {remark}" for name, (*_, remark) in zip(names, read, strict=True) if remark)
-    its = tuple(unit for _, unit in units)
-    return Table(names, its, columns, starts, (NAME,), nowhere, nowhere.copy(), read_as=remarks)
+    return Table(
+        names, tuple(unit for _, unit in units), columns, starts, (NAME,), nowhere, nowhere.copy(), read_as=remarks
+    )
 
 
 def _column(parts: Sequence[FloatArray | Dates], name: str, starts: Sequence[int]) -> tuple[FloatArray, str, str]:

@@ -29,8 +29,8 @@ def coordinator_lines(view: CoordinatorView | None) -> str:
         f"store: {store.transactions} transactions, {1000 * mean:.1f} ms each, {1000 * store.worst_s:.1f} ms at most",
     ]
     rows = [
-        (each.kind, str(each.messages_in), size(each.bytes_in), str(each.messages_out), size(each.bytes_out))
-        for each in counters.traffic
+        (entry.kind, str(entry.messages_in), size(entry.bytes_in), str(entry.messages_out), size(entry.bytes_out))
+        for entry in counters.traffic
     ]
     return "\n".join([*lines, table(("KIND", "MESSAGES IN", "BYTES IN", "MESSAGES OUT", "BYTES OUT"), rows)])
 
@@ -57,6 +57,7 @@ def _row(view: WorkerView) -> tuple[str, ...]:
     return (
         view.worker, view.host, str(view.pid), view.state, str(view.islands), f"{view.silent:.1f} s",
         size(counters.memory_bytes), duration(counters.cpu_s),
-        size(sum(each.bytes_in for each in counters.traffic)), size(sum(each.bytes_out for each in counters.traffic)),
+        size(sum(entry.bytes_in for entry in counters.traffic)),
+        size(sum(entry.bytes_out for entry in counters.traffic)),
         duration(counters.waited_s), trouble(counters), view.version, doing or view.detail,
     )  # fmt: skip

@@ -10,7 +10,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig
@@ -204,10 +204,10 @@ class Client:
         body = GetEvents(job=job, after=after, limit=limit)
         return self._ask(body, EventList, "the log of events").events
 
-    def result(self, job: str) -> dict[str, Any]:
+    def result(self, job: str) -> dict[str, object]:
         """Return the contents of result.json; while the job runs, the best so far."""
         text = self._ask(GetResult(job=job), Result, f"the result of job {job}").json_text
-        contents: dict[str, Any] = _understood(lambda: json.loads(text))
+        contents: dict[str, object] = _understood(lambda: json.loads(text))
         return contents
 
     def cancel(self, job: str) -> JobView:

@@ -44,7 +44,7 @@ class Option(NamedTuple):
         """The option of the command line."""
         return Field(self.name).on_command_line
 
-    def decide(self, value: Any) -> dict[str, Any]:
+    def decide(self, value: Any) -> dict[str, object]:
         """Return the settings that `value` decides, by dotted name; raises UsageError."""
         values = self.read(value, Field(self.name))
         settings = self.settings.split()
@@ -130,19 +130,19 @@ def switch(value: Any, field: Field) -> bool:
     return True
 
 
-def angles(value: Any, field: Field) -> list[dict[str, Any]]:
+def angles(value: Any, field: Field) -> list[dict[str, str | bool]]:
     """Return the angles of ``theta`` and ``theta:deg``."""
     return [_angle(text(part, field)) for part in _several(value)]
 
 
-def _angle(line: str) -> dict[str, Any]:
+def _angle(line: str) -> dict[str, str | bool]:
     column, _, unit = line.rpartition(":")
     return {"column": column, "degrees": unit == "deg"} if column and unit in ("deg", "rad") else {"column": line}
 
 
-def by_equation(value: Any, field: Field, *, example: str, noun: str = "the equation") -> dict[str, Any]:
+def by_equation(value: Any, field: Field, *, example: str, noun: str = "the equation") -> dict[str, object]:
     """Return what stands right by left-hand side, of a mapping or of ``dy=-x``, given once for each side."""
-    sides: dict[str, Any] = {}
+    sides: dict[str, object] = {}
     for side, right in _pairs(value, field, example):
         if side in sides:
             raise UsageError("%s names %s of %r twice; give one", field, noun, side)

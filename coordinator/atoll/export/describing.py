@@ -122,7 +122,7 @@ def _sizes(
     recorded: Mapping[str, tuple[FloatArray, FloatArray]],
 ) -> FloatArray:
     """Return how large simulations take the states to be, inputs of which nothing is known held at 0 as here."""
-    zeros = {variable.name: 0.0 for variable in inputs if variable.state == "unknown"}
+    zeros = {variable.name: 0.0 for variable in inputs if variable.status == "unknown"}
     course = inputs_along(model, {**zeros, **given}, times, recorded)
     return followed_sizes(model.field, start, times, course, _MOST_EVALUATIONS)
 
@@ -149,13 +149,13 @@ def _input(
     if value is None and column == model.time and not model.is_regression:
         return Input(name, column, unit, "time")
     if value is None and recorded is None:
-        return Input(name, column, unit, "value", state="unknown")
+        return Input(name, column, unit, "value", status="unknown")
     if value is None and recorded is not None:
-        times, value = recorded
-        if (value == value[0]).all():
-            value = value[0]
-        elif not has_tables:
-            return Input(name, column, unit, "value", state="dropped")
+        times, course = recorded
+        is_constant = bool((course == course[0]).all())
+        if not is_constant and not has_tables:
+            return Input(name, column, unit, "value", status="dropped")
+        value = course[0] if is_constant else course
     if callable(value):
         raise UsageError(f"the input {name!r} is a function, which no export can hold; give its values at the times t")
     values = np.asarray(value, dtype=np.float64)
@@ -177,7 +177,8 @@ def _pieces(times: FloatArray, values: FloatArray) -> FloatArray:
 def _zeros(inputs: tuple[Input, ...], without_tables: str) -> tuple[str, ...]:
     """Return sentences on the inputs that are held at 0 for want of a value."""
     dropped, unknown = (
-        ", ".join(variable.column for variable in inputs if variable.state == state) for state in ("dropped", "unknown")
+        ", ".join(variable.column for variable in inputs if variable.status == status)
+        for status in ("dropped", "unknown")
     )
     return (
         *((f"inputs held at 0, not as recorded, since {without_tables} has no tables: {dropped}",) if dropped else ()),

@@ -38,7 +38,7 @@ class Input:
 
     It is the time itself, is held at a `value`, or goes along a `table`: pieces of cubics, (N - 1, 5), each the time
     from which it holds and the coefficients of the powers 0 to 3 of the time since then; `until` is the last time.
-    One that is held at 0 for want of anything better is `unknown`, or recorded and `dropped`.
+    Its `status` is that nothing is known of it, or that what was recorded was dropped, where it is held at 0 for that.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Input:
     value: float = 0.0
     table: FloatArray | None = None
     until: float = 0.0
-    state: Literal["known", "unknown", "dropped"] = "known"
+    status: Literal["known", "unknown", "dropped"] = "known"
 
 
 @dataclass(frozen=True, eq=False)

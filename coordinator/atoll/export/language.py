@@ -148,11 +148,13 @@ class Wording:
     def values(self) -> Values:
         """What templates can name."""
         model = self.model
-        constants = [
+        constants: list[Values] = [
             {"name": self[constant], "value": constant.value, "remark": self._remark(constant)}
             for constant in model.constants
         ]
-        held = [{"name": self[held], "value": held.value, "about": self.about(held)} for held in model.held]
+        held: list[Values] = [
+            {"name": self[held], "value": held.value, "about": self.about(held)} for held in model.held
+        ]
         parameters = [*constants, *held] if model.states else constants
         step = (model.end - model.begin) / model.steps
         return {

@@ -27,13 +27,13 @@ class Naming:
 
         Of those that want the same, the first gets it.
         """
-        found: dict[str, str] = {}
+        names: dict[str, str] = {}
         taken: set[str] = set()
-        for key in sorted(wanted, key=lambda each: not self._is_good(wanted[each])):
+        for key in sorted(wanted, key=lambda wish: not self._is_good(wanted[wish])):
             name = wanted[key]
-            found[key] = self._unique(name if self._is_good(name) else self._rewritten(name), taken)
-            taken.add(self._key(found[key]))
-        return {key: found[key] for key in wanted}
+            names[key] = self._unique(name if self._is_good(name) else self._rewritten(name), taken)
+            taken.add(self._key(names[key]))
+        return {key: names[key] for key in wanted}
 
     def _key(self, name: str) -> str:
         return name.lower() if self.is_caseless else name
@@ -82,7 +82,7 @@ def _spelled(character: str) -> str:
 def harmless(text: str) -> str:
     """Return `text` as it may stand in a comment of any language: one line, no backslash, no invisible character."""
     kept = (
-        each if unicodedata.category(each)[0] not in "CZ" else " "
-        for each in text.replace("\\", "/").replace("*/", "* /")
+        character if unicodedata.category(character)[0] not in "CZ" else " "
+        for character in text.replace("\\", "/").replace("*/", "* /")
     )
     return " ".join("".join(kept).split())

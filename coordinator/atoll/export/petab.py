@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from atoll.export import sbml
 from atoll.export.describing import describe, inputs_beside_time
@@ -22,7 +21,7 @@ from atoll.export.formats import refuse_tables, require_holds
 from atoll.export.language import Wording
 from atoll.model.beginnings import measured_beginning, values_of_curve
 from atoll.model.parameters import Parameter
-from atoll.model.rows import inputs_of, rows_of
+from atoll.model.rows import Columns, inputs_of, rows_of
 from atoll_coordinator.result.findings import Errors, Noise
 from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
 from atoll_core.data.dataset import FloatArray
@@ -53,8 +52,6 @@ _PARAMETERS: Final = (
 )  # fmt: skip
 
 Row = tuple[str | float, ...]
-Columns = Mapping[str, npt.ArrayLike]
-"""Measured columns of a trajectory by name, or a frame."""
 
 
 def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | None = None) -> None:

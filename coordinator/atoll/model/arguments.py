@@ -23,23 +23,23 @@ def numbers(given: Any, what: str, expected: str = "numbers") -> FloatArray:
 
 def number(given: Any, what: str) -> float:
     """Return one number; raises UsageError."""
-    found = numbers(given, what, "a number")
-    if found.ndim:
+    value = numbers(given, what, "a number")
+    if value.ndim:
         raise UsageError(f"{what} must be a number, but {shown(given)} was given")
-    return float(found)
+    return float(value)
 
 
 def interval(given: Any, what: str) -> tuple[float, float]:
     """Return a lower and an upper bound; raises UsageError where it is no finite interval."""
-    found = numbers(given, what, "two numbers")
-    if found.shape != (2,):
+    bounds = numbers(given, what, "two numbers")
+    if bounds.shape != (2,):
         raise UsageError(f"{what} must be two numbers, such as (0.0, 1.0), but {shown(given)} was given")
-    if not (np.isfinite(found).all() and found[0] < found[1]):
+    if not (np.isfinite(bounds).all() and bounds[0] < bounds[1]):
         raise UsageError(f"{what} must have a lower bound, then an upper one, but {shown(given)} was given")
-    return float(found[0]), float(found[1])
+    return float(bounds[0]), float(bounds[1])
 
 
-def by_name(given: Any, what: str) -> Mapping[str, Any]:
+def by_name(given: Any, what: str) -> Mapping[str, object]:
     """Return a mapping from names, empty for None; raises UsageError."""
     if given is None:
         return {}

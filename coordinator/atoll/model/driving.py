@@ -19,7 +19,8 @@ from atoll_core.hints import did_you_mean
 if TYPE_CHECKING:
     from atoll.model.model import Model
 
-GivenInputs = Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None
+_Course = Callable[[float], npt.ArrayLike]
+GivenInputs = Mapping[str, npt.ArrayLike | _Course] | npt.ArrayLike | _Course | None
 """By name numbers, arrays or functions of time; an array (N, U); or a function of time that returns U numbers."""
 
 _Recorded = tuple[FloatArray, FloatArray]

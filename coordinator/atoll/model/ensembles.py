@@ -41,8 +41,8 @@ def ensemble_of(
     begins, lengths, is_kept = divided(times, longest)
     middles = (begins + 0.5 * lengths).tolist()
     held = np.zeros((0, len(middles))) if inputs is None else np.array([inputs(at) for at in middles]).T
-    found = simulator.paths(np.repeat(x0[:, None], drawn[0], axis=1), held, lengths, is_kept)
-    return Ensemble(model.states, times, found.transpose(2, 0, 1), model.time)
+    paths = simulator.paths(np.repeat(x0[:, None], drawn[0], axis=1), held, lengths, is_kept)
+    return Ensemble(model.states, times, paths.transpose(2, 0, 1), model.time)
 
 
 def density_of_process(

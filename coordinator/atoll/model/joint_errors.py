@@ -83,7 +83,7 @@ def _explicit(result: Result, equation: Equation, known: Covariance) -> Program 
 def _explicit_program(program: Program, origins: Sequence[int | None]) -> ExplicitCoefficients | None:
     """Return the program whose constants, in node order, are these of the covariance; None where there is none."""
     explicit = (make_coefficients_explicit(program), as_written(program))
-    return next((one for one in explicit if [*one.origins] == [*origins]), None)
+    return next((coefficients for coefficients in explicit if [*coefficients.origins] == [*origins]), None)
 
 
 def _over(program: Program, places: Sequence[int]) -> Program:

@@ -23,7 +23,7 @@ from atoll.model.files import write_text
 from atoll.model.groups import differing_groups, of_group, remark_on_groups
 from atoll.model.joint_errors import JointErrors
 from atoll.model.parameters import LEVEL, Parameter, parameters_of
-from atoll.model.rows import has_columns, points_of
+from atoll.model.rows import Columns, has_columns, points_of
 from atoll.model.scoring import score
 from atoll.model.shortcuts import Shortcuts
 from atoll.model.simulation import EarlyEndWarning, Simulation, simulate
@@ -41,7 +41,7 @@ from atoll_core.expression.text.parsing import from_infix
 class Model(Shortcuts):
     """A model as users hold it: the result of a job that has found every equation, and what follows from it."""
 
-    def __init__(self, result: Result | Mapping[str, Any]) -> None:
+    def __init__(self, result: Result | Mapping[str, object]) -> None:
         """Take a result, or the content of result.json; raises UsageError when it is none, or lacks an equation."""
         self._result = Result.of(result)
         if not self._result.equations or any(equation.expression is None for equation in self._result.equations):
@@ -52,7 +52,7 @@ class Model(Shortcuts):
         return type(self), (self._result,)
 
     @classmethod
-    def from_result(cls, result: Result | Mapping[str, Any]) -> "Model":
+    def from_result(cls, result: Result | Mapping[str, object]) -> "Model":
         """Return the model of a result, or of the content of result.json; raises UsageError."""
         return cls(result)
 
@@ -155,8 +155,8 @@ class Model(Shortcuts):
         """Return the model with the constants of one of the `groups`; raises UsageError for another one."""
         name = str(group)
         if name not in self.groups:
-            one = "the model has no groups, but one set of constants for all trajectories"
-            there = f"the groups are {', '.join(self.groups)}" if self.groups else one
+            alone = "the model has no groups, but one set of constants for all trajectories"
+            there = f"the groups are {', '.join(self.groups)}" if self.groups else alone
             raise UsageError(f"there is no group {name!r}; {there}")
         return Model(of_group(self._result, next(known for known in self._result.groups if known.group == name)))
 
@@ -285,13 +285,11 @@ class Model(Shortcuts):
         """The equations of the diffusion g g' of a process dx = f dt + g dW: the places of both states, by name."""
         columns = [*enumerate(self.result.columns_by_symbol[name] for name in self.states)]
         pairs = {f"[{name}]": (place, place) for place, name in columns}
-        pairs |= {f"[{one},{other}]": (i, j) for i, one in columns for j, other in columns if i < j}
+        pairs |= {f"[{first},{second}]": (i, j) for i, first in columns for j, second in columns if i < j}
         named = [equation.variable for equation in self.result.equations]
         return {name: pairs[name] for name in named if name in pairs}
 
-    def predict(
-        self, x: Mapping[str, Any] | npt.ArrayLike, u: Mapping[str, Any] | npt.ArrayLike | None = None
-    ) -> FloatArray:
+    def predict(self, x: Columns | npt.ArrayLike, u: Columns | npt.ArrayLike | None = None) -> FloatArray:
         """Return the derivatives at rows of states, of a regression its target.
 
         Args:
@@ -317,7 +315,7 @@ class Model(Shortcuts):
             raise UsageError(f"there are {len(held)} rows of inputs for {len(points)} of states; give one for each")
         return self.field.values(points, held)
 
-    def score(self, data: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> float:
+    def score(self, data: Columns | Sequence[Columns]) -> float:
         """Return R2 on data: columns by name (also a frame), or a list of these, one for each trajectory.
 
         A model of dynamics is simulated from the first row of each trajectory, and R2 is the mean over its measured

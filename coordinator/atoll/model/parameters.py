@@ -95,7 +95,7 @@ def _numbers(equation: Equation | GroupEquation, names: Sequence[str]) -> list[N
     program = from_infix(equation.expression, names)
     numbers: list[Number] = []
     for value in program.constants[constant_places(program)].tolist():
-        place = next((place for place, one in enumerate(left) if _is_as_large(one, value)), None)
+        place = next((place for place, constant in enumerate(left) if _is_as_large(constant, value)), None)
         numbers.append((value, None if place is None else left.pop(place)))
     return numbers
 

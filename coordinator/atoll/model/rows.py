@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.model.arguments import numbers
 from atoll_core.data.dataset import FloatArray
@@ -15,8 +16,11 @@ from atoll_core.errors import UsageError
 if TYPE_CHECKING:
     from atoll.model.model import Model
 
+Columns = Mapping[str, npt.ArrayLike]
+"""Measured columns by name; a frame of pandas or polars does as well."""
 
-def rows_of(model: "Model", part: Mapping[str, Any]) -> tuple[FloatArray, dict[str, FloatArray], dict[str, float]]:
+
+def rows_of(model: "Model", part: Columns) -> tuple[FloatArray, dict[str, FloatArray], dict[str, float]]:
     """Return the times (N,) of measured rows, the measured states (N,) by name, and the state of the first row.
 
     Velocities of equations of second order that were not measured are those of the first rows.
@@ -41,7 +45,7 @@ def rows_of(model: "Model", part: Mapping[str, Any]) -> tuple[FloatArray, dict[s
     return times, values, start
 
 
-def inputs_of(model: "Model", part: Mapping[str, Any]) -> dict[str, FloatArray]:
+def inputs_of(model: "Model", part: Columns) -> dict[str, FloatArray]:
     """Return those inputs (N,) of measured rows that have a column, by name."""
     columns = model.result.columns_by_symbol
     return {name: column(part, columns[name]) for name in model.inputs if has(part, columns[name])}
@@ -95,7 +99,7 @@ def _is_index(given: Any, name: str) -> bool:
 def _positions(model: "Model") -> dict[str, str]:
     """Return the position of each velocity of equations of second order, by name; empty for other models."""
     half = len(model.states) // 2
-    is_second = all(one.lhs.startswith(f"d2{one.variable}/") for one in model.result.equations)
+    is_second = all(equation.lhs.startswith(f"d2{equation.variable}/") for equation in model.result.equations)
     return dict(zip(model.states[half:], model.states[:half], strict=True)) if is_second else {}
 
 

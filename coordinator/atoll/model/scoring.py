@@ -1,12 +1,12 @@
 """How well a model describes data that it may not have seen: R2."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from atoll.model.rows import column, has, has_columns, rows_of, stacked
+from atoll.model.rows import Columns, column, has, has_columns, rows_of, stacked
 from atoll.model.simulation import EarlyEndWarning, Simulation
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
 
 
-def score(model: "Model", data: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> float:
+def score(model: "Model", data: Columns | Sequence[Columns]) -> float:
     """Return R2 on data; see `atoll.Model.score`."""
     parts: list[Any] = [*data] if isinstance(data, (list, tuple)) else [data]
     if not parts or not all(map(has_columns, parts)):
@@ -47,7 +47,7 @@ def _of_dynamics(model: "Model", parts: Sequence[Any]) -> float:
     return float(np.mean([_r2(rows, values) for rows, values in pairs]))
 
 
-def _simulated(model: "Model", part: Mapping[str, Any]) -> Simulation:
+def _simulated(model: "Model", part: Columns) -> Simulation:
     """Return the simulation of measured rows from the first of them."""
     columns = model.result.columns_by_symbol
     times, _, start = rows_of(model, part)

@@ -76,13 +76,13 @@ class Simulation:
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the time, the states and, where they are known, the bounds of their bands, by column name."""
-        found = {self.time: self.t}
-        found |= {name: self.x[:, place] for place, name in enumerate(self.states)}
+        columns = {self.time: self.t}
+        columns |= {name: self.x[:, place] for place, name in enumerate(self.states)}
         if self.lower is not None and self.upper is not None:
             for place, name in enumerate(self.states):
-                found[f"{name}_lower"] = self.lower[:, place]
-                found[f"{name}_upper"] = self.upper[:, place]
-        return found
+                columns[f"{name}_lower"] = self.lower[:, place]
+                columns[f"{name}_upper"] = self.upper[:, place]
+        return columns
 
     def to_csv(self) -> str:
         """Return the columns as CSV, numbers with all their digits."""
@@ -93,9 +93,9 @@ class Simulation:
         writer.writerows(zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True))
         return stream.getvalue()
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return everything as plain lists and texts, for JSON; numbers that are not finite are None."""
-        columns = {name: [_finite(each) for each in values.tolist()] for name, values in self.columns().items()}
+        columns = {name: [_finite(value) for value in values.tolist()] for name, values in self.columns().items()}
         return {"status": self.status, "message": self.message, "columns": columns}
 
 
@@ -212,35 +212,35 @@ def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> _Course:
     begin, sizes = float(t[0]), _sizes(task, x0, t)
     if len(t) == 1 or not np.isfinite(task.field.values(x0, task.inputs_at(begin))).all():
         return _Course(np.array([x0]), begin, x0, sizes, np.abs(x0), is_whole=len(t) == 1)
-    found = _attempt(task, x0, t, sizes)
-    smaller = sizes if found.is_spent else _smaller_sizes(task, found, t)
+    course = _attempt(task, x0, t, sizes)
+    smaller = sizes if course.is_spent else _smaller_sizes(task, course, t)
     if (smaller == sizes).all():
-        return found
+        return course
     task.begin_again()
     finer = _attempt(task, x0, t, smaller)
-    return finer if finer.is_whole else replace(found, is_rough=found.is_whole)
+    return finer if finer.is_whole else replace(course, is_rough=course.is_whole)
 
 
-def _smaller_sizes(task: _Task, found: _Course, t: FloatArray) -> FloatArray:
+def _smaller_sizes(task: _Task, course: _Course, t: FloatArray) -> FloatArray:
     """Return sizes (D,) for another attempt: smaller where a state is far below what its size was taken to be."""
-    reached, sizes = np.abs(found.rows).max(axis=0), found.sizes.copy()
-    if found.is_whole:
+    reached, sizes = np.abs(course.rows).max(axis=0), course.sizes.copy()
+    if course.is_whole:
         is_small = (reached > 0.0) & (reached < _COARSE * sizes)
         sizes = np.where(is_small.any() & (reached > 0.0), np.minimum(reached, sizes), sizes)
-    is_deep = (found.lowest < _COARSE * found.sizes) & (found.rows[0] != 0.0)
-    deep = [place for place in np.flatnonzero(is_deep).tolist() if not _can_cross(task, found, t, place)]
+    is_deep = (course.lowest < _COARSE * course.sizes) & (course.rows[0] != 0.0)
+    deep = [place for place in np.flatnonzero(is_deep).tolist() if not _can_cross(task, course, t, place)]
     sizes[deep] = np.maximum(_DEEPEST * sizes[deep], np.finfo(np.float64).tiny)
     return sizes
 
 
-def _can_cross(task: _Task, found: _Course, t: FloatArray, place: int) -> bool:
+def _can_cross(task: _Task, course: _Course, t: FloatArray, place: int) -> bool:
     """Tell whether a state may change its sign: where it is 0, its rate leads away from the sign that it began with.
 
     The signs on the way do not tell: in a trough that is deeper than the errors allowed, they are those of errors.
     """
-    sign = float(np.sign(found.rows[0, place]))
-    for row in np.unique(np.linspace(0, len(found.rows) - 1, _LOOKS).astype(int)).tolist():
-        x = found.rows[row].copy()
+    sign = float(np.sign(course.rows[0, place]))
+    for row in np.unique(np.linspace(0, len(course.rows) - 1, _LOOKS).astype(int)).tolist():
+        x = course.rows[row].copy()
         x[place] = 0.0
         with np.errstate(all="ignore"):
             rate = float(task.field.values(x, task.inputs_at(float(t[row])))[place])
@@ -351,12 +351,12 @@ def _standard_errors(task: _Task, errors: JointErrors, course: _Course, t: Float
             warnings.simplefilter("ignore")
             small = np.where(_comes_back(states), np.minimum(course.lowest, sizes), sizes)
             least = 1e-9 * np.concatenate([small, np.repeat(small, number)])
-            found = solve_ivp(rates, (float(t[0]), float(t[-1])), start, "LSODA", t, rtol=1e-6, atol=least)
+            solution = solve_ivp(rates, (float(t[0]), float(t[-1])), start, "LSODA", t, rtol=1e-6, atol=least)
     except _SpentError:
         return None
-    if found.status != 0:
+    if solution.status != 0:
         return None
-    sensitivities = found.y[size:].reshape(size, number, len(t)) * shares[:, None]
+    sensitivities = solution.y[size:].reshape(size, number, len(t)) * shares[:, None]
     return np.asarray(np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities)))
 
 

@@ -105,7 +105,7 @@ class VectorField:
         if order == 1:
             names = [name for name in symbols.values() if name not in positions]
             return cls.of(positions, names, result.sizes(tuple(positions)))
-        velocities = {_velocity_of(one.variable, symbols): symbols[one.variable] for one in equations}
+        velocities = {_velocity_of(equation.variable, symbols): symbols[equation.variable] for equation in equations}
         moving = {name: velocity for velocity, name in velocities.items()}
         accelerations = {moving[name]: text for name, text in positions.items()}
         taken = {*moving, *accelerations}
@@ -120,7 +120,7 @@ class VectorField:
     @property
     def values_of_parameters(self) -> FloatArray:
         """The values of the parameters (P,)."""
-        return np.array([each.value for each in self.parameters], dtype=np.float64)
+        return np.array([parameter.value for parameter in self.parameters], dtype=np.float64)
 
     def values(self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None) -> FloatArray:
         """Return dx/dt at one point (D,) or at N points (N, D), of the same shape; NaN where it has no finite value.
@@ -174,7 +174,7 @@ class VectorField:
         self._check_shapes(points, inputs, values)
         if points.ndim == 1 and inputs.ndim == 1:
             return function.at_point([*points.tolist(), *inputs.tolist(), *values.tolist()]).reshape(shape)
-        rows = max(len(each) for each in (points, inputs) if each.ndim == 2)
+        rows = max(len(array) for array in (points, inputs) if array.ndim == 2)
         columns = [*points.T, *inputs.T]
         return function.at_points(columns, values.tolist(), rows).reshape(rows, *shape)
 

@@ -198,5 +198,5 @@ class LiveDisplay:
             is_found = variable.verdict in ("exact", "good") if variable.verdict else variable.converged
             style = "green" if is_found else ""
             grid.add_row(*(Text(cell) for cell in row(variable)), style=style)
-        bar = [ProgressBar(total=each[1], completed=each[0], width=40) for each in compiling(workers)]
+        bar = [ProgressBar(total=counts[1], completed=counts[0], width=40) for counts in compiling(workers)]
         return Group(Text(headline(view, workers, self._hint)), *bar, *([grid] if view.variables else []))

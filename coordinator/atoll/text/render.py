@@ -121,7 +121,7 @@ def _picked(equation: Equation, number: int, is_of_group: bool) -> Equation:
             **{key: getattr(member, key) for key in taken},
             "origin": "known" if equation.why == "known" else "front",
             "converged": error is not None and most is not None and error <= most,
-            "front": tuple(one.model_copy(update={"selected": one is member}) for one in front),
+            "front": tuple(candidate.model_copy(update={"selected": candidate is member}) for candidate in front),
             "is_of_all_groups": is_of_group or bool(equation.groups) or equation.is_of_all_groups,
             **{"verdict": None, "reason": None, "candidates": (), "groups": ()},
         }
@@ -138,7 +138,7 @@ def _shared_lines(result: Result) -> list[str]:
         if multiples:
             variable = next(iter(multiples))
             rate = abs((shared.factors[variable] or 0.0) / multiples[variable])
-            times = ", ".join(f"{multiples[one]:+.6g} in {sides[one]}" for one in multiples)
+            times = ", ".join(f"{multiples[name]:+.6g} in {sides[name]}" for name in multiples)
             flux = display(f"{rate!r}*({shared.term})", names)
             lines.append(f"flux: {flux}, {times}")
         elif shared.has_function:

@@ -23,7 +23,7 @@ def doctor(options: argparse.Namespace) -> int:
     """Examine and print; return 1 when there is a problem, else 0."""
     findings = examine(options, QUICK if options.quick else all_checks())
     say(as_json(as_tree(findings)) if options.json else as_text(findings))
-    return FAILED if any(each.grade == "problem" for each in findings) else DONE
+    return FAILED if any(finding.grade == "problem" for finding in findings) else DONE
 
 
 def all_checks() -> Sequence[Check]:
@@ -55,5 +55,5 @@ def _found(check: Check, options: argparse.Namespace) -> list[Finding]:
         return list(check(options))
     except Exception as error:  # whatever is wrong with one check, the others are made
         name = check.__name__.removeprefix("check_")
-        found = f"could not be examined ({type(error).__name__}: {error})"
-        return [Finding(name, "problem", found, "report this; the other findings hold")]
+        fact = f"could not be examined ({type(error).__name__}: {error})"
+        return [Finding(name, "problem", fact, "report this; the other findings hold")]

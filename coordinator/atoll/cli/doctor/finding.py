@@ -21,36 +21,36 @@ class Finding:
     advice: str = ""
 
 
-def fine(subject: str, found: str) -> Finding:
+def fine(subject: str, fact: str) -> Finding:
     """Return a finding about which nothing needs to be done."""
-    return Finding(subject, "fine", found)
+    return Finding(subject, "fine", fact)
 
 
 def problem(subject: str, error: AtollError) -> Finding:
     """Return a finding in the words of an error: what was found, and after a semicolon what to do."""
-    found, _, advice = error.on_command_line.partition("; ")
-    return Finding(subject, "problem", found, advice)
+    fact, _, advice = error.on_command_line.partition("; ")
+    return Finding(subject, "problem", fact, advice)
 
 
 def as_text(findings: Sequence[Finding]) -> str:
     """Return one line for each finding, the advice on a line of its own, and a summary."""
-    width = max(len(each.subject) for each in findings)
+    width = max(len(finding.subject) for finding in findings)
     lines = []
-    for each in findings:
-        first, *rest = each.found.splitlines() or [""]
+    for finding in findings:
+        first, *rest = finding.found.splitlines() or [""]
         indent = " " * (len(_MARKS["fine"]) + width + 4)
-        lines.append(f"{_MARKS[each.grade]}  {each.subject.ljust(width)}  {first}")
+        lines.append(f"{_MARKS[finding.grade]}  {finding.subject.ljust(width)}  {first}")
         lines += [indent + line for line in rest]
-        lines += [f"{indent}-> {each.advice}"] if each.advice else []
-    problems, warnings = (sum(each.grade == grade for each in findings) for grade in ("problem", "warning"))
+        lines += [f"{indent}-> {finding.advice}"] if finding.advice else []
+    problems, warnings = (sum(finding.grade == grade for finding in findings) for grade in ("problem", "warning"))
     return "\n".join([*lines, f"{_counted(problems, 'problem')}, {_counted(warnings, 'warning')}"])
 
 
 def as_tree(findings: Sequence[Finding]) -> dict[str, object]:
     """Return the findings for JSON."""
     return {
-        "fine": all(each.grade != "problem" for each in findings),
-        "findings": [asdict(each) for each in findings],
+        "fine": all(finding.grade != "problem" for finding in findings),
+        "findings": [asdict(finding) for finding in findings],
     }
 
 

@@ -34,8 +34,8 @@ def check_versions(options: argparse.Namespace) -> Iterator[Finding]:
     from importlib.metadata import version
 
     libraries = ", ".join(f"{name} {version(name)}" for name in ("eclipse-zenoh", "numpy", "numba"))
-    found = f"Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
-    yield fine("versions", f"{found}, Python {platform.python_version()}, {libraries}, {platform.machine()}")
+    fact = f"Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
+    yield fine("versions", f"{fact}, Python {platform.python_version()}, {libraries}, {platform.machine()}")
 
 
 def check_cores(options: argparse.Namespace) -> Iterator[Finding]:
@@ -51,13 +51,13 @@ def check_memory(options: argparse.Namespace) -> Iterator[Finding]:
         yield fine("memory", "not known on this system")
         return
     cores, _ = usable_cores(os.environ)
-    found = f"{free / GB:.1f} GB available for {cores} worker process{'' if cores == 1 else 'es'}"
+    fact = f"{free / GB:.1f} GB available for {cores} worker process{'' if cores == 1 else 'es'}"
     if free >= cores * WORKER_BYTES:
-        yield fine("memory", found)
+        yield fine("memory", fact)
     else:
         number = max(1, int(free // WORKER_BYTES))
         advice = f"start fewer: island-worker --processes {number}"
-        yield Finding("memory", "warning" if free >= WORKER_BYTES else "problem", found, advice)
+        yield Finding("memory", "warning" if free >= WORKER_BYTES else "problem", fact, advice)
 
 
 def available_memory(meminfo: Path = _MEMINFO, cgroup: Path = _CGROUP) -> int | None:
@@ -79,12 +79,12 @@ def check_open_files(options: argparse.Namespace) -> Iterator[Finding]:
     except ImportError:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    found = f"{soft} at once, each worker and client takes one of the coordinator's"
+    fact = f"{soft} at once, each worker and client takes one of the coordinator's"
     if soft == resource.RLIM_INFINITY or soft >= FEW_FILES:
-        yield fine("open files", found)
+        yield fine("open files", fact)
     else:
         most = "unlimited" if hard == resource.RLIM_INFINITY else str(hard)
-        yield Finding("open files", "warning", found, f"before serve: ulimit -n {FEW_FILES} (at most {most} here)")
+        yield Finding("open files", "warning", fact, f"before serve: ulimit -n {FEW_FILES} (at most {most} here)")
 
 
 def check_kernels(options: argparse.Namespace) -> Iterator[Finding]:
@@ -105,8 +105,8 @@ def check_kernels(options: argparse.Namespace) -> Iterator[Finding]:
     if os.access(existing, os.W_OK | os.X_OK):
         yield fine("kernels", f"not compiled yet; the first worker takes half a minute to do so, into {directory}")
     else:
-        found = f"not compiled yet, and {existing} cannot be written"
-        yield Finding("kernels", "problem", found, "set ATOLL_KERNEL_CACHE to a folder that can be")
+        fact = f"not compiled yet, and {existing} cannot be written"
+        yield Finding("kernels", "problem", fact, "set ATOLL_KERNEL_CACHE to a folder that can be")
 
 
 def check_state(options: argparse.Namespace) -> Iterator[Finding]:
@@ -120,12 +120,12 @@ def check_state(options: argparse.Namespace) -> Iterator[Finding]:
         yield Finding("state folder", "problem", f"{place} cannot be written", "name another folder with --state")
         return
     free = shutil.disk_usage(place).free
-    found = f"{wanted}: {free / GB:.1f} GB free"
+    fact = f"{wanted}: {free / GB:.1f} GB free"
     if free < SOME_ROOM:
         grade: Grade = "problem" if free < LITTLE_ROOM else "warning"
-        yield Finding("state folder", grade, found, "make room, or name a folder on another disk with --state")
+        yield Finding("state folder", grade, fact, "make room, or name a folder on another disk with --state")
     else:
-        yield fine("state folder", found)
+        yield fine("state folder", fact)
     kind = file_system(place)
     if kind is not None and kind.startswith(_NETWORKED):
         advice = (
@@ -142,9 +142,9 @@ def file_system(place: Path, mounts: Path = _MOUNTS) -> str | None:
             _, point, kind, *_ = line.split()
             kinds[Path(point.replace("\\040", " "))] = kind
     real = place.resolve()
-    return next((kinds[each] for each in (real, *real.parents) if each in kinds), None)
+    return next((kinds[folder] for folder in (real, *real.parents) if folder in kinds), None)
 
 
 def _existing(path: Path) -> Path:
     """Return `path`, or the first folder above it that exists."""
-    return next(each for each in (path, *path.parents) if each.exists())
+    return next(folder for folder in (path, *path.parents) if folder.exists())

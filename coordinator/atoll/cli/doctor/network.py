@@ -51,11 +51,11 @@ def certificate_finding(files: Credentials, now: float) -> Finding:
     if files.expires is None:
         return fine("certificate", f"of {files.name}{hosts}")
     left = files.expires - now
-    found = f"of {files.name}{hosts}, valid for {left / 86400.0:.0f} more days"
+    fact = f"of {files.name}{hosts}, valid for {left / 86400.0:.0f} more days"
     if left >= EXPIRY_S:
-        return fine("certificate", found)
+        return fine("certificate", fact)
     advice = f"renew it in time: deploy/tls/make-authority DIR --renew {files.name}"
-    return Finding("certificate", "warning", found, advice)
+    return Finding("certificate", "warning", fact, advice)
 
 
 def _shown(options: argparse.Namespace) -> Credentials | Finding | None:
@@ -75,7 +75,7 @@ def check_coordinator(options: argparse.Namespace) -> Iterator[Finding]:
     findings = list(check_address(options))
     yield from findings
     files = _shown(options)
-    if any(each.grade == "problem" for each in findings) or isinstance(files, Finding):
+    if any(finding.grade == "problem" for finding in findings) or isinstance(files, Finding):
         return
     try:
         yield from _greeted(destination(text, files))
@@ -100,18 +100,18 @@ def _greeted(address: Destination) -> Iterator[Finding]:
 
 def version_findings(welcome: Welcome) -> Iterator[Finding]:
     """Say whether a worker of this installation would be taken; a client, which greeted, was."""
-    theirs = (welcome.version, welcome.protocol, welcome.engine)
-    if theirs != (VERSION, PROTOCOL_VERSION, ENGINE_REVISION):
-        found = (
+    versions = (welcome.version, welcome.protocol, welcome.engine)
+    if versions != (VERSION, PROTOCOL_VERSION, ENGINE_REVISION):
+        fact = (
             f"here is Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION}): workers would be refused"
         )
-        yield Finding("versions", "problem", found, f"install Atoll {welcome.version} here, or this version there")
+        yield Finding("versions", "problem", fact, f"install Atoll {welcome.version} here, or this version there")
 
 
-def clock_findings(theirs: str, now: datetime) -> Iterator[Finding]:
+def clock_findings(clock: str, now: datetime) -> Iterator[Finding]:
     """Compare the coordinator's time of day with ours; it was on its way for less than `LIMIT_S`."""
     try:
-        moment = datetime.fromisoformat(theirs)
+        moment = datetime.fromisoformat(clock)
     except ValueError:
         return
     moment = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
@@ -119,25 +119,25 @@ def clock_findings(theirs: str, now: datetime) -> Iterator[Finding]:
     if abs(offset) <= CLOCK_S:
         yield fine("clock", "agrees with the coordinator's")
         return
-    found = f"the coordinator's clock is {abs(offset):.0f} s {'ahead of' if offset > 0 else 'behind'} this machine's"
-    yield Finding("clock", "warning", found, "let both follow a time server: logs and certificates go by the clock")
+    fact = f"the coordinator's clock is {abs(offset):.0f} s {'ahead of' if offset > 0 else 'behind'} this machine's"
+    yield Finding("clock", "warning", fact, "let both follow a time server: logs and certificates go by the clock")
 
 
 def worker_findings(workers: Sequence[WorkerView], address: str) -> Iterator[Finding]:
     """Say which workers are there and which ones one should look after."""
-    here = [each for each in workers if each.state != "lost"]
+    here = [worker for worker in workers if worker.state != "lost"]
     if not here:
         yield Finding("workers", "warning", "none is there", f"start one: island-worker --connect {address}")
         return
-    hosts = len({each.host for each in here})
+    hosts = len({worker.host for worker in here})
     yield fine("workers", f"{len(here)} on {hosts} machine{'' if hosts == 1 else 's'}")
-    silent = [each for each in here if each.silent > SILENT_S]
+    silent = [worker for worker in here if worker.silent > SILENT_S]
     if silent:
-        found = ", ".join(
-            f"{each.worker} on {each.host} has been silent for {each.silent:.0f} s" for each in silent[:5]
+        fact = ", ".join(
+            f"{worker.worker} on {worker.host} has been silent for {worker.silent:.0f} s" for worker in silent[:5]
         )
-        yield Finding("workers", "warning", found, "look at these machines; their islands are placed anew soon")
-    late = [each for each in here if each.state == "compiling"]
+        yield Finding("workers", "warning", fact, "look at these machines; their islands are placed anew soon")
+    late = [worker for worker in here if worker.state == "compiling"]
     if late:
-        found = ", ".join(f"{each.worker}: {each.detail or 'getting ready'}" for each in late[:5])
-        yield fine("workers", f"not ready yet: {found}")
+        fact = ", ".join(f"{worker.worker}: {worker.detail or 'getting ready'}" for worker in late[:5])
+        yield fine("workers", f"not ready yet: {fact}")

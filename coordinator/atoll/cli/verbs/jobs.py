@@ -96,8 +96,8 @@ def cancel(options: argparse.Namespace) -> int:
     elif had_ended:
         say(f"job {job} had ended already: {view.state}")
     else:
-        found = f"; its best equations: coordinator result {job}" if has_found(view) else NOTHING_FOUND
-        say(f"job {job} is cancelled{found}")
+        outcome = f"; its best equations: coordinator result {job}" if has_found(view) else NOTHING_FOUND
+        say(f"job {job} is cancelled{outcome}")
     return DONE
 
 
@@ -142,6 +142,6 @@ def _job_table(views: Sequence[JobView]) -> str:
 
 def _measures(view: JobView) -> tuple[str, ...]:
     epochs = ",".join(str(variable.epoch) for variable in view.variables) or "-"
-    found = sum(variable.converged for variable in view.variables)
+    converged = sum(variable.converged for variable in view.variables)
     note = clipped(view.reason or (view.stalls[0] if view.stalls else ""), 70)
-    return str(view.workers), epochs, count(view.point_evaluations), f"{found} of {len(view.variables)}", note
+    return str(view.workers), epochs, count(view.point_evaluations), f"{converged} of {len(view.variables)}", note

@@ -19,9 +19,9 @@ def ping(options: argparse.Namespace) -> int:
     with connected(address, options.wait) as client:
         seconds, welcome = time.monotonic() - began, client.welcome
     assert welcome is not None
-    its = {"version": welcome.version, "incarnation": welcome.incarnation, "seconds": seconds}
+    answer = {"version": welcome.version, "incarnation": welcome.incarnation, "seconds": seconds}
     text = (
         f"coordinator {welcome.version} at {address} answers, in {1000 * seconds:.0f} ms (start {welcome.incarnation})"
     )
-    say(as_json(its) if options.json else text)
+    say(as_json(answer) if options.json else text)
     return DONE

@@ -22,21 +22,21 @@ def result(options: argparse.Namespace) -> int:
         raise UsageError(f"--json and --format {options.format} contradict each other; give one of them")
     path = Path(options.job)
     if path.suffix == ".json" or (path / RESULT).is_file():
-        found = Result.load(path)
+        shown = Result.load(path)
     else:
         if not (options.connect or os.environ.get("ATOLL_CONNECT")):
             found_nothing = f"{options.job} is no saved result, and no coordinator was named to look for such a job"
             raise UsageError(f"{found_nothing}; give PATH/result.json, or --connect tcp/HOST:PORT")
         with connected(address_of(options), CONNECT_LIMIT_S) as client:
-            found = Result.of(client.result(client.resolve(options.job)))
-    say(_text(found, "json" if options.json else options.format or "text", options.pick))
+            shown = Result.of(client.result(client.resolve(options.job)))
+    say(_text(shown, "json" if options.json else options.format or "text", options.pick))
     return DONE
 
 
-def _text(found: Result, how: str, picks: list[str]) -> str:
+def _text(result: Result, how: str, picks: list[str]) -> str:
     from atoll.text.render import parse_picks, pick, render, render_text
 
-    chosen = pick(found, parse_picks(picks)) if picks else found
+    chosen = pick(result, parse_picks(picks)) if picks else result
     if how == "json":
         return as_json(chosen.as_dict())
     if how == "text":
@@ -44,9 +44,9 @@ def _text(found: Result, how: str, picks: list[str]) -> str:
     return render(chosen, how)
 
 
-def _heading(found: Result) -> list[str]:
+def _heading(result: Result) -> list[str]:
     """Return a line on the state of a job that is not done."""
-    if found.state == "done":
+    if result.state == "done":
         return []
-    reason = f": {found.reason}" if found.reason else ""
-    return [f"job {found.job} is {found.state}{reason}"]
+    reason = f": {result.reason}" if result.reason else ""
+    return [f"job {result.job} is {result.state}{reason}"]
