@@ -39,18 +39,15 @@ class Naming:
         return name.lower() if self.is_caseless else name
 
     def _is_good(self, name: str) -> bool:
-        is_plain = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None
-        return is_plain and len(name) <= self.longest and not self._is_reserved(name) and not self._has_prefix(name)
-
-    def _has_prefix(self, name: str) -> bool:
-        return name.startswith(self.prefixes)
+        is_plain = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None and len(name) <= self.longest
+        return is_plain and not self._is_reserved(name) and not name.startswith(self.prefixes)
 
     def _is_reserved(self, name: str) -> bool:
         return self._key(name) in {self._key(word) for word in self.reserved}
 
     def _rewritten(self, name: str) -> str:
         text = re.sub(r"_+", "_", spelled(name)).strip("_")
-        if not text[:1].isalpha() or self._has_prefix(text):
+        if not text[:1].isalpha() or text.startswith(self.prefixes):
             text = "x" + text
         text = text[: self.longest]
         return text[: self.longest - 1] + "_" if self._is_reserved(text) else text

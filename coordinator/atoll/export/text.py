@@ -13,19 +13,9 @@ from atoll_core.expression.text.export import left_side_to_latex, to_latex
 from atoll_core.expression.text.parsing import from_infix
 
 _COLUMNS: Final = (
-    "variable",
-    "lhs",
-    "pick",
-    "selected",
-    "shown",
-    "origin",
-    "complexity",
-    "error",
-    "normalized_error",
-    "r2",
-    "holdout_error",
-    "expression",
-)
+    "variable", "lhs", "pick", "selected", "shown", "origin", "complexity", "error", "normalized_error", "r2",
+    "holdout_error", "expression",
+)  # fmt: skip
 
 
 def as_csv(result: Result) -> str:
