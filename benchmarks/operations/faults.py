@@ -24,6 +24,7 @@ from typing import Final, TypeVar
 
 from atoll.client.client import Client
 from atoll.terminal.output import note, say, table
+from atoll_coordinator.result.result import Result
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
@@ -100,9 +101,9 @@ class Campaign:
     def _calm(self, seed: int) -> None:
         job, began = self._submit(f"calm-{seed}", seed), self.client.now()
         view = self._follow(job)
-        result = self.client.result(job)
+        result = Result.of(self.client.result(job))
         epochs = max(variable.epoch for variable in view.variables)
-        self.calm[seed] = Calm(result["digest"], self.client.now() - began, result["search_seconds"] / epochs)
+        self.calm[seed] = Calm(str(result.digest), self.client.now() - began, (result.search_seconds or 0.0) / epochs)
 
     def _struck(self, seed: int, strikes: int) -> None:
         job, began = self._submit(f"struck-{seed}", seed), self.client.now()

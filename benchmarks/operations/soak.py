@@ -99,7 +99,7 @@ class Soak:
         if view.state != expected:
             self.wrong.append(f"{job} is {view.state}, {expected} was expected: {view.reason}")
         elif expected == "done":
-            digest = client.result(job)["digest"]
+            digest = str(client.result(job)["digest"])
             if self._digests.setdefault(seed, digest) != digest:
                 self.wrong.append(f"{job} has another digest than the same job had before")
 
