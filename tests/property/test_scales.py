@@ -16,12 +16,12 @@ from atoll.analysis.analysis import analyse
 from atoll.analysis.box import Box
 from atoll.analysis.conserved import conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import continuation, special_points
+from atoll.analysis.continuation_parameter import ContinuationParameter
 from atoll.analysis.cycle_continuation import cycle_continuation
 from atoll.analysis.fixed_points import fixed_points
 from atoll.analysis.flow import Flow
 from atoll.analysis.limit_cycles import limit_cycles
 from atoll.analysis.lyapunov import lyapunov_spectrum
-from atoll.analysis.varied import Varied
 from atoll.model.joint_errors import JointErrors
 from atoll.model.model import Model
 from atoll.model.simulation import simulate
@@ -98,13 +98,13 @@ def cycles(powers: Sequence[int]) -> Any:
 
 def folds(powers: Sequence[int]) -> Any:
     flow, box, sizes, _ = system(FOLD, SIDES, powers, "u")
-    found = continuation(flow, box, Varied("u", 0.5, inputs=(0,)), (-1.0, 1.0))
+    found = continuation(flow, box, ContinuationParameter("u", 0.5, inputs=(0,)), (-1.0, 1.0))
     return [(each.kind, round(each.value, 6), (each.point / sizes).round(4).tolist()) for each in special_points(found)]
 
 
 def hopf(powers: Sequence[int]) -> Any:
     flow, box, _, clock = system(HOPF, [(-1.0, 1.0), (-1.0, 1.0)], powers, "u")
-    along, over = Varied("u", 0.1, inputs=(0,)), (-0.1, 0.2)
+    along, over = ContinuationParameter("u", 0.1, inputs=(0,)), (-0.1, 0.2)
     points = continuation(flow, box, along, over)
     found = cycle_continuation(flow, box, along, over, branches=points)
     return [

@@ -2,6 +2,6 @@
 
 ``analysis`` gathers all of it; ``rendering`` writes it as text and as plain data. ``box`` and ``flow`` are what the
 rest stands on: ``fixed_points``, ``nullclines``, ``limit_cycles``, ``lyapunov``, ``basins``, ``conserved`` quantities,
-and ``dynamics``, the model beside the data. Along a number that is ``varied``, ``continuation`` follows fixed points
-and ``cycle_continuation`` limit cycles, both by ``path_following``; ``collocation`` is how the latter are solved for.
+and ``dynamics``, the model beside the data. Along a ``continuation_parameter``, ``continuation`` follows fixed points and ``cycle_continuation`` limit cycles, both by
+``path_following``; a ``cycle_curve`` is what is followed of the latter, solved for by ``collocation``.
 """

@@ -10,6 +10,7 @@ from atoll.analysis.basins import Attractor, Basins, basins
 from atoll.analysis.box import Box
 from atoll.analysis.conserved import ConservedQuantity, conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import Branch, continuation
+from atoll.analysis.continuation_parameter import Coefficients, ContinuationParameter
 from atoll.analysis.cycle_continuation import CycleBranch, cycle_continuation
 from atoll.analysis.dynamics import Comparison, Measured, compared, measured_trajectories
 from atoll.analysis.fixed_points import FixedPoints, fixed_points
@@ -17,7 +18,6 @@ from atoll.analysis.flow import Flow
 from atoll.analysis.limit_cycles import LimitCycle, LimitCycles, limit_cycles
 from atoll.analysis.lyapunov import LyapunovSpectrum, lyapunov_spectrum
 from atoll.analysis.nullclines import nullclines
-from atoll.analysis.varied import Coefficients, Varied
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
@@ -38,7 +38,7 @@ class Analysis:
     `inputs` (U,) were held. `nullclines` has the polylines (n, 2) of each of two states, and is empty for others.
     `lyapunov` is of courses that no fixed point or cycle explains, None where there are none. `comparisons` stand
     beside the measured trajectories, but not beside those `not_compared`, whose inputs are not known. `branches` (of
-    fixed points) and `cycle_branches` are those along what was `varied`; `coefficients` name what can be.
+    fixed points) and `cycle_branches` are those along the `continuation_parameter`, which `coefficients` can be.
     `caveat` says of which equations the verdict is `no model`, "" where of none.
     """
 
@@ -54,7 +54,7 @@ class Analysis:
     is_volume_preserving: bool
     comparisons: tuple[Comparison, ...]
     coefficients: Coefficients
-    varied: Varied | None = None
+    continuation_parameter: ContinuationParameter | None = None
     branches: tuple[Branch, ...] = ()
     cycle_branches: tuple[CycleBranch, ...] = ()
     not_compared: tuple[str, ...] = ()
@@ -110,15 +110,15 @@ def _analysed(
     box: Box,
     flow: Flow,
     measured: Sequence[Measured],
-    along: tuple[Flow, Varied, tuple[float, float]] | None,
+    along: tuple[Flow, ContinuationParameter, tuple[float, float]] | None,
 ) -> Analysis:
     fixed = fixed_points(flow, box)
     cycles = limit_cycles(flow, box, fixed.points)
-    stable: list[Attractor] = [each for each in (*fixed.points, *cycles.resting) if each.is_stable]
-    stable += [each for each in cycles.cycles if each.is_stable]
+    stable: list[Attractor] = [point for point in (*fixed.points, *cycles.resting) if point.is_stable]
+    stable += [cycle for cycle in cycles.cycles if cycle.is_stable]
     reached = basins(flow, box, stable)
     is_open = flow.size > 2 and len(cycles.unsettled) > 0
-    branches, cycle_branches = ((), ()) if along is None else _followed(box, *along, cycles.cycles)
+    branches, cycle_branches = ((), ()) if along is None else _continued(box, *along, cycles.cycles)
     return Analysis(
         flow.field,
         box,
@@ -135,22 +135,22 @@ def _analysed(
         None if along is None else along[1],
         branches,
         cycle_branches,
-        tuple(each.name for each in measured if flow.field.inputs and each.inputs is None),
+        tuple(trajectory.name for trajectory in measured if flow.field.inputs and trajectory.inputs is None),
     )
 
 
-def _followed(
-    box: Box, flow: Flow, varied: Varied, bounds: tuple[float, float], cycles: Sequence[LimitCycle]
+def _continued(
+    box: Box, flow: Flow, parameter: ContinuationParameter, bounds: tuple[float, float], cycles: Sequence[LimitCycle]
 ) -> tuple[tuple[Branch, ...], tuple[CycleBranch, ...]]:
     """Return the branches of fixed points and of limit cycles; `cycles` are those of the model as it is."""
-    branches = continuation(flow, box, varied, bounds)
-    value = varied.value
+    branches = continuation(flow, box, parameter, bounds)
+    value = parameter.value
     if not bounds[0] <= value <= bounds[1]:
         value = 0.5 * (bounds[0] + bounds[1])
-        there = varied.at(flow, value)
-        cycles = limit_cycles(there, box, fixed_points(there, box).points).cycles
-    known = [(value, each) for each in cycles]
-    return branches, cycle_continuation(flow, box, varied, bounds, branches=branches, known=known)
+        shifted = parameter.at(flow, value)
+        cycles = limit_cycles(shifted, box, fixed_points(shifted, box).points).cycles
+    known = [(value, cycle) for cycle in cycles]
+    return branches, cycle_continuation(flow, box, parameter, bounds, branches=branches, known=known)
 
 
 def analyse_result(
@@ -178,8 +178,8 @@ def analyse_result(
             raise UsageError(f"there is no input '{name}' to hold; inputs: {', '.join(field.inputs) or 'none'}")
     held = np.array([float((inputs or {}).get(name, 0.0)) for name in field.inputs])
     box, measured = box_of(result, field, bounds)
-    varied = None if vary is None else (vary[0], _range(*vary[1]))
-    return replace(analyse(field, box, inputs=held, measured=measured, vary=varied), caveat=_caveat(result))
+    parameter = None if vary is None else (vary[0], _range(*vary[1]))
+    return replace(analyse(field, box, inputs=held, measured=measured, vary=parameter), caveat=_caveat(result))
 
 
 def _caveat(result: Result) -> str:
@@ -206,7 +206,7 @@ def box_of(
     measured = measured_trajectories(result, field)
     ranges = {name: ends for name, ends in result.ranges.items() if name in field.states}
     if measured:
-        states = np.vstack([each.states for each in measured])
+        states = np.vstack([trajectory.states for trajectory in measured])
         ends = zip(states.min(axis=0).tolist(), states.max(axis=0).tolist(), strict=True)
         ranges |= dict(zip(field.states, ends, strict=True))
     known: dict[str, tuple[float, float]] = {}

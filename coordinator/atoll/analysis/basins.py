@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from atoll.analysis.box import Box
 from atoll.analysis.fixed_points import FixedPoint
-from atoll.analysis.flow import SETTLING, UNBOUNDED, Ensemble, Flow
+from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch
 from atoll.analysis.limit_cycles import LimitCycle, distance, time_scale
 from atoll_core.data.dataset import FloatArray
 
@@ -72,28 +72,28 @@ def destinations(
     """Return what each of `starts` (N, D) reaches within `duration`, (N,), see `Basins`."""
     reached = np.full(len(starts), UNDECIDED, dtype=np.int64)
     radii = _radii(attractors, box)
-    ensemble = Ensemble.of(starts, 1e-4 * duration)
+    batch = IntegrationBatch.of(starts, 1e-4 * duration)
     rows = np.arange(len(starts))
     for part in range(1, _PARTS + 1):
-        ensemble.advance(
+        batch.advance(
             flow.rates, duration * part / _PARTS, 1e-3 * box.widths, rtol=1e-5, most_steps=MOST_STEPS // _PARTS
         )
-        found = np.full(len(rows), UNDECIDED, dtype=np.int64)
+        destination = np.full(len(rows), UNDECIDED, dtype=np.int64)
         with np.errstate(invalid="ignore"):
-            found[(np.abs(ensemble.states - box.middle) / box.widths).max(axis=1) > UNBOUNDED] = RUNS_AWAY
-        for index, (each, radius) in enumerate(zip(attractors, radii, strict=True)):
-            found[(found == UNDECIDED) & (_distances(each, ensemble.states, box) < radius)] = index
-        found[(found == UNDECIDED) & ensemble.is_lost] = NO_VALUE
-        reached[rows] = found
-        rows = rows[found == UNDECIDED]
+            destination[(np.abs(batch.states - box.middle) / box.widths).max(axis=1) > UNBOUNDED] = RUNS_AWAY
+        for index, (attractor, radius) in enumerate(zip(attractors, radii, strict=True)):
+            destination[(destination == UNDECIDED) & (_distances(attractor, batch.states, box) < radius)] = index
+        destination[(destination == UNDECIDED) & batch.is_lost] = NO_VALUE
+        reached[rows] = destination
+        rows = rows[destination == UNDECIDED]
         if not len(rows):
             break
-        ensemble = _part(ensemble, found == UNDECIDED)
+        batch = _part(batch, destination == UNDECIDED)
     return reached
 
 
-def _part(ensemble: Ensemble, rows: np.ndarray) -> Ensemble:
-    return Ensemble(ensemble.states[rows], ensemble.times[rows], ensemble.sizes[rows], ensemble.is_lost[rows])
+def _part(batch: IntegrationBatch, rows: np.ndarray) -> IntegrationBatch:
+    return IntegrationBatch(batch.states[rows], batch.times[rows], batch.sizes[rows], batch.is_lost[rows])
 
 
 def _distances(attractor: Attractor, states: FloatArray, box: Box) -> FloatArray:
@@ -104,12 +104,15 @@ def _distances(attractor: Attractor, states: FloatArray, box: Box) -> FloatArray
 
 def _radii(attractors: Sequence[Attractor], box: Box) -> list[float]:
     """Return how near to each attractor a course counts as caught: a tenth of the way to the next one at most."""
-    points = [np.atleast_2d(each.points if isinstance(each, LimitCycle) else each.point) for each in attractors]
+    points = [
+        np.atleast_2d(attractor.points if isinstance(attractor, LimitCycle) else attractor.point)
+        for attractor in attractors
+    ]
     radii = []
-    for index, each in enumerate(attractors):
-        others = [points[other] for other in range(len(points)) if other != index]
-        nearest = min((float(_distances(each, its, box).min()) for its in others), default=np.inf)
-        slow = isinstance(each, FixedPoint) and each.kind == "non-hyperbolic"
+    for index, attractor in enumerate(attractors):
+        others = [points[place] for place in range(len(points)) if place != index]
+        nearest = min((float(_distances(attractor, other, box).min()) for other in others), default=np.inf)
+        slow = isinstance(attractor, FixedPoint) and attractor.kind == "non-hyperbolic"
         radii.append(min(5.0 * _CAUGHT if slow else _CAUGHT, 0.1 * nearest))
     return radii
 

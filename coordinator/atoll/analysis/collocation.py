@@ -36,7 +36,7 @@ NODES, WEIGHTS, INTEGRALS = _gauss()
 _KNOTS: Final = np.append(0.0, NODES)
 """Where on an interval a polynomial of degree M is known."""
 
-_DIFFERENCES: Final = np.array([1.0 / np.prod(each - np.delete(_KNOTS, at)) for at, each in enumerate(_KNOTS)])
+_DIFFERENCES: Final = np.array([1.0 / np.prod(knot - np.delete(_KNOTS, at)) for at, knot in enumerate(_KNOTS)])
 """Of values at the knots: the divided difference of order M, and the weights of barycentric interpolation."""
 
 
@@ -51,10 +51,10 @@ class Rates:
 
 @dataclass(frozen=True, eq=False)
 class Orbit:
-    """States at the beginnings of the intervals of `mesh` (N + 1,), `begins` (N, D), and at their `nodes` (N, M, D)."""
+    """States at the beginnings of the intervals of `mesh` (N + 1,), `mesh_states` (N, D), and at `nodes` (N, M, D)."""
 
     mesh: FloatArray
-    begins: FloatArray
+    mesh_states: FloatArray
     nodes: FloatArray
 
     @property
@@ -65,7 +65,7 @@ class Orbit:
     @property
     def knots(self) -> FloatArray:
         """The states (N, M + 1, D) at the knots of each interval."""
-        return np.concatenate([self.begins[:, None], self.nodes], axis=1)
+        return np.concatenate([self.mesh_states[:, None], self.nodes], axis=1)
 
     def at(self, times: FloatArray) -> FloatArray:
         """Return the states (n, D) at times from 0 to 1, by the polynomial of each interval."""
@@ -100,16 +100,16 @@ def spread_mesh(orbit: Orbit) -> FloatArray:
 def levelled(mesh: FloatArray, weight: FloatArray, intervals: int = INTERVALS) -> FloatArray:
     """Return a mesh of so many intervals with equal shares of `weight` (n,), given on the intervals of another mesh."""
     total = np.append(0.0, np.cumsum(weight))
-    found = np.interp(np.linspace(0.0, total[-1], intervals + 1), total, mesh)
-    found[0], found[-1] = 0.0, 1.0
-    return np.asarray(found)
+    levelled_mesh = np.interp(np.linspace(0.0, total[-1], intervals + 1), total, mesh)
+    levelled_mesh[0], levelled_mesh[-1] = 0.0, 1.0
+    return np.asarray(levelled_mesh)
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Changes of begins (N, D), nodes (N, M, D), log period and parameter; as a row, the factors of these."""
+    """Changes of states at mesh (N, D) and nodes (N, M, D), of log period and parameter; as a row, their factors."""
 
-    begins: FloatArray
+    mesh_states: FloatArray
     nodes: FloatArray
     log_period: float
     parameter: float
@@ -126,7 +126,7 @@ class Linearised:
         by_states = rates.by_states.reshape(count, number, size, size)
         by_parameter = rates.by_parameter.reshape(count, number, size)
         moved = spans * np.einsum("jk,nkd->njd", INTEGRALS, self.slopes)
-        left = orbit.nodes - orbit.begins[:, None] - moved
+        left = orbit.nodes - orbit.mesh_states[:, None] - moved
         matrix = -spans[..., None, None] * np.einsum("jk,nkde->njdke", INTEGRALS, by_states)
         matrix = matrix.reshape(count, number * size, number * size) + np.eye(number * size)
         columns = np.empty((count, number, size, size + 3))
@@ -140,27 +140,27 @@ class Linearised:
         ends[..., :size] += np.eye(size)
         ends[..., size] += spans[:, 0] * (WEIGHTS @ self.slopes)
         ends[..., size + 1] += spans[:, 0] * (WEIGHTS @ by_parameter)
-        reached = orbit.begins + spans[:, 0] * (WEIGHTS @ self.slopes)
-        ends[..., size + 2] += reached - np.roll(orbit.begins, -1, axis=0)
+        reached = orbit.mesh_states + spans[:, 0] * (WEIGHTS @ self.slopes)
+        ends[..., size + 2] += reached - np.roll(orbit.mesh_states, -1, axis=0)
         self.ends = ends
         traces = np.einsum("njdd->nj", by_states)
-        self.divergence = float(period * (orbit.lengths * (traces @ WEIGHTS)).sum())
+        self.log_multiplier_product = float(period * (orbit.lengths * (traces @ WEIGHTS)).sum())
 
     @property
     def monodromy(self) -> FloatArray:
         """The derivative (D, D) of the states after a period by those at first."""
         size = self.ends.shape[1]
-        found = np.eye(size)
-        for each in self.ends[..., :size]:
-            found = each @ found
-        return np.asarray(found)
+        product = np.eye(size)
+        for transfer in self.ends[..., :size]:
+            product = transfer @ product
+        return np.asarray(product)
 
     def along(self, begin: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return where the linearised flow takes a change (D,): at the begins (N, D) and nodes (N, M, D)."""
-        size, begins = len(begin), [begin]
-        for each in self.ends[:-1, :, :size]:
-            begins.append(each @ begins[-1])
-        taken = np.array(begins)
+        """Return where the linearised flow takes a change (D,): at the mesh (N, D) and nodes (N, M, D)."""
+        size, mesh_states = len(begin), [begin]
+        for transfer in self.ends[:-1, :, :size]:
+            mesh_states.append(transfer @ mesh_states[-1])
+        taken = np.array(mesh_states)
         return taken, np.einsum("njde,ne->njd", self.inner[..., :size], taken)
 
     def matrix(self, rows: tuple[Change, Change]) -> "Factors":
@@ -179,10 +179,10 @@ class Linearised:
             last = [row.log_period + by_inner[:, size].sum(), row.parameter + by_inner[:, size + 1].sum()]
             across.append(np.full(count * size + 2, count * size + number))
             along.append(np.arange(count * size + 2))
-            values.append(np.append((row.begins + by_inner[:, :size]).ravel(), last))
-        return Factors(*(np.concatenate([np.ravel(each) for each in parts]) for parts in (across, along, values)))
+            values.append(np.append((row.mesh_states + by_inner[:, :size]).ravel(), last))
+        return Factors(*(np.concatenate([np.ravel(part) for part in parts]) for parts in (across, along, values)))
 
-    def solved(
+    def solve(
         self, factors: "Factors", rows: tuple[Change, Change], right: tuple[float, float], *, is_step: bool
     ) -> Change:
         """Return the change that gives the two more rows these values.
@@ -196,12 +196,13 @@ class Linearised:
         count, size = self.ends.shape[:2]
         share = 1.0 if is_step else 0.0
         constant = share * self.inner[..., size + 2]
-        known = [value - float((row.nodes * constant).sum()) for row, value in zip(rows, right, strict=True)]
-        found = factors.solved(np.append(-share * self.ends[..., size + 2].ravel(), known))
-        begins, log_period, parameter = found[:-2].reshape(count, size), float(found[-2]), float(found[-1])
-        nodes = np.einsum("njde,ne->njd", self.inner[..., :size], begins) + constant
+        right_side = [value - float((row.nodes * constant).sum()) for row, value in zip(rows, right, strict=True)]
+        solution = factors.solve(np.append(-share * self.ends[..., size + 2].ravel(), right_side))
+        mesh_states = solution[:-2].reshape(count, size)
+        log_period, parameter = float(solution[-2]), float(solution[-1])
+        nodes = np.einsum("njde,ne->njd", self.inner[..., :size], mesh_states) + constant
         nodes += self.inner[..., size] * log_period + self.inner[..., size + 1] * parameter
-        return Change(begins, nodes, log_period, parameter)
+        return Change(mesh_states, nodes, log_period, parameter)
 
 
 class Factors:
@@ -218,7 +219,7 @@ class Factors:
         except RuntimeError as error:  # as scipy says that a pivot is 0
             raise np.linalg.LinAlgError(str(error)) from None
 
-    def solved(self, right: FloatArray) -> FloatArray:
+    def solve(self, right: FloatArray) -> FloatArray:
         """Return the solution (n,) for a right-hand side (n,)."""
         return np.asarray(self._found.solve(right))
 

@@ -87,9 +87,9 @@ def conserved_quantities(flow: Flow, box: Box) -> tuple[ConservedQuantity, ...]:
         functions = [*functions, *more]
         if not more or len(functions) > min(MOST_FUNCTIONS, len(boxes[0].points) // 2):
             continue
-        found = _laws(functions, boxes)
-        if found:
-            return tuple(found)
+        quantities = _laws(functions, boxes)
+        if quantities:
+            return tuple(quantities)
     return ()
 
 
@@ -97,13 +97,13 @@ def _looked_at(flow: Flow, box: Box) -> list[_Points]:
     """Return points of the box, and of others on the same side of 0, smaller and larger, where there are rates."""
     around = Box(np.minimum(box.lower, 0.0), np.maximum(box.upper, 0.0))
     spread = [box.points(_POINTS), *(factor * around.points(_POINTS // 4, 1) for factor in _FACTORS)]
-    found = []
+    boxes = []
     with np.errstate(all="ignore"):
         for points in spread:
             rates = flow.rates(points)
-            known = np.isfinite(rates).all(axis=1)
-            found.append(_Points(points[known], rates[known]))
-    return found
+            is_finite = np.isfinite(rates).all(axis=1)
+            boxes.append(_Points(points[is_finite], rates[is_finite]))
+    return boxes
 
 
 def is_volume_preserving(flow: Flow, box: Box) -> bool:
@@ -122,9 +122,9 @@ def _dictionaries(flow: Flow, box: Box) -> list[list[_Function]]:
     it is no angle.
     """
     states = flow.field.states
-    degrees = [[_monomial(each, states) for each in combinations_with_replacement(range(len(states)), degree)]
+    degrees = [[_monomial(factors, states) for factors in combinations_with_replacement(range(len(states)), degree)]
                for degree in range(1, DEGREE + 1) if len(states) ** degree <= 4 * MOST_FUNCTIONS]  # fmt: skip
-    elementary = [function for each in _angles(flow, box) for function in _waves(each, states)]
+    elementary = [function for slopes in _angles(flow, box) for function in _waves(slopes, states)]
     for index, name in enumerate(states):
         if box.lower[index] >= 0.0:
             elementary.append(_logarithm(index, f"log({name})"))
@@ -135,7 +135,7 @@ def _angles(flow: Flow, box: Box) -> list[FloatArray]:
     """Return the slopes (D,) of what sines and cosines of the model are of, where these are linear in the states."""
     points = box.points(_ANGLE_POINTS)
     columns = np.vstack([points.T, np.repeat(flow.inputs[:, None], len(points), axis=1)])
-    found: list[FloatArray] = []
+    angles: list[FloatArray] = []
     for program in flow.field.programs:
         nodes = program.nodes()
         for argument in [left for code, left, *_ in nodes if code in (SIN, COS)]:
@@ -146,9 +146,9 @@ def _angles(flow: Flow, box: Box) -> list[FloatArray]:
             is_linear = np.abs(slopes - middle[:, None]).max() <= TOLERANCE * np.abs(middle).max()
             if is_linear and middle.any():  # the sine of an input has no slopes at all
                 middle = middle / box.widths * np.sign(middle[np.flatnonzero(middle)[0]])
-                if not any(np.allclose(each * box.widths, middle * box.widths, TOLERANCE, 0.0) for each in found):
-                    found.append(middle)
-    return found
+                if not any(np.allclose(known * box.widths, middle * box.widths, TOLERANCE, 0.0) for known in angles):
+                    angles.append(middle)
+    return angles
 
 
 def _waves(slopes: FloatArray, states: tuple[str, ...]) -> list[_Function]:
@@ -169,21 +169,21 @@ def _monomial(factors: tuple[int, ...], states: tuple[str, ...]) -> _Function:
     )
 
     def gradient(points: FloatArray) -> FloatArray:
-        found = np.zeros_like(points)
+        gradients = np.zeros_like(points)
         for index in np.flatnonzero(powers):
             lower = powers.copy()
             lower[index] -= 1
-            found[:, index] = powers[index] * np.prod(points**lower, axis=1)
-        return found
+            gradients[:, index] = powers[index] * np.prod(points**lower, axis=1)
+        return gradients
 
     return _Function(text, gradient)
 
 
 def _logarithm(index: int, text: str) -> _Function:
     def gradient(points: FloatArray) -> FloatArray:
-        found = np.zeros_like(points)
-        found[:, index] = 1.0 / points[:, index]
-        return found
+        gradients = np.zeros_like(points)
+        gradients[:, index] = 1.0 / points[:, index]
+        return gradients
 
     return _Function(text, gradient)
 
@@ -200,7 +200,8 @@ class _Derivatives:
     @classmethod
     def of(cls, functions: Sequence[_Function], at: _Points) -> "_Derivatives":
         with np.errstate(all="ignore"):
-            gradients = np.array([each.gradient(at.points) for each in functions]).transpose(1, 2, 0)  # (N, D, F)
+            gradients = np.array([function.gradient(at.points) for function in functions])
+            gradients = gradients.transpose(1, 2, 0)  # (N, D, F)
             products = gradients * at.rates[:, :, None]
             sizes = np.abs(products).sum(axis=1)
         known = np.isfinite(sizes).all(axis=1)
@@ -215,25 +216,25 @@ class _Derivatives:
 
 def _laws(functions: Sequence[_Function], boxes: Sequence[_Points]) -> list[ConservedQuantity]:
     """Return the combinations of functions that are conserved in all boxes, the first of which gives their sizes."""
-    derivatives = [_Derivatives.of(functions, each) for each in boxes]
+    derivatives = [_Derivatives.of(functions, points) for points in boxes]
     sizes = derivatives[0].sizes.max(axis=0, initial=0.0)
     sizes = np.where(sizes > 0.0, sizes, 1.0)
-    found = []
+    quantities = []
     for row in _reduced(_null_space(derivatives, 1.0 / sizes)):
         kept = np.abs(row) > _LEAST_SHARE * np.abs(row).max()
         vector = _refined(derivatives, np.where(kept, row / sizes, 0.0))
-        if all(each.is_kept(vector) for each in derivatives):
-            found.append(_quantity(vector, functions))
-    return found
+        if all(derivative.is_kept(vector) for derivative in derivatives):
+            quantities.append(_quantity(vector, functions))
+    return quantities
 
 
 def _null_space(derivatives: Sequence[_Derivatives], units: FloatArray) -> FloatArray:
     """Return the combinations (n, F), of functions times `units` (F,), that no box sees change along the flow."""
     with np.errstate(all="ignore"):
-        along = np.vstack([each.along for each in derivatives]) * units
-        largest = (np.vstack([each.sizes for each in derivatives]) * units).max(axis=1, initial=0.0)
-    known = (largest > 0.0) & np.isfinite(largest)
-    rows = along[known] / largest[known, None]
+        along = np.vstack([derivative.along for derivative in derivatives]) * units
+        largest = (np.vstack([derivative.sizes for derivative in derivatives]) * units).max(axis=1, initial=0.0)
+    is_known = (largest > 0.0) & np.isfinite(largest)
+    rows = along[is_known] / largest[is_known, None]
     if not rows.any():
         return np.eye(len(units))
     _, values, vectors = np.linalg.svd(rows, full_matrices=len(rows) < len(units))
@@ -244,13 +245,13 @@ def _null_space(derivatives: Sequence[_Derivatives], units: FloatArray) -> Float
 def _refined(derivatives: Sequence[_Derivatives], vector: FloatArray) -> FloatArray:
     """Return a combination whose small coefficients are known as well as large ones: they matter in other boxes."""
     terms = np.flatnonzero(vector)
-    parts = [replace(each, along=each.along[:, terms], sizes=each.sizes[:, terms]) for each in derivatives]
+    parts = [replace(part, along=part.along[:, terms], sizes=part.sizes[:, terms]) for part in derivatives]
     null = _null_space(parts, np.abs(vector[terms]))
     if len(null) != 1:
         return vector
-    found = np.zeros_like(vector)
-    found[terms] = null[0] * np.abs(vector[terms])
-    return found
+    refined = np.zeros_like(vector)
+    refined[terms] = null[0] * np.abs(vector[terms])
+    return refined
 
 
 def _reduced(rows: FloatArray) -> FloatArray:
@@ -275,4 +276,4 @@ def _reduced(rows: FloatArray) -> FloatArray:
 def _quantity(vector: FloatArray, functions: Sequence[_Function]) -> ConservedQuantity:
     shares = vector / vector[int(np.argmax(np.abs(vector)))]
     pairs = zip(shares, functions, strict=True)
-    return ConservedQuantity(tuple((float(f"{share:.10g}"), each.text) for share, each in pairs if share))
+    return ConservedQuantity(tuple((float(f"{share:.10g}"), function.text) for share, function in pairs if share))

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.analysis.box import Box
+from atoll.analysis.continuation_parameter import ContinuationParameter
 from atoll.analysis.fixed_points import fixed_points, rate_scale
 from atoll.analysis.flow import Flow
-from atoll.analysis.path_following import BRANCH_POINT, FOLD, Place, Side, followed
-from atoll.analysis.varied import Varied
+from atoll.analysis.path_following import BRANCH_POINT, FOLD, CurvePoint, Side, continue_curve
 from atoll_core.data.dataset import FloatArray
 
 MOST_POINTS: Final = 400
@@ -57,7 +57,7 @@ class Branch:
 
 
 @dataclass(frozen=True, eq=False)
-class _FixedPlace(Place):
+class _FixedPointOnCurve(CurvePoint):
     eigenvalues: npt.NDArray[np.complex128]
 
 
@@ -67,22 +67,22 @@ class _FixedPointCurve:
     longest = LONGEST
     most = MOST_POINTS
 
-    def __init__(self, flow: Flow, box: Box, varied: Varied, bounds: tuple[float, float]) -> None:
-        self.flow, self.varied, self.bounds, self.box = flow, varied, bounds, box
+    def __init__(self, flow: Flow, box: Box, parameter: ContinuationParameter, bounds: tuple[float, float]) -> None:
+        self.flow, self.parameter, self.bounds, self.box = flow, parameter, bounds, box
         self.scale = np.append(box.widths, bounds[1] - bounds[0])
         self._rates = rate_scale(flow, box)
         self.limits = (bounds[0] / self.scale[-1], bounds[1] / self.scale[-1])
 
     def at(self, z: FloatArray) -> Flow:
-        return self.varied.at(self.flow, float(z[-1] * self.scale[-1]))
+        return self.parameter.at(self.flow, float(z[-1] * self.scale[-1]))
 
     def matrix(self, z: FloatArray) -> FloatArray:
         """Return the derivative (D, D + 1) of the rates, over their typical sizes, by z."""
         flow, x = self.at(z), z[:-1] * self.box.widths
-        by_x = np.hstack([flow.jacobian(x), self.varied.slope(flow, x[None]).T])
+        by_x = np.hstack([flow.jacobian(x), self.parameter.slope(flow, x[None]).T])
         return np.asarray(by_x / self._rates[:, None] * self.scale)
 
-    def corrected(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
+    def correct(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
         """Return the fixed point in the plane through `z` across `tangent`; None: none is near."""
         guess = z.copy()
         for _ in range(10):
@@ -99,7 +99,7 @@ class _FixedPointCurve:
                 return guess
         return guess if np.abs(step).max() < 1e-8 else None
 
-    def place(self, z: FloatArray, before: FloatArray) -> _FixedPlace | None:
+    def curve_point(self, z: FloatArray, before: FloatArray) -> _FixedPointOnCurve | None:
         matrix = self.matrix(z)
         if not np.isfinite(matrix).all():
             return None
@@ -109,30 +109,33 @@ class _FixedPointCurve:
         eigenvalues = np.linalg.eigvals(similar).astype(np.complex128)
         determinant = float(np.linalg.det(np.vstack([matrix, tangent])))
         tests = {FOLD: float(tangent[-1]), BRANCH_POINT: determinant, HOPF: _pair(eigenvalues)[0]}
-        return _FixedPlace(z, tangent, tests, eigenvalues)
+        return _FixedPointOnCurve(z, tangent, tests, eigenvalues)
 
-    def end(self, last: _FixedPlace, after: _FixedPlace) -> str | None:
+    def end(self, last: _FixedPointOnCurve, after: _FixedPointOnCurve) -> str | None:
         del last
         return None if self.box.contains(after.z[:-1] * self.box.widths, OUTSIDE) else "outside the box"
 
-    def renewed(self, place: _FixedPlace) -> _FixedPlace:
-        return place
+    def adapt(self, point: _FixedPointOnCurve) -> _FixedPointOnCurve:
+        return point
 
 
-def continuation(flow: Flow, box: Box, varied: Varied, bounds: tuple[float, float]) -> tuple[Branch, ...]:
-    """Return the branches of fixed points in `box` as what is `varied` goes over `bounds`.
+def continuation(
+    flow: Flow, box: Box, parameter: ContinuationParameter, bounds: tuple[float, float]
+) -> tuple[Branch, ...]:
+    """Return the branches of fixed points in `box` as `parameter` goes over `bounds`.
 
     Branches begin at the fixed points found at the value of the model, where it lies in `bounds`, and at values
     spread over them; one that meets none of these is not seen.
     """
-    curve = _FixedPointCurve(flow, box, varied, bounds)
-    own = varied.value
+    curve = _FixedPointCurve(flow, box, parameter, bounds)
+    own = parameter.value
     spread = np.linspace(*bounds, 2 * SEEDED + 1)[1::2].tolist()
     branches: list[Branch] = []
     for value in [*([own] if bounds[0] <= own <= bounds[1] else []), *spread]:
-        for fixed in fixed_points(varied.at(flow, value), box).points:
+        for fixed in fixed_points(parameter.at(flow, value), box).points:
             start = np.append(fixed.point / box.widths, value / curve.scale[-1])
-            if len(branches) < MOST_BRANCHES and not any(_passes(each, fixed.point, value, curve) for each in branches):
+            is_seen = any(_passes(branch, fixed.point, value, curve) for branch in branches)
+            if len(branches) < MOST_BRANCHES and not is_seen:
                 branches += _branch(curve, start)
     return tuple(branches)
 
@@ -152,35 +155,35 @@ def _branch(curve: _FixedPointCurve, start: FloatArray) -> list[Branch]:
     if not np.isfinite(matrix).all():
         return []
     tangent = np.linalg.svd(matrix)[2][-1]
-    ahead, behind = followed(curve, start, tangent), followed(curve, start, -tangent)
-    places = [*behind.places[:0:-1], *ahead.places]
-    if len(places) < 2:
+    ahead, behind = continue_curve(curve, start, tangent), continue_curve(curve, start, -tangent)
+    points = [*behind.points[:0:-1], *ahead.points]
+    if len(points) < 2:
         return []
-    states = np.array([each.z[:-1] * curve.box.widths for each in places])
-    values = np.array([each.z[-1] * curve.scale[-1] for each in places])
-    unstable = np.array([int((each.eigenvalues.real > 0.0).sum()) for each in places], dtype=np.int64)
+    states = np.array([point.z[:-1] * curve.box.widths for point in points])
+    values = np.array([point.z[-1] * curve.scale[-1] for point in points])
+    unstable = np.array([int((point.eigenvalues.real > 0.0).sum()) for point in points], dtype=np.int64)
     special = (*reversed(_special(curve, behind)), *_special(curve, ahead))
     return [Branch(values, states, unstable, special)]
 
 
-def _special(curve: _FixedPointCurve, side: Side[_FixedPlace]) -> list[SpecialPoint]:
+def _special(curve: _FixedPointCurve, side: Side[_FixedPointOnCurve]) -> list[SpecialPoint]:
     """Return the special points of one side; two real eigenvalues of opposite sign make no Hopf point."""
-    found = []
-    for kind, place in side.special:
-        frequency = _pair(place.eigenvalues)[1] if kind == HOPF else None
-        if frequency is None or frequency > 1e-6 * np.abs(place.eigenvalues).max():
-            value = float(place.z[-1] * curve.scale[-1])
-            found.append(SpecialPoint(kind, value, place.z[:-1] * curve.box.widths, frequency))
-    return found
+    special = []
+    for kind, point in side.special:
+        frequency = _pair(point.eigenvalues)[1] if kind == HOPF else None
+        if frequency is None or frequency > 1e-6 * np.abs(point.eigenvalues).max():
+            value = float(point.z[-1] * curve.scale[-1])
+            special.append(SpecialPoint(kind, value, point.z[:-1] * curve.box.widths, frequency))
+    return special
 
 
 def _pair(eigenvalues: npt.NDArray[np.complex128]) -> tuple[float, float]:
     """Return real part and frequency of the complex pair nearest the imaginary axis; NaN where there is none."""
-    pairs = [each for each in eigenvalues if each.imag > 0.0]
-    nearest = min(pairs, key=lambda each: abs(each.real), default=None)
+    pairs = [eigenvalue for eigenvalue in eigenvalues if eigenvalue.imag > 0.0]
+    nearest = min(pairs, key=lambda eigenvalue: abs(eigenvalue.real), default=None)
     return (np.nan, np.nan) if nearest is None else (float(nearest.real), float(nearest.imag))
 
 
 def special_points(branches: Sequence[Branch]) -> list[SpecialPoint]:
     """Return the special points of all branches by rising value of the parameter."""
-    return sorted((each for branch in branches for each in branch.special), key=lambda each: each.value)
+    return sorted((point for branch in branches for point in branch.special), key=lambda point: point.value)

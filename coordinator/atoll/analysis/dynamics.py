@@ -176,43 +176,43 @@ def compared(
     A model with inputs is driven by those that were recorded; trajectories without any are left out. What it reaches is
     with the inputs held.
     """
-    trajectories = [each for each in trajectories if not flow.field.inputs or each.inputs is not None]
+    trajectories = [trajectory for trajectory in trajectories if not flow.field.inputs or trajectory.inputs is not None]
     if not trajectories:
         return ()
-    starts = np.array([each.states[0] for each in trajectories])
+    starts = np.array([trajectory.states[0] for trajectory in trajectories])
     reached = destinations(flow, box, attractors, starts, duration)
-    found = []
-    for each, reaches in zip(trajectories, reached.tolist(), strict=True):
-        times = np.linspace(0.0, each.times[-1], ROWS)
-        course = _course(flow, each, times, box)
+    comparisons = []
+    for trajectory, reaches in zip(trajectories, reached.tolist(), strict=True):
+        times = np.linspace(0.0, trajectory.times[-1], ROWS)
+        course = _course(flow, trajectory, times, box)
         with np.errstate(invalid="ignore"):
             inside = np.abs((course - box.middle) / box.widths).max(axis=1) < UNBOUNDED
         known = np.isfinite(course).all(axis=1)
         simulated = motion(times[known], course[known])
-        orbit = _orbit_period(flow, each, box) if has_family and reaches == UNDECIDED else None
-        measured = motion(each.times, each.states)
-        found.append(Comparison(each.name, bool(inside.all()), measured, simulated, reaches, orbit))
-    return tuple(found)
+        orbit = _orbit_period(flow, trajectory, box) if has_family and reaches == UNDECIDED else None
+        measured = motion(trajectory.times, trajectory.states)
+        comparisons.append(Comparison(trajectory.name, bool(inside.all()), measured, simulated, reaches, orbit))
+    return tuple(comparisons)
 
 
-def _orbit_period(flow: Flow, its: Measured, box: Box) -> float | None:
+def _orbit_period(flow: Flow, trajectory: Measured, box: Box) -> float | None:
     """Return the period of the model from where a trajectory begins, which may be too short to show one itself."""
-    times = np.linspace(0.0, _LONGER * its.times[-1], ROWS)
-    course = follow(flow, its.states[0], times, box.widths)
+    times = np.linspace(0.0, _LONGER * trajectory.times[-1], ROWS)
+    course = follow(flow, trajectory.states[0], times, box.widths)
     return motion(times, course).period if np.isfinite(course).all() else None
 
 
-def _course(flow: Flow, its: Measured, times: FloatArray, box: Box) -> FloatArray:
+def _course(flow: Flow, trajectory: Measured, times: FloatArray, box: Box) -> FloatArray:
     """Return the states (n, D) from where a measured trajectory begins, driven by its inputs where it has some."""
-    recorded = its.inputs
+    recorded = trajectory.inputs
     if recorded is None:
-        return follow(flow, its.states[0], times, box.widths)
+        return follow(flow, trajectory.states[0], times, box.widths)
 
     def rates(x: FloatArray) -> FloatArray:  # the last state is the time
         return np.append(flow.field.values(x[:-1], recorded(float(x[-1])), flow.parameters), 1.0)
 
     sizes = np.append(box.widths, times[-1])
-    return follow_rates(rates, np.append(its.states[0], 0.0), times, sizes)[:, :-1]
+    return follow_rates(rates, np.append(trajectory.states[0], 0.0), times, sizes)[:, :-1]
 
 
 def motion(times: FloatArray, states: FloatArray) -> Motion:
@@ -246,7 +246,7 @@ def _period(times: FloatArray, values: FloatArray) -> float | None:
 def _phases(times: FloatArray, states: FloatArray, period: float) -> FloatArray:
     """Return by which share of a period each state comes after the first, from the component of that period (D,)."""
     rows = times >= times[-1] - period * np.floor((times[-1] - times[0]) / period)
-    its, wave = states[rows], np.exp(-2j * np.pi * times[rows] / period)
+    whole, wave = states[rows], np.exp(-2j * np.pi * times[rows] / period)
     steps = np.gradient(times[rows])
-    components = ((its - its.mean(axis=0)) * (wave * steps)[:, None]).sum(axis=0)
+    components = ((whole - whole.mean(axis=0)) * (wave * steps)[:, None]).sum(axis=0)
     return np.asarray((np.angle(components[0]) - np.angle(components)) / (2.0 * np.pi) % 1.0)

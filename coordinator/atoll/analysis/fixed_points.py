@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.analysis.box import Box
-from atoll.analysis.flow import Ensemble, Flow, Step, crossing, steps
+from atoll.analysis.flow import Flow, IntegrationBatch, Step, crossing, steps
 from atoll_core.data.dataset import FloatArray
 
 Complexes = npt.NDArray[np.complex128]
@@ -94,8 +94,8 @@ def fixed_points(flow: Flow, box: Box) -> FixedPoints:
     """Return the fixed points in `box`, by rising first coordinate, then second, and so on."""
     starts = min(MOST_STARTS, STARTS_PER_STATE * flow.size)
     corners = [box.lower, box.upper, box.middle]
-    found = newton_ends(flow, box, np.vstack([corners, box.points(starts)]))
-    inside = found[box.contains(found, 1e-6)]
+    ends = newton_ends(flow, box, np.vstack([corners, box.points(starts)]))
+    inside = ends[box.contains(ends, 1e-6)]
     distinct = distinct_points(flow, inside, box)
     are_isolated = len(distinct) <= MOST_POINTS
     some = distinct if are_isolated else distinct[:: len(distinct) // _EXAMPLES]
@@ -179,8 +179,8 @@ def rate_scale(flow: Flow, box: Box) -> FloatArray:
     that it takes through the box is 1, which decides nothing.
     """
     rates = np.abs(flow.rates(box.points(256)))
-    known = [its[np.isfinite(its)] for its in rates.T]
-    typical = np.array([np.median(its) or its.max() if len(its) else 0.0 for its in known])
+    finite_rates = [finite[np.isfinite(finite)] for finite in rates.T]
+    typical = np.array([np.median(finite) or finite.max() if len(finite) else 0.0 for finite in finite_rates])
     moving = typical > 0.0
     slowest = (typical[moving] / box.widths[moving]).min() if moving.any() else 1.0
     return np.where(moving, typical, slowest * box.widths)
@@ -231,11 +231,11 @@ def _attracts(flow: Flow, point: FloatArray, box: Box) -> bool:
     beside = Box(point - 0.05 * box.widths, point + 0.05 * box.widths)
     starts = beside.points(16)
     slowest = float((box.widths / rate_scale(flow, box)).max())
-    ensemble = Ensemble.of(starts, 1e-3 * slowest)
-    ensemble.advance(flow.rates, 2000.0 * slowest, 1e-3 * box.widths, rtol=1e-5, most_steps=1500)
+    batch = IntegrationBatch.of(starts, 1e-3 * slowest)
+    batch.advance(flow.rates, 2000.0 * slowest, 1e-3 * box.widths, rtol=1e-5, most_steps=1500)
     first = np.abs((starts - point) / box.widths).max(axis=1)
-    last = np.abs((ensemble.states - point) / box.widths).max(axis=1)
-    return bool((~ensemble.is_lost).all() and (last < 0.5 * first.max()).all())
+    last = np.abs((batch.states - point) / box.widths).max(axis=1)
+    return bool((~batch.is_lost).all() and (last < 0.5 * first.max()).all())
 
 
 def kind_of(eigenvalues: Complexes) -> str:

@@ -146,21 +146,21 @@ def follow(flow: Flow, start: FloatArray, times: FloatArray, sizes: FloatArray) 
 
 def follow_rates(rates: Rates, start: FloatArray, times: FloatArray, sizes: FloatArray) -> FloatArray:
     """Return the states (n, D) that `rates` make of a start (D,), as `follow` does."""
-    found = np.full((len(times), len(start)), np.nan)
+    states = np.full((len(times), len(start)), np.nan)
     row = 0
     while row < len(times) and times[row] <= 0.0:
-        found[row] = start
+        states[row] = start
         row += 1
     for step in steps(rates, start, float(times[-1]) if len(times) else 0.0, sizes):
         while row < len(times) and times[row] <= step.after:
-            found[row] = step.at(float(times[row]))
+            states[row] = step.at(float(times[row]))
             row += 1
-    return found
+    return states
 
 
 @dataclass(eq=False)
-class Ensemble:
-    """N starts that go on together: `states` (N, D), each at its time (N,) with its next step (N,).
+class IntegrationBatch:
+    """N starts that are integrated together: `states` (N, D), each at its time (N,) with its next step (N,).
 
     `is_lost` (N,): it met a point without rates.
     """
@@ -171,7 +171,7 @@ class Ensemble:
     is_lost: np.ndarray
 
     @classmethod
-    def of(cls, states: FloatArray, step: float) -> "Ensemble":
+    def of(cls, states: FloatArray, step: float) -> "IntegrationBatch":
         """Return starts at time 0, with a first step to try."""
         count = len(states)
         return cls(np.array(states), np.zeros(count), np.full(count, step), np.zeros(count, dtype=bool))

@@ -23,7 +23,7 @@ from atoll.analysis.fixed_points import (
     newton_ends,
     rate_scale,
 )
-from atoll.analysis.flow import SETTLING, UNBOUNDED, Ensemble, Flow, Step, crossing, follow, steps
+from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch, Step, crossing, follow, steps
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 24
@@ -69,14 +69,14 @@ _MOST_RETURNS: Final = 40
 class LimitCycle:
     """A closed orbit through `point` (D,) with its `period` and Floquet `multipliers` (D,), that of the flow (1) first.
 
-    `points` (n, D) lie on it at even times. `divergence` is the logarithm of the product of the multipliers. An orbit
-    that is not `is_isolated` belongs to a family, as around a centre.
+    `points` (n, D) lie on it at even times. `log_multiplier_product` is the logarithm of the product of the
+    multipliers. An orbit that is not `is_isolated` belongs to a family, as around a centre.
     """
 
     point: FloatArray
     period: float
     multipliers: Complexes
-    divergence: float
+    log_multiplier_product: float
     points: FloatArray
 
     @property
@@ -124,24 +124,24 @@ def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycl
             if all(distance(other, cycle.point[None], box)[0] > 1e-3 for other in cycles):
                 turned = _closed_orbit(flow, cycle.point, cycle.period, box)
                 cycles += [turned] if turned is not None else []
-    isolated = sorted((each for each in cycles if each.is_isolated), key=lambda each: each.period)
+    isolated = sorted((cycle for cycle in cycles if cycle.is_isolated), key=lambda cycle: cycle.period)
     return replace(forward, cycles=tuple(isolated), has_family=len(isolated) < len(cycles))
 
 
 def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycles:
     ends, count, duration = _ends(flow, box, fixed)
-    outside = [each for each in _rests(flow, ends, box) if not box.contains(each.point, 1e-6)]
+    outside = [rest for rest in _rests(flow, ends, box) if not box.contains(rest.point, 1e-6)]
     resting = [*fixed, *outside]
     cycles: list[LimitCycle] = []
     unsettled, failures = [], 0
     for end in ends:
-        if _is_at_rest(end, resting, box) or any(distance(each, end[None], box)[0] < 1e-2 for each in cycles):
+        if _is_at_rest(end, resting, box) or any(distance(known, end[None], box)[0] < 1e-2 for known in cycles):
             continue
         if failures >= MOST_FAILURES or len(cycles) >= MOST_CYCLES:
             unsettled.append(end)
             continue
         cycle = cycle_near(flow, end, box, SETTLING * time_scale(flow, box))
-        if cycle is not None and any(distance(each, cycle.point[None], box)[0] < 1e-3 for each in cycles):
+        if cycle is not None and any(distance(known, cycle.point[None], box)[0] < 1e-3 for known in cycles):
             failures += 1  # courses that approach a known cycle slowly tell nothing new
             continue
         cycles += [cycle] if cycle is not None else []
@@ -155,26 +155,26 @@ def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycles:
 def _ends(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray, int, float]:
     """Return where simulations from the box and from beside its fixed points are after the transient, if bounded."""
     duration = SETTLING * time_scale(flow, box)
-    beside = [each.point[None] + 0.02 * box.widths for each in fixed[:STARTS]]
+    beside = [point.point[None] + 0.02 * box.widths for point in fixed[:STARTS]]
     starts = np.vstack([box.points(STARTS), *beside])
-    ensemble = Ensemble.of(starts, 1e-4 * duration)
+    batch = IntegrationBatch.of(starts, 1e-4 * duration)
     for part in range(1, 6):
-        ensemble.advance(flow.rates, part * 0.2 * duration, 1e-3 * box.widths, rtol=1e-6, most_steps=MOST_STEPS // 5)
-        ensemble.is_lost |= (np.abs(ensemble.states - box.middle) / box.widths).max(axis=1) > UNBOUNDED
-    return ensemble.states[~ensemble.is_lost], len(starts), duration
+        batch.advance(flow.rates, part * 0.2 * duration, 1e-3 * box.widths, rtol=1e-6, most_steps=MOST_STEPS // 5)
+        batch.is_lost |= (np.abs(batch.states - box.middle) / box.widths).max(axis=1) > UNBOUNDED
+    return batch.states[~batch.is_lost], len(starts), duration
 
 
 def _rests(flow: Flow, ends: FloatArray, box: Box) -> list[FixedPoint]:
     """Return the stable fixed points that Newton steps find beside `ends`."""
-    found = distinct_points(flow, newton_ends(flow, box, ends), box) if len(ends) else ends
-    beside = [point for point in found if (np.abs((ends - point) / box.widths).max(axis=1) < 0.01).any()]
-    return [each for each in (classified(flow, point, box) for point in beside) if each.is_stable]
+    points = distinct_points(flow, newton_ends(flow, box, ends), box) if len(ends) else ends
+    beside = [point for point in points if (np.abs((ends - point) / box.widths).max(axis=1) < 0.01).any()]
+    return [rest for rest in (classified(flow, point, box) for point in beside) if rest.is_stable]
 
 
 def _is_at_rest(end: FloatArray, fixed: Sequence[FixedPoint], box: Box) -> bool:
-    for each in fixed:
-        near = SMALLEST if each.kind != "non-hyperbolic" or not each.is_stable else 0.05
-        if np.abs((end - each.point) / box.widths).max() < near * (10.0 if each.is_stable else 1.0):
+    for point in fixed:
+        near = SMALLEST if point.kind != "non-hyperbolic" or not point.is_stable else 0.05
+        if np.abs((end - point.point) / box.widths).max() < near * (10.0 if point.is_stable else 1.0):
             return True
     return False
 
@@ -219,7 +219,7 @@ def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> fl
             returns.append((time, float(np.abs((step.at(time) - start) / box.widths).max())))
             if returns[-1][1] < 1e-3 * farthest:
                 break
-    nearest = min((each[1] for each in returns), default=np.inf)
+    nearest = min((far for _, far in returns), default=np.inf)
     if farthest < SMALLEST or nearest > _NEAR * min(farthest, 1.0):
         return None
     return next(time for time, far in returns if far <= 3.0 * nearest + 1e-5)
@@ -230,7 +230,7 @@ def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> Lim
     point, size = start.copy(), flow.size
     phase = period * flow.rates(start) / box.widths
     for round_ in range(12):
-        end, monodromy, divergence = transported(flow, point, period, box)
+        end, monodromy, log_multiplier_product = transported(flow, point, period, box)
         missed = (end - point) / box.widths
         if not np.isfinite(monodromy).all() or not np.isfinite(end).all():
             return None
@@ -251,17 +251,18 @@ def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> Lim
     extent = ((points.max(axis=0) - points.min(axis=0)) / box.widths).max()
     if not extent > SMALLEST or not period > 0.0:
         return None
-    found = LimitCycle(point, period, multipliers_of(monodromy, divergence), divergence, points)
+    cycle = LimitCycle(point, period, multipliers_of(monodromy, log_multiplier_product), log_multiplier_product, points)
     miss = float(np.abs(missed).max())
-    if not found.is_isolated:  # of a family each course is one, and a small one that shrinks slowly misses little
-        return found if miss <= _CLOSED * max(extent, _SMALL) else None
-    return found if miss / np.abs(found.multipliers[1:] - 1.0).min() <= _KNOWN * extent else None
+    if not cycle.is_isolated:  # of a family each course is one, and a small one that shrinks slowly misses little
+        return cycle if miss <= _CLOSED * max(extent, _SMALL) else None
+    return cycle if miss / np.abs(cycle.multipliers[1:] - 1.0).min() <= _KNOWN * extent else None
 
 
 def transported(flow: Flow, start: FloatArray, duration: float, box: Box) -> tuple[FloatArray, FloatArray, float]:
     """Return where `start` (D,) is after `duration`, the derivative of that by `start` (D, D), and the divergence.
 
-    The derivative is in widths of the box. NaN where the course cannot be followed.
+    The derivative is in widths of the box. The divergence, integrated over `duration`, is the logarithm of the
+    derivative's determinant. NaN where the course cannot be followed.
     """
     size = flow.size
 
@@ -279,10 +280,10 @@ def transported(flow: Flow, start: FloatArray, duration: float, box: Box) -> tup
     return end[:size], end[size:-1].reshape(size, size), float(end[-1])
 
 
-def multipliers_of(monodromy: FloatArray, divergence: float) -> Complexes:
+def multipliers_of(monodromy: FloatArray, log_multiplier_product: float) -> Complexes:
     """Return the eigenvalues, that of the flow first, then by falling size."""
     if len(monodromy) == 2:
-        return np.array([1.0, np.exp(min(divergence, 700.0))], dtype=np.complex128)
+        return np.array([1.0, np.exp(min(log_multiplier_product, 700.0))], dtype=np.complex128)
     values = np.linalg.eigvals(monodromy).astype(np.complex128)
     own = int(np.argmin(np.abs(values - 1.0)))
     others = np.delete(values, own)

@@ -10,7 +10,7 @@ import numpy as np
 
 from atoll.analysis.box import Box
 from atoll.analysis.fixed_points import jacobian_in_widths
-from atoll.analysis.flow import SETTLING, UNBOUNDED, Ensemble, Flow
+from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch
 from atoll.analysis.limit_cycles import time_scale
 from atoll_core.data.dataset import FloatArray
 
@@ -59,7 +59,7 @@ def lyapunov_spectrum(
     """
     scale, size = time_scale(flow, box), flow.size
     first = box.points(starts) if seeds is None or not len(seeds) else _beside(seeds, box, starts)
-    settled = Ensemble.of(first, 1e-3 * scale)
+    settled = IntegrationBatch.of(first, 1e-3 * scale)
     settled.advance(flow.rates, SETTLING * scale, 1e-3 * box.widths, rtol=1e-5, most_steps=5000)
     states = settled.states[~settled.is_lost & _is_inside(settled.states, box)]
     if not len(states):
@@ -72,17 +72,17 @@ def lyapunov_spectrum(
         return np.concatenate([flow.rates(y[:, :size]), vectors.reshape(len(y), -1)], axis=1)
 
     count = len(states)
-    ensemble = Ensemble.of(np.hstack([states, np.tile(np.eye(size).ravel(), (count, 1))]), 0.1 * interval)
+    batch = IntegrationBatch.of(np.hstack([states, np.tile(np.eye(size).ravel(), (count, 1))]), 0.1 * interval)
     weights = np.concatenate([1e-2 * box.widths, np.full(size * size, 1.0)])
     growth, skipped = np.zeros((count, size)), intervals // _SETTLING_SHARE
     for number in range(1, intervals + skipped + 1):
-        ensemble.advance(rates, number * interval, weights, rtol=1e-5)
-        vectors, sizes = np.linalg.qr(np.nan_to_num(ensemble.states[:, size:].reshape(count, size, size)))
-        ensemble.states[:, size:] = vectors.reshape(count, -1)
+        batch.advance(rates, number * interval, weights, rtol=1e-5)
+        vectors, sizes = np.linalg.qr(np.nan_to_num(batch.states[:, size:].reshape(count, size, size)))
+        batch.states[:, size:] = vectors.reshape(count, -1)
         if number > skipped:
             with np.errstate(divide="ignore"):
                 growth += np.log(np.abs(np.einsum("nii->ni", sizes)))
-    kept = growth[~ensemble.is_lost & _is_inside(ensemble.states[:, :size], box) & np.isfinite(growth).all(axis=1)]
+    kept = growth[~batch.is_lost & _is_inside(batch.states[:, :size], box) & np.isfinite(growth).all(axis=1)]
     if not len(kept):
         return None
     duration = intervals * interval

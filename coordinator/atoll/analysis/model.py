@@ -22,5 +22,5 @@ def analyse_model(
     held = {name: number(value, f"the input {name!r}") for name, value in by_name(inputs, "inputs").items()}
     if vary is not None and not (isinstance(vary, tuple) and len(vary) == 2 and isinstance(vary[0], str)):
         raise UsageError(f"vary must be a name and a range, such as ('c1', (0.0, 1.0)), but {shown(vary)} was given")
-    varied = None if vary is None else (vary[0], interval(vary[1], f"the range of {vary[0]!r}"))
-    return analyse_result(model.result, bounds, inputs=held, vary=varied)
+    parameter = None if vary is None else (vary[0], interval(vary[1], f"the range of {vary[0]!r}"))
+    return analyse_result(model.result, bounds, inputs=held, vary=parameter)

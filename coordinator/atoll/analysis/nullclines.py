@@ -51,10 +51,10 @@ def _polylines(flow: Flow, grid: FloatArray, rates: FloatArray, state: int) -> t
 
 def _crossings(flow: Flow, grid: FloatArray, rates: FloatArray, state: int) -> dict[Edge, FloatArray]:
     """Return the points where the rate changes its sign along the sides of cells."""
-    found: dict[Edge, FloatArray] = {}
+    crossings: dict[Edge, FloatArray] = {}
     for axis in range(2):
-        here, there = (slice(None, -1), slice(None)), (slice(1, None), slice(None))
-        first, second = (here, there) if axis == 0 else (here[::-1], there[::-1])
+        lower, upper = (slice(None, -1), slice(None)), (slice(1, None), slice(None))
+        first, second = (lower, upper) if axis == 0 else (lower[::-1], upper[::-1])
         low, high = rates[first], rates[second]
         # a rate of exactly 0 counts as positive, so that a line through corners of the grid is met once
         rows, columns = np.nonzero((low >= 0.0) != (high >= 0.0))
@@ -62,9 +62,9 @@ def _crossings(flow: Flow, grid: FloatArray, rates: FloatArray, state: int) -> d
         rows, columns = rows[is_known], columns[is_known]
         below, above = grid[first][rows, columns], grid[second][rows, columns]
         points, is_root = _bisected(flow, below, above, low[rows, columns], high[rows, columns], state)
-        places = zip(rows.tolist(), columns.tolist(), points, is_root.tolist(), strict=True)
-        found |= {(axis, row, column): point for row, column, point, root in places if root}
-    return found
+        sides = zip(rows.tolist(), columns.tolist(), points, is_root.tolist(), strict=True)
+        crossings |= {(axis, row, column): point for row, column, point, root in sides if root}
+    return crossings
 
 
 def _bisected(
@@ -88,7 +88,7 @@ def _chains(neighbours: dict[Edge, list[Edge]]) -> list[list[Edge]]:
             continue
         chain, current = [start], start
         seen.add(start)
-        while (after := next((each for each in neighbours[current] if each not in seen), None)) is not None:
+        while (after := next((edge for edge in neighbours[current] if edge not in seen), None)) is not None:
             chain.append(after)
             seen.add(after)
             current = after

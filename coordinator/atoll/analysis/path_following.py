@@ -1,8 +1,8 @@
 """Curves of solutions as one parameter varies: steps along the tangent, Newton steps across it (Keller 1977).
 
-A curve says what it is a curve of: it corrects a guess, and tells of a place its tangent and tests, numbers that change
-their signs where the character of the solutions does. Letters: n coordinates, all of about the same scale, the
-parameter last.
+A curve says what it is a curve of: it corrects a guess, and tells of each of its points the tangent and tests, numbers
+that change their signs where the character of the solutions does. Letters: n coordinates, all of about the same scale,
+the parameter last.
 """
 
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ _BESIDE: Final = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class CurvePoint:
     """A point `z` (n,) of a curve with its unit `tangent` (n,), and its `tests` by kind of special point."""
 
     z: FloatArray
@@ -42,113 +42,113 @@ class Place:
     tests: Mapping[str, float]
 
 
-Its = TypeVar("Its", bound=Place)
+PointT = TypeVar("PointT", bound=CurvePoint)
 
 
-class Curve(Protocol[Its]):
-    """What a curve knows of its places; all return None where a rate has no finite value, or nothing is near."""
+class Curve(Protocol[PointT]):
+    """What a curve knows of its points; all return None where a rate has no finite value, or nothing is near."""
 
     longest: float
     """Longest step."""
 
     most: int
-    """Places on each side of the first one."""
+    """Points on each side of the first one."""
 
     limits: tuple[float, float]
-    """Between which values of its last coordinate it is followed; its last place is at one of these."""
+    """Between which values of its last coordinate it is followed; its last point is at one of these."""
 
-    def corrected(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
+    def correct(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
         """Return the point of the curve in the plane through `z` across `tangent`."""
 
-    def place(self, z: FloatArray, before: FloatArray) -> Its | None:
-        """Return the place at a point of the curve; its tangent goes on in the direction of `before`."""
+    def curve_point(self, z: FloatArray, before: FloatArray) -> PointT | None:
+        """Return what is known of the point `z` of the curve; its tangent goes on in the direction of `before`."""
 
-    def end(self, last: Its, after: Its) -> str | None:
+    def end(self, last: PointT, after: PointT) -> str | None:
         """Return why the curve is not followed to `after`; None where it is."""
 
-    def renewed(self, place: Its) -> Its:
-        """Return a place in the coordinates in which the curve is followed from there."""
+    def adapt(self, point: PointT) -> PointT:
+        """Return a point in the coordinates in which the curve is followed from there."""
 
 
 @dataclass(frozen=True, eq=False)
-class Side(Generic[Its]):
-    """One side of a curve: its `places` from the first one, the special ones by kind in this order, and its end."""
+class Side(Generic[PointT]):
+    """One side of a curve: its `points` from the first one, the special ones by kind in this order, and its end."""
 
-    places: list[Its]
-    special: list[tuple[str, Its]]
+    points: list[PointT]
+    special: list[tuple[str, PointT]]
     end: str
 
 
-def followed(curve: Curve[Its], start: FloatArray, direction: FloatArray) -> Side[Its]:
-    """Return the places of `curve` from the point `start` (n,) in a direction (n,)."""
-    first = curve.place(start, direction)
+def continue_curve(curve: Curve[PointT], start: FloatArray, direction: FloatArray) -> Side[PointT]:
+    """Return the points of `curve` from `start` (n,) in a direction (n,)."""
+    first = curve.curve_point(start, direction)
     if first is None:
         return Side([], [], "no rates")
-    places, length = [first], 0.25 * curve.longest
-    special: list[tuple[str, Its]] = []
-    while len(places) < curve.most:
-        last = places[-1]
-        z = curve.corrected(last.z + length * last.tangent, last.tangent)
-        after = None if z is None else curve.place(z, last.tangent)
+    points, length = [first], 0.25 * curve.longest
+    special: list[tuple[str, PointT]] = []
+    while len(points) < curve.most:
+        last = points[-1]
+        z = curve.correct(last.z + length * last.tangent, last.tangent)
+        after = None if z is None else curve.curve_point(z, last.tangent)
         if after is None or after.tangent @ last.tangent < _STRAIGHT or _far(after.z - last.z) > 2.0 * length:
             length *= 0.5
             if length < SHORTEST:
-                return Side(places, special, "steps have become too short")
+                return Side(points, special, "steps have become too short")
             continue
         end = curve.end(last, after)
         if end is not None:
-            return Side(places, special, end)
+            return Side(points, special, end)
         if not curve.limits[0] <= after.z[-1] <= curve.limits[1]:
             final = _at_limit(curve, last, after)
-            more = [] if final is None else changes(curve, last, final)
-            return Side([*places, *([] if final is None else [final])], [*special, *more], END_OF_RANGE)
-        special += changes(curve, last, after)
-        places.append(curve.renewed(after))
-        if len(places) > 10 and len(after.z) == len(start) and _far(after.z - start) < 0.5 * length:
-            return Side(places, special, "closed")
+            more = [] if final is None else locate_special_points(curve, last, final)
+            return Side([*points, *([] if final is None else [final])], [*special, *more], END_OF_RANGE)
+        special += locate_special_points(curve, last, after)
+        points.append(curve.adapt(after))
+        if len(points) > 10 and len(after.z) == len(start) and _far(after.z - start) < 0.5 * length:
+            return Side(points, special, "closed")
         length = min(1.5 * length, curve.longest)
-    return Side(places, special, f"{curve.most} points")
+    return Side(points, special, f"{curve.most} points")
 
 
-def _at_limit(curve: Curve[Its], last: Its, after: Its) -> Its | None:
-    """Return the place between two at which the last coordinate is at its limit."""
+def _at_limit(curve: Curve[PointT], last: PointT, after: PointT) -> PointT | None:
+    """Return the point between two at which the last coordinate is at its limit."""
     limit = curve.limits[0] if after.z[-1] < curve.limits[0] else curve.limits[1]
     share = (limit - last.z[-1]) / (after.z[-1] - last.z[-1])
     across = np.append(np.zeros(len(last.z) - 1), 1.0)
-    z = curve.corrected(last.z + share * (after.z - last.z), across)
-    return None if z is None else curve.place(z, last.tangent)
+    z = curve.correct(last.z + share * (after.z - last.z), across)
+    return None if z is None else curve.curve_point(z, last.tangent)
 
 
 def _far(step: FloatArray) -> float:
     return float(np.sqrt(step @ step))
 
 
-def changes(curve: Curve[Its], first: Its, second: Its) -> list[tuple[str, Its]]:
-    """Return the places between two at which a test changes its sign, each with its kind.
+def locate_special_points(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
+    """Return the special points between two points, where a test changes its sign, each with its kind.
 
     At a branch point the tangent of the curve may turn as well: that is no fold.
     """
     kinds = [kind for kind in first.tests if first.tests[kind] * second.tests[kind] < 0.0]
     if BRANCH_POINT in kinds and FOLD in kinds:
         kinds.remove(FOLD)
-    return [(kind, located(curve, first, second, kind)) for kind in kinds]
+    return [(kind, locate_special_point(curve, first, second, kind)) for kind in kinds]
 
 
-def located(curve: Curve[Its], first: Its, second: Its, kind: str) -> Its:
-    """Return the place between two where a test vanishes, by regula falsi (the Illinois variant)."""
-    best = min((first, second), key=lambda each: abs(each.tests[kind]))
+def locate_special_point(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> PointT:
+    """Return the point between two where a test vanishes, by regula falsi (the Illinois variant)."""
+    best = min((first, second), key=lambda point: abs(point.tests[kind]))
     low, high = 0.0, 1.0
     low_value, high_value = first.tests[kind], second.tests[kind]
     for _ in range(_EVALUATIONS):
         share = (low * high_value - high * low_value) / (high_value - low_value)
-        place = _between(curve, first, second, share)
-        if place is None:  # at a branch point itself Newton steps have no matrix to go by: go beside it
+        point = _between(curve, first, second, share)
+        if point is None:  # at a branch point itself Newton steps have no matrix to go by: go beside it
             share += _BESIDE * (high - share)
-            place = _between(curve, first, second, share)
-        if place is None or not np.isfinite(place.tests[kind]):
+            point = _between(curve, first, second, share)
+        if point is None or not np.isfinite(point.tests[kind]):
             break
-        value = place.tests[kind]
-        best = place if abs(value) <= abs(best.tests[kind]) else best
+        value = point.tests[kind]
+        best = point if abs(value) <= abs(best.tests[kind]) else best
         if value * high_value < 0.0:
             low, low_value = high, high_value
         else:
@@ -160,7 +160,7 @@ def located(curve: Curve[Its], first: Its, second: Its, kind: str) -> Its:
     return best
 
 
-def _between(curve: Curve[Its], first: Its, second: Its, share: float) -> Its | None:
-    """Return the place of the curve in the plane that lies at a share of the way between two."""
-    z = curve.corrected(first.z + share * (second.z - first.z), first.tangent)
-    return None if z is None else curve.place(z, first.tangent)
+def _between(curve: Curve[PointT], first: PointT, second: PointT, share: float) -> PointT | None:
+    """Return the point of the curve in the plane that lies at a share of the way between two."""
+    z = curve.correct(first.z + share * (second.z - first.z), first.tangent)
+    return None if z is None else curve.curve_point(z, first.tangent)

@@ -87,7 +87,7 @@ def _cycle(each: LimitCycle) -> dict[str, Any]:
         "period": each.period,
         "is_stable": each.is_stable,
         "multipliers": _complex(each.multipliers),
-        "log_multiplier_product": each.divergence,
+        "log_multiplier_product": each.log_multiplier_product,
         "minimum": _list(each.points.min(axis=0)),
         "maximum": _list(each.points.max(axis=0)),
         "points": [_list(point) for point in each.points],
@@ -170,11 +170,16 @@ def _comparison(each: Comparison, its: Analysis) -> dict[str, Any]:
 
 
 def _continuation(its: Analysis) -> dict[str, Any] | None:
-    if its.varied is None:
+    parameter = its.continuation_parameter
+    if parameter is None:
         return None
     named = {each.name: each.variable for each in its.field.parameters}
     return {
-        "parameter": {"name": its.varied.name, "variable": named.get(its.varied.name), "value": its.varied.value},
+        "parameter": {
+            "name": parameter.name,
+            "variable": named.get(parameter.name),
+            "value": parameter.value,
+        },
         "branches": [_branch(each) for each in its.branches],
         "cycle_branches": [_cycle_branch(each) for each in its.cycle_branches],
     }
@@ -320,11 +325,11 @@ def _beside(each: Comparison, its: Analysis) -> list[str]:
 
 
 def _branch_lines(its: Analysis) -> list[str]:
-    if its.varied is None:
+    if its.continuation_parameter is None:
         return []
-    lines = [f"fixed points as {its.varied.name} (now {its.varied.value:.6g}) varies:"]
+    lines = [f"fixed points as {its.continuation_parameter.name} (now {its.continuation_parameter.value:.6g}) varies:"]
     lines += [line for branch in its.branches for line in _fixed_point_branch(branch)]
-    lines.append(f"limit cycles as {its.varied.name} varies: {len(its.cycle_branches)} branches")
+    lines.append(f"limit cycles as {its.continuation_parameter.name} varies: {len(its.cycle_branches)} branches")
     return [*lines, *(line for branch in its.cycle_branches for line in _cycle_branch_lines(branch))]
 
 

@@ -98,20 +98,20 @@ class Foreteller:
 
     def at(self, design: Design) -> Foretold:
         """Return what the candidate foretells of an experiment."""
-        its, fit = self._fitted.measured.measurements, self._fitted.fit
-        states, count, rows = len(its.scales), len(fit.system.places), len(design.times)
+        measurements, fit = self._fitted.measured.measurements, self._fitted.fit
+        states, count, rows = len(measurements.scales), len(fit.system.places), len(design.times)
         inputs, slopes = design.courses()
         simulated, gradients = np.full((states, rows), np.nan), np.zeros((rows, states, count + states))
         integrate_segments(
             STIFF if fit.is_stiff else PRECISE, fit.system.tape, fit.system.owners, (design.times, inputs, slopes),
             np.array([[0, rows]], dtype=np.int64), np.ascontiguousarray(design.initial[None]),
-            self._fitted.estimator.tolerance * its.scales, self._limits,
+            self._fitted.estimator.tolerance * measurements.scales, self._limits,
             200 + SETTINGS.shooting.steps_per_row * rows, True, simulated, gradients, np.zeros(1, dtype=np.int64),
         )  # fmt: skip
         reached = int(np.isfinite(simulated).all(axis=0).sum())
-        by_all = gradients[:, its.observed] / self._sigmas[:, None]
+        by_all = gradients[:, measurements.observed] / self._sigmas[:, None]
         spread = np.concatenate([by_all[..., :count] @ self.root, by_all[..., count:] * self._widths], axis=2)
-        return Foretold(simulated[its.observed].T / self._sigmas, spread, reached)
+        return Foretold(simulated[measurements.observed].T / self._sigmas, spread, reached)
 
 
 def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
@@ -123,11 +123,11 @@ def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
     return np.maximum(values, least), np.asarray(vectors)
 
 
-def discrepancy(one: Foretold, other: Foretold) -> float:
+def discrepancy(first: Foretold, second: Foretold) -> float:
     """Return d' (S_i + S_j)^-1 d of two candidates, over the rows that both reach."""
-    rows = min(one.reached, other.reached)
-    difference = (one.values[:rows] - other.values[:rows]).ravel()
-    spread = np.concatenate([one.spread[:rows], other.spread[:rows]], axis=2).reshape(len(difference), -1)
+    rows = min(first.reached, second.reached)
+    difference = (first.values[:rows] - second.values[:rows]).ravel()
+    spread = np.concatenate([first.spread[:rows], second.spread[:rows]], axis=2).reshape(len(difference), -1)
     if not rows or not np.isfinite(spread).all():
         return 0.0
     known, directions = _axes(spread.T @ spread, 0.0)
@@ -205,8 +205,8 @@ def distance_after(ahead: Fitted, fitted: Fitted, design: Design, foretold: Fore
         foretold: what the candidate that is right foretells of it.
         sigmas: errors of a measurement (O,).
     """
-    its = ahead.measured.measurements
-    longer = with_trajectory(its, design, foretold.values.T * sigmas[:, None])
+    measurements = ahead.measured.measurements
+    longer = with_trajectory(measurements, design, foretold.values.T * sigmas[:, None])
     estimator = MultipleShooting(longer, fitted.estimator.tolerance)
     starts = np.concatenate([fitted.fit.starts, _local(design.initial, fitted.fit.starts.shape[1])[None]])
     system, errors, is_stiff = fitted.fit.system, fitted.errors, fitted.fit.is_stiff
@@ -228,32 +228,32 @@ def _local(initial: FloatArray, count: int) -> FloatArray:
     return np.concatenate([initial, np.zeros(count - len(initial))])
 
 
-def with_trajectory(its: Measurements, design: Design, values: FloatArray) -> Measurements:
+def with_trajectory(measurements: Measurements, design: Design, values: FloatArray) -> Measurements:
     """Return measurements with one trajectory more, of measured `values` (O, n)."""
-    rows, count = len(design.times), its.rows
+    rows, count = len(design.times), measurements.rows
     states = np.repeat(design.initial[:, None], rows, axis=1)
-    states[its.observed] = values
+    states[measurements.observed] = values
     inputs, slopes = design.courses()
     ones = np.ones_like(values)
-    weighed = its.inverse_variances
+    weighed = measurements.inverse_variances
     return replace(
-        its,
-        bounds=np.concatenate([its.bounds, [[count, count + rows]]]),
-        owners=np.append(its.owners, len(its.names)),
-        times=np.concatenate([its.times, design.times]),
-        measured=_beside(its.measured, values),
-        weights=_beside(its.weights, ones),
-        smoothed=_beside(its.smoothed, states),
-        inputs=_beside(its.inputs, inputs),
-        input_slopes=_beside(its.input_slopes, slopes),
-        names=(*its.names, "experiment"),
+        measurements,
+        bounds=np.concatenate([measurements.bounds, [[count, count + rows]]]),
+        owners=np.append(measurements.owners, len(measurements.names)),
+        times=np.concatenate([measurements.times, design.times]),
+        measured=_beside(measurements.measured, values),
+        weights=_beside(measurements.weights, ones),
+        smoothed=_beside(measurements.smoothed, states),
+        inputs=_beside(measurements.inputs, inputs),
+        input_slopes=_beside(measurements.input_slopes, slopes),
+        names=(*measurements.names, "experiment"),
         inverse_variances=None if weighed is None else _beside(weighed, ones),
-        resting=None if its.resting is None else np.concatenate([its.resting, ones == 0.0], axis=1),
+        resting=None if measurements.resting is None else np.concatenate([measurements.resting, ones == 0.0], axis=1),
     )
 
 
-def _beside(one: FloatArray, other: FloatArray) -> FloatArray:
-    return np.ascontiguousarray(np.concatenate([one, other], axis=1))
+def _beside(left: FloatArray, right: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(np.concatenate([left, right], axis=1))
 
 
 def precision(foretold: Foretold, constants: int) -> tuple[Gain, FloatArray]:

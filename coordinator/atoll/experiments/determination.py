@@ -9,7 +9,7 @@ from atoll_core.data.dataset import FloatArray
 
 SCHEMA: Final = 1
 
-Verdict = Literal[
+Determination = Literal[
     "determined", "open above", "open below", "practically non-identifiable", "structurally non-identifiable"
 ]
 """An interval that is closed, has no upper or no lower end, neither; or the deviance does not change at all
@@ -46,7 +46,7 @@ class ProfiledConstant:
     std_error: float
     interval: tuple[float, float]
     quadratic: tuple[float, float]
-    verdict: Verdict
+    verdict: Determination
     is_cut: tuple[bool, bool]
     values: FloatArray
     deviances: FloatArray
@@ -91,17 +91,17 @@ class Identifiability:
 
     def __getitem__(self, name: str) -> ProfiledConstant:
         """Return a constant by name; raises KeyError."""
-        return {each.name: each for each in self.constants}[name]
+        return {constant.name: constant for constant in self.constants}[name]
 
     @property
     def sloppy(self) -> tuple[Direction, ...]:
         """The directions that the data leave open."""
-        return tuple(each for each in self.directions if each.is_sloppy)
+        return tuple(direction for direction in self.directions if direction.is_sloppy)
 
     def __str__(self) -> str:
         lines = [f"identifiability ({100 * self.level:g} % profile likelihood; {self.source}):"]
-        lines += [f"  {each.name} = {each.sentence}" for each in self.constants]
-        lines += [f"  {each.words}" for each in self.sloppy]
+        lines += [f"  {constant.name} = {constant.sentence}" for constant in self.constants]
+        lines += [f"  {direction.words}" for direction in self.sloppy]
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
@@ -113,30 +113,31 @@ class Identifiability:
             "threshold": self.quantile**2,
             "data": self.source,
             "piece": self.piece,
-            "constants": [_constant_data(each) for each in self.constants],
-            "directions": [_direction_data(each, self.constants) for each in self.directions],
+            "constants": [_constant_data(constant) for constant in self.constants],
+            "directions": [_direction_data(direction, self.constants) for direction in self.directions],
         }
 
 
-def _constant_data(each: ProfiledConstant) -> dict[str, Any]:
+def _constant_data(constant: ProfiledConstant) -> dict[str, Any]:
     return {
-        "name": each.name,
-        "variable": each.variable,
-        "is_written": each.is_written,
-        "estimate": each.estimate,
-        "std_error": _finite(each.std_error),
-        "interval": [_finite(end) for end in each.interval],
-        "quadratic": [_finite(end) for end in each.quadratic],
-        "verdict": each.verdict,
-        "is_cut": list(each.is_cut),
-        "sentence": each.sentence,
-        "profile": {"values": each.values.tolist(), "deviances": each.deviances.tolist()},
+        "name": constant.name,
+        "variable": constant.variable,
+        "is_written": constant.is_written,
+        "estimate": constant.estimate,
+        "std_error": _finite(constant.std_error),
+        "interval": [_finite(end) for end in constant.interval],
+        "quadratic": [_finite(end) for end in constant.quadratic],
+        "verdict": constant.verdict,
+        "is_cut": list(constant.is_cut),
+        "sentence": constant.sentence,
+        "profile": {"values": constant.values.tolist(), "deviances": constant.deviances.tolist()},
     }
 
 
-def _direction_data(its: Direction, constants: Sequence[ProfiledConstant]) -> dict[str, Any]:
-    weights = {each.name: float(weight) for each, weight in zip(constants, its.weights, strict=True)}
-    return {"error": _finite(its.error), "weights": weights, "is_sloppy": its.is_sloppy, "words": its.words}
+def _direction_data(direction: Direction, constants: Sequence[ProfiledConstant]) -> dict[str, Any]:
+    weights = {constant.name: float(weight) for constant, weight in zip(constants, direction.weights, strict=True)}
+    error, is_sloppy = _finite(direction.error), direction.is_sloppy
+    return {"error": error, "weights": weights, "is_sloppy": is_sloppy, "words": direction.words}
 
 
 def _finite(value: float) -> float | None:

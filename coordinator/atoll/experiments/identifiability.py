@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.experiments.determination import Identifiability, ProfiledConstant, Verdict
+from atoll.experiments.determination import Determination, Identifiability, ProfiledConstant
 from atoll.experiments.measured import Measured, measured_of
 from atoll.experiments.profiles import Profile, profile
 from atoll.experiments.relations import directions
@@ -53,36 +53,36 @@ def identified(fitted: Fitted, constants: Sequence[Constant], measured: Measured
 
     quantile = float(special.stdtrit(fitted.degrees_of_freedom, 0.5 + level / 2.0))
     fitted, profiles = _profiled(fitted, count, quantile)
-    signs = np.array([each.sign for each in constants])
+    signs = np.array([constant.sign for constant in constants])
     with np.errstate(invalid="ignore"):
         errors = np.sqrt(np.diag(fitted.covariance)).tolist()
-    names = [each.name for each in constants]
-    known = [_known(*each, quantile) for each in zip(constants, profiles, errors, strict=True)]
+    names = [constant.name for constant in constants]
+    profiled = [_profiled_constant(*described, quantile) for described in zip(constants, profiles, errors, strict=True)]
     order = sorted(range(count), key=lambda place: _reading(constants[place], fitted))
-    found = directions(fitted, profiles, names, signs, quantile)
+    eigendirections = directions(fitted, profiles, names, signs, quantile)
     bounds = fitted.measured.measurements.bounds
     return Identifiability(
         level,
         fitted.degrees_of_freedom,
         quantile,
-        tuple(known[place] for place in order),
-        tuple(replace(each, weights=each.weights[order]) for each in found),
+        tuple(profiled[place] for place in order),
+        tuple(replace(direction, weights=direction.weights[order]) for direction in eigendirections),
         measured.source,
         int((bounds[:, 1] - bounds[:, 0]).max()),
     )
 
 
-def _reading(its: Constant, fitted: Fitted) -> tuple[int, bool, int, str]:
+def _reading(constant: Constant, fitted: Fitted) -> tuple[int, bool, int, str]:
     """Return what orders constants as they are read: by equation, in the order of the text, factors of one last."""
-    number = int(its.name[1:]) if its.name[:1] == "c" and its.name[1:].isdigit() else 0
-    return fitted.equations.variables.index(its.variable), not its.is_written, number, its.name
+    number = int(constant.name[1:]) if constant.name[:1] == "c" and constant.name[1:].isdigit() else 0
+    return fitted.equations.variables.index(constant.variable), not constant.is_written, number, constant.name
 
 
 def _profiled(fitted: Fitted, count: int, quantile: float) -> tuple[Fitted, list[Profile]]:
     """Return the profiles of all constants, and the fit that they are of: a better one where a profile has met it."""
     for _ in range(_RESTARTS + 1):
         profiles = [profile(fitted, index, quantile) for index in range(count)]
-        lowest = min(profiles, key=lambda each: float(each.deviances.min()))
+        lowest = min(profiles, key=lambda likelihood: float(likelihood.deviances.min()))
         if lowest.deviances.min() > -_BETTER:
             return fitted, profiles
         values = lowest.path[int(np.argmin(lowest.deviances))]
@@ -93,22 +93,22 @@ def _profiled(fitted: Fitted, count: int, quantile: float) -> tuple[Fitted, list
     return fitted, profiles
 
 
-def _known(constant: Constant, its: Profile, error: float, quantile: float) -> ProfiledConstant:
+def _profiled_constant(constant: Constant, likelihood: Profile, error: float, quantile: float) -> ProfiledConstant:
     half = quantile * error if math.isfinite(error) else math.inf
-    ends, cut = (its.lower, its.upper), its.is_cut
-    values, deviances = constant.sign * its.values, its.deviances
-    is_open = its.is_open
+    ends, cut = (likelihood.lower, likelihood.upper), likelihood.is_cut
+    values, deviances = constant.sign * likelihood.values, likelihood.deviances
+    is_open = likelihood.is_open
     if constant.sign < 0.0:
         ends, cut, is_open = (-ends[1], -ends[0]), (cut[1], cut[0]), (is_open[1], is_open[0])
         values, deviances = values[::-1], deviances[::-1]
-    best = constant.sign * its.best
+    best = constant.sign * likelihood.best
     return ProfiledConstant(
         constant.name, constant.variable, constant.is_written, best, error, ends, (best - half, best + half),
-        _verdict(is_open, is_flat=its.is_flat), cut, values, deviances,
+        _determination(is_open, is_flat=likelihood.is_flat), cut, values, deviances,
     )  # fmt: skip
 
 
-def _verdict(is_open: tuple[bool, ...], *, is_flat: bool) -> Verdict:
+def _determination(is_open: tuple[bool, ...], *, is_flat: bool) -> Determination:
     below, above = is_open
     if is_flat:
         return "structurally non-identifiable"

@@ -52,8 +52,8 @@ class Measured:
         return Measured(self.recording, shorter, self.rows, self.independent, self.order, self.source)
 
 
-def _modelled(its: Measurements, recording: Recording) -> list[str]:
-    symbols = its.variables[: len(its.observed)]
+def _modelled(measurements: Measurements, recording: Recording) -> list[str]:
+    symbols = measurements.variables[: len(measurements.observed)]
     return [recording.states[recording.state_symbols.index(symbol)] for symbol in symbols]
 
 
@@ -78,9 +78,9 @@ def measured_of(result: Result, table: Table | None = None) -> Measured:
         recording, rows, source = _stored(result)
     else:
         recording = _prepared(result, table)
-        rows = sum(len(each.times) for each in recording.trajectories if not each.held_out)
+        rows = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
         source = "the data that were given"
-    if differing_groups(result) and (table is None or len({each.group for each in recording.trajectories}) > 1):
+    if differing_groups(result) and (table is None or _has_groups(recording)):
         raise UsageError(
             "constants of the model differ between groups of trajectories, which cannot be fitted again together",
             python="give the data of one group as data",
@@ -89,11 +89,15 @@ def measured_of(result: Result, table: Table | None = None) -> Measured:
     return _laid_out(result, recording, rows, source, is_stored=table is None)
 
 
+def _has_groups(recording: Recording) -> bool:
+    return len({trajectory.group for trajectory in recording.trajectories}) > 1
+
+
 def _laid_out(result: Result, recording: Recording, rows: int, source: str, *, is_stored: bool) -> Measured:
-    names = [str(each.variable) for each in result.equations]
+    names = [str(equation.variable) for equation in result.equations]
     modelled = [recording.states.index(name) for name in names]
     errors = [_errors(result, name) for name in names]
-    kept = sum(len(each.times) for each in recording.trajectories if not each.held_out)
+    kept = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
     share = kept / max(rows, 1)
     pieces = [known.piece for known in errors if known.piece]
     piece = max(_FEWEST_ROWS, int(min(pieces) * share)) if pieces else SETTINGS.shooting.piece
@@ -199,10 +203,11 @@ def _stacked(rows: Sequence[FloatArray | Curve], count: int) -> FloatArray:
 def starts_of(result: Result, measured: Measured) -> FloatArray | None:
     """Return the initial states (G, D) that a result has fitted to its trajectories; None where they are others."""
     known = {part.name: part.start for part in result.simulated}
-    its, columns = measured.measurements, result.columns_by_symbol
-    rows = [known.get(its.names[owner]) for owner in its.owners.tolist()]
-    names = [columns[name] for name in its.variables[: len(its.scales)]]
-    if len(set(its.owners.tolist())) < len(rows) or not all(row and all(name in row for name in names) for row in rows):
+    measurements, columns = measured.measurements, result.columns_by_symbol
+    rows = [known.get(measurements.names[owner]) for owner in measurements.owners.tolist()]
+    names = [columns[name] for name in measurements.variables[: len(measurements.scales)]]
+    is_whole = len(set(measurements.owners.tolist())) == len(rows)
+    if not is_whole or not all(row and all(name in row for name in names) for row in rows):
         return None
     starts = np.array([[row[name] for name in names] for row in rows if row], dtype=np.float64)
     return starts if np.isfinite(starts).all() else None
@@ -221,8 +226,8 @@ def _prepared(result: Result, table: Table) -> Recording:
     column = config.data.group
     if group is not None:
         table = table if column is None else _rows_of_group(table, column, group, config.data.trajectory)
-        its = config.data.model_copy(update={"group": None, "per_trajectory": False})
-        config = config.model_copy(update={"data": its})
+        settings = config.data.model_copy(update={"group": None, "per_trajectory": False})
+        config = config.model_copy(update={"data": settings})
     recording = prepare(table, config).recording
     if recording is None or set(recording.states) != set(result.columns.states):
         raise UsageError(f"the data do not have the states {', '.join(result.columns.states)} measured in time")
@@ -254,7 +259,7 @@ def _rows_of_group(table: Table, column: str, group: str, trajectory: str | None
 
 def _trajectory_of_group(recording: Recording, group: str) -> Recording:
     """Return the trajectory that is the group; a single one is taken for it."""
-    names = [each.name for each in recording.trajectories]
+    names = [trajectory.name for trajectory in recording.trajectories]
     if len(names) == 1:
         return recording
     if group not in names:

@@ -97,15 +97,15 @@ def bounds_of(system: System) -> tuple[FloatArray, FloatArray]:
 def profile(fitted: Fitted, index: int, quantile: float) -> Profile:
     """Return the profile of a constant, followed until the root of the deviance is `quantile` on either side."""
     best = float(fitted.values[index])
-    here = _Point(best, 0.0, fitted.fit)
-    sides = [_Side(fitted, index, quantile, direction).followed(here) for direction in (-1.0, 1.0)]
-    points = [*reversed(sides[0][0]), here, *sides[1][0]]
+    start = _Point(best, 0.0, fitted.fit)
+    sides = [_Side(fitted, index, quantile, direction).follow(start) for direction in (-1.0, 1.0)]
+    points = [*reversed(sides[0][0]), start, *sides[1][0]]
     return Profile(
         index,
         best,
-        np.array([each.value for each in points]),
-        np.array([math.copysign(each.root**2, each.root) for each in points]),
-        np.array([each.constants for each in points]),
+        np.array([point.value for point in points]),
+        np.array([math.copysign(point.root**2, point.root) for point in points]),
+        np.array([point.constants for point in points]),
         sides[0][1],
         sides[1][1],
         (sides[0][2], sides[1][2]),
@@ -126,22 +126,22 @@ class _Side:
         variance = float(self._fitted.bounded_covariance[self._index, self._index])
         return math.sqrt(variance) if variance > 0.0 and math.isfinite(variance) else 0.0
 
-    def followed(self, start: _Point) -> tuple[list[_Point], float, bool]:
+    def follow(self, start: _Point) -> tuple[list[_Point], float, bool]:
         """Return the points, the end of the interval, and whether the model cannot be simulated beyond it."""
         aim = self._quantile / _STEPS_INSIDE
         step = min(aim * self._spread, self._size) if self._spread else aim * self._size
         points = [start]
         for _ in range(MOST_STEPS):
-            there, step = self._next(points, step)
-            if there is None:
+            point, step = self._next(points, step)
+            if point is None:
                 return points[1:], points[-1].value, True
-            points.append(there)
-            if there.root >= self._quantile:
+            points.append(point)
+            if point.root >= self._quantile:
                 inside, end = self._crossing(points)
-                return [*points[1:-1], *inside, there], end, False
-            if abs(there.value - start.value) >= FARTHEST * self._size:
+                return [*points[1:-1], *inside, point], end, False
+            if abs(point.value - start.value) >= FARTHEST * self._size:
                 break
-            gain = (there.root - points[-2].root) / step
+            gain = (point.root - points[-2].root) / step
             step = min(max(aim / gain, step / _GROWTH) if gain > 0.0 else math.inf, _GROWTH * step)
         return points[1:], self._direction * math.inf, False
 
@@ -149,9 +149,9 @@ class _Side:
         """Return the next point and the step to it, a shorter one where the model cannot be simulated or is bounded."""
         step = min(step, abs(self._bound - points[-1].value))
         for _ in range(_HALVINGS if step > 0.0 else 0):
-            there = self._point(points, points[-1].value + self._direction * step)
-            if there is not None:
-                return there, step
+            point = self._point(points, points[-1].value + self._direction * step)
+            if point is not None:
+                return point, step
             step *= 0.3
         return None, step
 
@@ -181,7 +181,7 @@ class _Side:
     def _crossing(self, points: list[_Point]) -> tuple[list[_Point], float]:
         """Return where the root of the deviance is the quantile, and the points fitted on the way."""
         *before, inside, outside = points
-        found = list[_Point]()
+        points_between = list[_Point]()
         near, far = inside.root - self._quantile, outside.root - self._quantile
         for number in range(_REFINEMENTS):
             share = near / (near - far) if number < _SECANTS else 0.5
@@ -196,7 +196,7 @@ class _Side:
                     near, far = 0.5 * near, middle.root - self._quantile  # the Illinois variant of regula falsi
                 outside = middle or _Point(value, math.inf, inside.fit)
             else:
-                found.append(middle)
+                points_between.append(middle)
                 near, far = middle.root - self._quantile, 0.5 * far
                 inside = middle
-        return found, 0.0 if abs(value) < self._size / FARTHEST else value
+        return points_between, 0.0 if abs(value) < self._size / FARTHEST else value

@@ -44,13 +44,13 @@ def directions(fitted: Fitted, profiles: Sequence[Profile], names: Sequence[str]
     sizes = np.maximum(np.abs(fitted.values), 1e-300)
     curvature = np.nan_to_num(fitted.fit.reduced) * np.outer(sizes, sizes)
     values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
-    found = []
+    eigendirections = []
     for value, vector in zip(values.tolist(), vectors.T, strict=True):
         error = 1.0 / math.sqrt(value) if value > _LEAST_CURVATURE * values[-1] else math.inf
         is_sloppy = quantile * error >= SLOPPY
         words = _words(vector, profiles, names, signs, quantile) if is_sloppy else ""
-        found.append(Direction(error, vector * np.sign(vector[np.argmax(np.abs(vector))]), is_sloppy, words))
-    return tuple(found)
+        eigendirections.append(Direction(error, vector * np.sign(vector[np.argmax(np.abs(vector))]), is_sloppy, words))
+    return tuple(eigendirections)
 
 
 def _words(vector: FloatArray, profiles: Sequence[Profile], names: Sequence[str], signs: FloatArray,

@@ -69,11 +69,11 @@ def rivals_of(
         UsageError: a given system names no state with an equation, or has no value or cannot be read.
     """
     fits: list[tuple[Fitted, str]] = [(shown, "shown")]
-    for each in given:
-        equations = _given(shown.equations, each)
+    for texts in given:
+        equations = _given(shown.equations, texts)
         fitted = fit_equations(measured, equations)
         if fitted is None:
-            raise UsageError(f"the rival {', '.join(each.values())} cannot be simulated along the data; give another")
+            raise UsageError(f"the rival {', '.join(texts.values())} cannot be simulated along the data; give another")
         fits.append((fitted, "given"))
     for equations, origin in _systems(result, measured, shown.equations):
         fitted = fit_equations(measured, equations, shown.fit.starts)
@@ -83,16 +83,16 @@ def rivals_of(
 
 
 def _weighed(fits: Sequence[tuple[Fitted, str]]) -> tuple[Rival, ...]:
-    lengths = [_akaike(each) for each, _ in fits]
+    lengths = [_akaike(fitted) for fitted, _ in fits]
     least = min(lengths)
     kept: list[tuple[float, Fitted, str]] = []
-    ordered = sorted(zip(lengths, fits, strict=True), key=lambda each: (each[1][1] not in _WANTED, each[0]))
+    ordered = sorted(zip(lengths, fits, strict=True), key=lambda entry: (entry[1][1] not in _WANTED, entry[0]))
     for nats, (fitted, origin) in ordered:
         is_plausible = nats - least <= -math.log(_LEAST_WEIGHT) and len(kept) < MOST_RIVALS
         is_new = all(abs(fitted.misfit - other.misfit) > _SAME for _, other, _ in kept)
         if origin in _WANTED or (is_plausible and is_new):
             kept.append((nats, fitted, origin))
-    kept.sort(key=lambda each: each[0])
+    kept.sort(key=lambda rival: rival[0])
     weights = np.exp([least - nats for nats, *_ in kept])
     shares = (weights / weights.sum()).tolist()
     return tuple(
@@ -128,9 +128,9 @@ def _systems(result: Result, measured: Measured, shown: Equations) -> Iterator[t
         if place in shown.fixed:
             continue
         others = sorted(
-            (other.nats, other.expression)
-            for other in entry.candidates
-            if not other.selected and other.nats is not None and other.nats <= _LONGEST
+            (candidate.nats, candidate.expression)
+            for candidate in entry.candidates
+            if not candidate.selected and candidate.nats is not None and candidate.nats <= _LONGEST
         )
         options += [(place, from_infix(text, shown.names), "candidate") for _, text in others[:_PER_EQUATION]]
         options += [
@@ -140,9 +140,10 @@ def _systems(result: Result, measured: Measured, shown: Equations) -> Iterator[t
     for place, program, origin in options:
         yield shown.exchanged(place, program), origin
         count += 1
-    for (one, first, here), (other, second, there) in combinations(options, 2):
-        if one != other and count < _MOST_FITTED:
-            yield shown.exchanged(one, first).exchanged(other, second), " and ".join(sorted({here, there}))
+    for (place, first, origin), (second_place, second, second_origin) in combinations(options, 2):
+        if place != second_place and count < _MOST_FITTED:
+            origins = " and ".join(sorted({origin, second_origin}))
+            yield shown.exchanged(place, first).exchanged(second_place, second), origins
             count += 1
 
 
@@ -174,9 +175,9 @@ def _without_constant(nodes: Sequence[Node], node: int) -> int:
 
 def _size(program: Program, node: int, equations: Equations, measured: Measured) -> float | None:
     """Return the mean of a part of a program over the data; None where it is a number or changes its sign."""
-    its = measured.measurements
-    rows = [its.variables.index(name) for name in equations.names]
-    points = np.ascontiguousarray(np.concatenate([its.smoothed, its.inputs])[rows])
+    measurements = measured.measurements
+    rows = [measurements.variables.index(name) for name in equations.names]
+    points = np.ascontiguousarray(np.concatenate([measurements.smoothed, measurements.inputs])[rows])
     values = values_of(Program.of(live_nodes(program.nodes(), node)), points)
     is_one_sided = np.all(values > 0.0) or np.all(values < 0.0)
     return float(values.mean()) if is_one_sided and np.isfinite(values).all() and np.ptp(values) > 0.0 else None
@@ -188,8 +189,8 @@ def _rebuilt(program: Program, index: int, divisor: int, constant: float, *, is_
     new: list[int] = []
     for place, (code, left, right, value) in enumerate(nodes):
         if place != index:
-            one, other = (new[left], new[right] if ARITY[code] == 2 else 0) if ARITY[code] else (left, right)
-            new.append(builder.append(code, one, other, value))
+            new_left, new_right = (new[left], new[right] if ARITY[code] == 2 else 0) if ARITY[code] else (left, right)
+            new.append(builder.append(code, new_left, new_right, value))
             continue
         below, above = new[divisor], new[left] if code == DIVIDE else None
         added = builder.append(CONSTANT, value=constant)

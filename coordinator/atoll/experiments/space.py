@@ -151,38 +151,40 @@ class DesignSpace:
                 moved[index] = np.clip(moved[index] + moved_by, self.box.lower[index], self.box.upper[index])
                 yield moved
 
-    def are_apart(self, one: Design, other: Design) -> bool:
+    def are_apart(self, first: Design, second: Design) -> bool:
         """Tell whether two experiments differ in a number by a quarter of its bounds."""
-        apart = np.abs(self.point(one) - self.point(other)) / np.maximum(self.box.widths, 1e-300)
+        apart = np.abs(self.point(first) - self.point(second)) / np.maximum(self.box.widths, 1e-300)
         return bool(apart.max() >= _APART)
 
 
 def space_of(result: Result, measured: Measured, request: Request) -> DesignSpace:
     """Return the experiments that a request allows; raises UsageError where its bounds do not fit the result."""
-    its = measured.measurements
-    states, inputs = its.variables[: len(its.scales)], its.variables[len(its.scales) :]
+    measurements = measured.measurements
+    variables, count = measurements.variables, len(measurements.scales)
+    states, inputs = variables[:count], variables[count:]
     symbols = result.symbols
     time = symbols.get(result.columns.time or "")
     clock = tuple(index for index, name in enumerate(inputs) if name == time)
     given = {symbols.get(name, name): ends for name, ends in request.bounds.items()}
-    box = _box(its, [index for index in range(len(inputs)) if index not in clock], given)
-    begin = float(np.median(its.inputs[clock[0]][its.bounds[:, 0]])) if clock else 0.0
-    whole = [its.times[its.owners_of_rows == owner] for owner in np.unique(its.owners)]
+    box = _box(measurements, [index for index in range(len(inputs)) if index not in clock], given)
+    begin = float(np.median(measurements.inputs[clock[0]][measurements.bounds[:, 0]])) if clock else 0.0
+    whole = [measurements.times[measurements.owners_of_rows == owner] for owner in np.unique(measurements.owners)]
     lasted = float(np.median([times[-1] - times[0] for times in whole]))
-    rows = float(np.median([len(times) for times in whole])) * measured.rows / its.rows
+    rows = float(np.median([len(times) for times in whole])) * measured.rows / measurements.rows
     samples = request.samples or min(max(round(rows), 2), MOST_SAMPLES)
     return DesignSpace(states, inputs, clock, box, begin, request.duration or lasted, samples, request.cost)
 
 
-def _box(its: Measurements, free: Sequence[int], given: Mapping[str, tuple[float, float]]) -> Box:
+def _box(measurements: Measurements, free: Sequence[int], given: Mapping[str, tuple[float, float]]) -> Box:
     """Return the bounds of initial states and inputs: those that were given, else the range of the data."""
-    names = [*its.variables[: len(its.scales)], *(its.variables[len(its.scales) + index] for index in free)]
+    variables, states = measurements.variables, len(measurements.scales)
+    names = [*variables[:states], *(variables[states + index] for index in free)]
     for name, (low, high) in given.items():
         if name not in names:
             raise UsageError(f"there is no '{name}' to bound; an experiment has {', '.join(names)}")
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise UsageError(f"the bounds {low:g}:{high:g} of '{name}' are no interval; give LOWER:UPPER")
-    values = np.concatenate([its.smoothed, its.inputs[list(free)]])
+    values = np.concatenate([measurements.smoothed, measurements.inputs[list(free)]])
     ranges = zip(names, values.min(axis=1).tolist(), values.max(axis=1).tolist(), strict=True)
     ends = np.array([given.get(name, (low, high)) for name, low, high in ranges])
     return Box(ends[:, 0].copy(), ends[:, 1].copy())

@@ -104,21 +104,22 @@ class Suggestions:
 
     def _candidate_lines(self) -> list[str]:
         lines = [f"candidates, their constants fitted again ({self.source}):"]
-        for number, each in enumerate(self.candidates, start=1):
-            texts = "; ".join(f"{side} = {text}" for side, text in each.equations.items())
-            lines.append(f"  {number}. weight {each.weight:.2g} ({self._origin(each)})  {texts}")
-            if each.written:
-                texts = "; ".join(f"{side} = {text}" for side, text in each.written.items())
+        for number, candidate in enumerate(self.candidates, start=1):
+            texts = "; ".join(f"{side} = {text}" for side, text in candidate.equations.items())
+            lines.append(f"  {number}. weight {candidate.weight:.2g} ({self._origin(candidate)})  {texts}")
+            if candidate.written:
+                texts = "; ".join(f"{side} = {text}" for side, text in candidate.written.items())
                 lines.append(f"     with the constants of the result  {texts}")
         if self.candidates and self.candidates[0].origin != "shown":
             lines.append(_WEIGHTS)
         purpose = "to tell them apart" if self.purpose == "discrimination" else "to determine constants"
         return [*lines, f"purpose: {purpose}, since {self.reason}"]
 
-    def _origin(self, its: Candidate) -> str:
-        if its.origin == "shown":
-            return its.origin
-        return f"{its.origin}, {abs(its.longer):.3g} nats {'longer' if its.longer >= 0.0 else 'shorter'}"
+    def _origin(self, candidate: Candidate) -> str:
+        if candidate.origin == "shown":
+            return candidate.origin
+        compared = "longer" if candidate.longer >= 0.0 else "shorter"
+        return f"{candidate.origin}, {abs(candidate.longer):.3g} nats {compared}"
 
     def _bound_lines(self) -> list[str]:
         parts = [
@@ -129,20 +130,22 @@ class Suggestions:
 
     def _experiment_lines(self) -> list[str]:
         lines = []
-        for number, each in enumerate(self.experiments, start=1):
-            where = ", ".join(f"{name} = {value:.4g}" for name, value in {**each.initial, **each.inputs}.items())
-            span = f"{len(each.times)} samples from {each.times[0]:.4g} to {each.times[-1]:.4g}"
-            lines.append(f"experiment {number}: {where}; {span}; {self._worth(each)}")
+        for number, experiment in enumerate(self.experiments, start=1):
+            start = {**experiment.initial, **experiment.inputs}
+            where = ", ".join(f"{name} = {value:.4g}" for name, value in start.items())
+            span = f"{len(experiment.times)} samples from {experiment.times[0]:.4g} to {experiment.times[-1]:.4g}"
+            lines.append(f"experiment {number}: {where}; {span}; {self._worth(experiment)}")
         return lines
 
-    def _worth(self, each: Suggestion) -> str:
-        per = "" if self.cost == "trajectory" else f" ({each.worth_per_cost:.3g} per unit of {self.cost})"
-        if each.worst is None:
-            told = f"the right one is expected to gain {each.evidence:.3g} nats, {each.worth:.3g} of use{per}"
-            return f"{told}; {each.information:.3g} of {self.entropy:.3g} nats of doubt resolved"
-        name, before, after = each.worst
+    def _worth(self, experiment: Suggestion) -> str:
+        per = "" if self.cost == "trajectory" else f" ({experiment.worth_per_cost:.3g} per unit of {self.cost})"
+        if experiment.worst is None:
+            worth = f"{experiment.evidence:.3g} nats, {experiment.worth:.3g} of use{per}"
+            told = f"the right one is expected to gain {worth}"
+            return f"{told}; {experiment.information:.3g} of {self.entropy:.3g} nats of doubt resolved"
+        name, before, after = experiment.worst
         shrinks = f"the error of {name} from {100 * before:.2g} to {100 * after:.2g} %"
-        return f"{each.information:.3g} nats about the constants expected{per}, {shrinks}"
+        return f"{experiment.information:.3g} nats about the constants expected{per}, {shrinks}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain data, as ``coordinator suggest --json`` prints it."""
@@ -153,18 +156,18 @@ class Suggestions:
             "entropy": self.entropy,
             "candidates": [
                 {
-                    "equations": dict(each.equations),
-                    "origin": each.origin,
-                    "weight": each.weight,
-                    "nats": each.nats,
-                    "longer": each.longer,
-                    "written": dict(each.written),
+                    "equations": dict(candidate.equations),
+                    "origin": candidate.origin,
+                    "weight": candidate.weight,
+                    "nats": candidate.nats,
+                    "longer": candidate.longer,
+                    "written": dict(candidate.written),
                 }
-                for each in self.candidates
+                for candidate in self.candidates
             ],
             "bounds": {name: [*ends] for name, ends in self.bounds.items()},
             "bounds_of_data": list(self.measured),
             "cost": self.cost,
             "data": self.source,
-            "experiments": [each.as_dict() for each in self.experiments],
+            "experiments": [experiment.as_dict() for experiment in self.experiments],
         }

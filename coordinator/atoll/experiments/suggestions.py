@@ -64,7 +64,7 @@ def _named(result: Result, rivals: Sequence[Mapping[str, str]]) -> list[dict[str
     """Return the rivals by state, whether left-hand sides were written as x or as the result has them, dx/dt."""
     sides = {equation.lhs: equation.variable for equation in result.equations}
     sides |= {side.partition("/")[0]: name for side, name in sides.items()}
-    return [{sides.get(side, side): text for side, text in each.items()} for each in rivals]
+    return [{sides.get(side, side): text for side, text in rival.items()} for rival in rivals]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +77,8 @@ class _Tried:
 
     @property
     def worth(self) -> tuple[float, float, float]:
-        its = self.gain
-        return its.worth / self.cost, its.information / self.cost, its.evidence / self.cost
+        gain = self.gain
+        return gain.worth / self.cost, gain.information / self.cost, gain.evidence / self.cost
 
 
 Value = Callable[[Design], Gain]
@@ -96,8 +96,8 @@ class _Search:
         space, most = self._space, max(_IMPROVED, count)
         points = space.points(seed)
         tried = [self._tried(space.design(point, share)) for share in space.shares for point in points]
-        improved = [self._improved(each) for each in self._apart(tried, most)]
-        return self._apart([self._look(each) for each in self._apart([*improved, *tried], most)], count)
+        improved = [self._improved(experiment) for experiment in self._apart(tried, most)]
+        return self._apart([self._look(experiment) for experiment in self._apart([*improved, *tried], most)], count)
 
     def _tried(self, design: Design) -> _Tried:
         gain = self._value(design)
@@ -108,17 +108,17 @@ class _Search:
         """Return an experiment moved to more worth, one number after the other."""
         for step in _ROUNDS:
             for moved in self._space.around(self._space.point(best.design), step):
-                there = self._tried(self._space.design(moved, self._space.share(best.design)))
-                best = there if there.worth > best.worth else best
+                neighbour = self._tried(self._space.design(moved, self._space.share(best.design)))
+                best = neighbour if neighbour.worth > best.worth else best
         return best
 
     def _apart(self, tried: Sequence[_Tried], count: int) -> list[_Tried]:
         """Return the best of experiments that differ, without those that are worth nothing."""
         kept: list[_Tried] = []
-        for each in sorted(tried, key=lambda its: its.worth, reverse=True):
-            is_other = all(self._space.are_apart(each.design, other.design) for other in kept)
-            if is_other and each.gain.worth > 0.0 and len(kept) < count:
-                kept.append(each)
+        for experiment in sorted(tried, key=lambda experiment: experiment.worth, reverse=True):
+            is_other = all(self._space.are_apart(experiment.design, other.design) for other in kept)
+            if is_other and experiment.gain.worth > 0.0 and len(kept) < count:
+                kept.append(experiment)
         return kept
 
 
@@ -132,11 +132,10 @@ class _Report:
         self._shown, self._rivals = shown, tuple(rivals)
         limits = space.limits(shown.measured.measurements.smoothed, SETTINGS.shooting.blow_up_widths)
         self._sigmas = shown.errors.sigmas * np.sqrt(np.maximum(shown.measured.share, 1.0))
-        fitted = [each.fitted for each in self._rivals]
-        self._candidates = [Foreteller(each, space.widths, limits, self._sigmas) for each in fitted]
+        self._candidates = [Foreteller(rival.fitted, space.widths, limits, self._sigmas) for rival in self._rivals]
         self._of_shown = Foreteller(shown, space.widths, limits, self._sigmas)
-        self._weights = [each.weight for each in self._rivals]
-        self._useful = needed([each.length for each in self._rivals])
+        self._weights = [rival.weight for rival in self._rivals]
+        self._useful = needed([rival.length for rival in self._rivals])
 
     def suggestions(self) -> Suggestions:
         """Return all of it."""
@@ -159,7 +158,7 @@ class _Report:
             return "there is only one candidate"
         if sum(weight > 0.0 for weight in self._weights) < 2:
             return f"the data have excluded all but one of {len(self._rivals)} candidates already"
-        best = max((each.gain.evidence for each in chosen), default=0.0)
+        best = max((experiment.gain.evidence for experiment in chosen), default=0.0)
         if best * _TOO_MANY < SETTINGS.inference.distinct_nats:
             return f"all {len(self._rivals)} candidates foretell the same within the bounds"
         return None
@@ -168,22 +167,22 @@ class _Report:
         return self._told(self._foretold(design))
 
     def _foretold(self, design: Design) -> list[Foretold]:
-        return [each.at(design) for each in self._candidates]
+        return [candidate.at(design) for candidate in self._candidates]
 
     def _told(self, foretold: Sequence[Foretold]) -> Gain:
         return told(distances_of(foretold, self._weights), self._weights, self._useful)
 
-    def _looked_at(self, its: _Tried) -> _Tried:
+    def _looked_at(self, tried: _Tried) -> _Tried:
         """Return an experiment with what is expected of it, the heaviest candidates fitted to its outcomes."""
-        foretold = self._foretold(its.design)
+        foretold = self._foretold(tried.design)
         distances = distances_of(foretold, self._weights)
         heaviest = sorted(range(len(foretold)), key=lambda place: -self._weights[place])[:_REFITTED]
         for i in heaviest:
             for j in heaviest:
-                if i != j and foretold[i].reached == len(its.design.times):
+                if i != j and foretold[i].reached == len(tried.design.times):
                     pair = self._rivals[i].fitted, self._rivals[j].fitted
-                    distances[i, j] = distance_after(*pair, its.design, foretold[i], self._sigmas)
-        return replace(its, gain=told(distances, self._weights, self._useful))
+                    distances[i, j] = distance_after(*pair, tried.design, foretold[i], self._sigmas)
+        return replace(tried, gain=told(distances, self._weights, self._useful))
 
     def _precision(self, design: Design) -> Gain:
         return precision(self._of_shown.at(design), len(self._shown.values))[0]
@@ -196,41 +195,41 @@ class _Report:
             purpose,
             reason,
             -sum(weight * math.log(weight) for weight in self._weights if weight > 0.0),
-            tuple(self._candidate(each) for each in self._rivals),
-            tuple(self._suggestion(each, is_precise=purpose == "precision") for each in chosen),
+            tuple(self._candidate(rival) for rival in self._rivals),
+            tuple(self._suggestion(tried, is_precise=purpose == "precision") for tried in chosen),
             dict(zip(self._space.names, ends, strict=True)),
             tuple(name for name in self._space.names if name not in given),
             self._request.cost,
             self._shown.measured.source,
         )
 
-    def _candidate(self, its: Rival) -> Candidate:
-        equations = its.fitted.equations
-        programs = its.fitted.fit.system.programs[-len(equations.programs) :]
+    def _candidate(self, rival: Rival) -> Candidate:
+        equations = rival.fitted.equations
+        programs = rival.fitted.fit.system.programs[-len(equations.programs) :]
         sides = {equation.variable: equation.lhs for equation in self._result.equations}
         texts = {
             sides[name]: to_infix(program, equations.names, digits=4)
             for name, program in zip(equations.variables, programs, strict=True)
         }
-        length = next(rival.length for rival in self._rivals if rival.origin == "shown")
+        length = next(other.length for other in self._rivals if other.origin == "shown")
         written = {}
-        if its.origin == "shown":
+        if rival.origin == "shown":
             read = (from_infix(shown.expression or "", equations.names) for shown in self._result.equations)
             of_result = (to_infix(program, equations.names, digits=4) for program in read)
             written = dict(zip(sides.values(), of_result, strict=True))
         others = {} if written == texts else written
-        return Candidate(texts, its.origin, its.weight, its.nats, its.length - length, others)
+        return Candidate(texts, rival.origin, rival.weight, rival.nats, rival.length - length, others)
 
-    def _suggestion(self, its: _Tried, *, is_precise: bool) -> Suggestion:
-        space, design = self._space, its.design
+    def _suggestion(self, tried: _Tried, *, is_precise: bool) -> Suggestion:
+        space, design = self._space, tried.design
         return Suggestion(
             dict(zip(space.states, design.initial.tolist(), strict=True)),
             {space.inputs[index]: float(design.inputs[index]) for index in space.free},
             tuple(design.times.tolist()),
-            its.cost,
-            its.gain.worth,
-            its.gain.information,
-            its.gain.evidence,
+            tried.cost,
+            tried.gain.worth,
+            tried.gain.information,
+            tried.gain.evidence,
             self._worst(design) if is_precise else None,
         )
 
@@ -240,7 +239,7 @@ class _Report:
         root = self._of_shown.root
         after = root @ precision(self._of_shown.at(design), len(before))[1] @ root.T
         sizes = np.maximum(np.abs(self._shown.values), 1e-300)
-        errors = [np.sqrt(np.maximum(np.diag(each), 0.0)) / sizes for each in (before, after)]
+        errors = [np.sqrt(np.maximum(np.diag(covariance), 0.0)) / sizes for covariance in (before, after)]
         index = int(np.argmax(errors[0]))
         name = constants_of(self._shown.equations, self._result)[index].name
         return name, float(errors[0][index]), float(errors[1][index])

@@ -74,18 +74,18 @@ class Equations:
 
     def written(self) -> "Equations":
         """Return the same, the factors of one not being constants."""
-        found = replace(self)
-        found.__dict__["explicit"] = tuple(map(as_written, self.programs))
-        return found
+        written = replace(self)
+        written.__dict__["explicit"] = tuple(map(as_written, self.programs))
+        return written
 
     def exchanged(self, place: int, program: Program) -> "Equations":
         """Return the same with another equation, which has no bounds."""
-        bounds = {index: its for index, its in self.bounds.items() if index != place}
+        bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
         return replace(self, programs=(*self.programs[:place], program, *self.programs[place + 1 :]), bounds=bounds)
 
     def system(self, measurements: Measurements, order: int) -> System:
         """Return the system of the explicit programs; with order 2, positions change by the velocities."""
-        programs = [each.program for each in self.explicit]
+        programs = [explicit.program for explicit in self.explicit]
         fixed = [
             set(constant_places(program)) if place in self.fixed else set[int]()
             for place, program in enumerate(programs)
@@ -155,13 +155,13 @@ def constants_of(equations: Equations, result: Result) -> tuple[Constant, ...]:
 def _matched(values: Sequence[float], shown: Sequence[float]) -> list[int | None]:
     """Return for each constant of a program its place in the text, as `atoll.model.parameters` numbers them."""
     left = list(range(len(values)))
-    found: list[int | None] = [None] * len(values)
+    numbers: list[int | None] = [None] * len(values)
     for number, value in enumerate(shown):
-        its = next((each for each in left if abs(values[each]) == abs(value)), None)
-        if its is not None:
-            found[its] = number
-            left.remove(its)
-    return found
+        place = next((index for index in left if abs(values[index]) == abs(value)), None)
+        if place is not None:
+            numbers[place] = number
+            left.remove(place)
+    return numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,12 +228,13 @@ def fit_shown(measured: Measured, result: Result) -> Fitted:
     """
     equations = equations_of(result)
     tried: list[Fitted] = []
-    for here in (measured, *_shorter(measured)):
-        fitted = fit_equations(here, equations, starts_of(result, here))
+    for data in (measured, *_shorter(measured)):
+        fitted = fit_equations(data, equations, starts_of(result, data))
         if fitted is not None:
             tried.append(fitted)
-            its = here.measurements
-            noise = np.maximum(its.noise, SETTINGS.common.negligible * its.scales[its.observed])
+            measurements = data.measurements
+            negligible = SETTINGS.common.negligible * measurements.scales[measurements.observed]
+            noise = np.maximum(measurements.noise, negligible)
             if np.all(fitted.errors.sigmas <= SETTINGS.inference.excess * noise):
                 return fitted
     if not tried:
@@ -250,21 +251,22 @@ def _shorter(measured: Measured) -> Iterator[Measured]:
 
 
 def _fitted(measured: Measured, equations: Equations, starts: FloatArray | None) -> Fitted | None:
-    its = measured.measurements
-    estimator = MultipleShooting(its, _tolerance(its))
-    system = equations.system(its, measured.order)
+    measurements = measured.measurements
+    estimator = MultipleShooting(measurements, _tolerance(measurements))
+    system = equations.system(measurements, measured.order)
     fit = estimator.fit(system, None, SETTINGS.effort.steps, starts)
     staged = fit_in_stages(estimator, system, (*SETTINGS.shooting.lengths[1:2], None), SETTINGS.effort.steps)
-    best = min((each for each in (fit, staged) if each is not None), key=_log_squares(its), default=None)
+    fits = [candidate for candidate in (fit, staged) if candidate is not None]
+    best = min(fits, key=_log_squares(measurements), default=None)
     if best is None:
         return None
-    counts = its.weights.sum(axis=1)
+    counts = measurements.weights.sum(axis=1)
     decided = float(np.minimum(counts * measured.share, measured.independent).sum())
     left = max(counts.sum() - best.system.values.size - best.starts.size, 1.0)
     degrees_of_freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
     # with all rows that decide, and as many numbers fitted, the variance of a row that a fit counts
     widened = np.sqrt(counts.sum() / left / measured.share)
-    least = SETTINGS.interpolation.smallest_noise * its.scales[its.observed]
+    least = SETTINGS.interpolation.smallest_noise * measurements.scales[measurements.observed]
     sigmas = np.maximum(np.sqrt(best.squares), least) * widened
     errors = replace(best.errors, sigmas=sigmas, is_known=True)
     held = estimator.fit(best.system, None, SETTINGS.effort.steps, best.starts, errors, is_stiff=best.is_stiff)
@@ -273,13 +275,13 @@ def _fitted(measured: Measured, equations: Equations, starts: FloatArray | None)
     return Fitted(equations, measured, held, errors, degrees_of_freedom, _misfit(measured, best))
 
 
-def _tolerance(its: Measurements) -> float:
-    noise = float(its.relative_noise.min())
+def _tolerance(measurements: Measurements) -> float:
+    noise = float(measurements.relative_noise.min())
     return min(max(_TOLERANCE_OF_NOISE * noise, _FINEST), _COARSEST * 0.1)
 
 
-def _log_squares(its: Measurements) -> Any:
-    counts = its.weights.sum(axis=1)
+def _log_squares(measurements: Measurements) -> Any:
+    counts = measurements.weights.sum(axis=1)
     return lambda fit: float(counts @ np.log(np.maximum(fit.squares, 1e-300)))
 
 

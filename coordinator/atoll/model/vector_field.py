@@ -39,7 +39,7 @@ _OF_ARRAYS: Final = NUMPY._replace(sin=np.sin, cos=np.cos, power=operator.pow)
 
 
 @dataclass(frozen=True)
-class Parameter:
+class FieldParameter:
     """A constant of a model: `name` is c1, c2, … over all equations, `variable` the state of its equation."""
 
     name: str
@@ -62,7 +62,7 @@ class VectorField:
     expressions: tuple[str, ...]
     sizes: tuple[float, ...] = ()
     programs: tuple[Program, ...] = field(default=(), repr=False)
-    parameters: tuple[Parameter, ...] = field(init=False, repr=False)
+    parameters: tuple[FieldParameter, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.states) <= MOST_STATES or len(self.expressions) != len(self.states):
@@ -77,7 +77,7 @@ class VectorField:
             for state, program in zip(self.states, programs, strict=True)
             for value in program.constants[constant_places(program)].tolist()
         ]
-        parameters = tuple(Parameter(f"c{number}", *known) for number, known in enumerate(constants, start=1))
+        parameters = tuple(FieldParameter(f"c{number}", *known) for number, known in enumerate(constants, start=1))
         object.__setattr__(self, "programs", programs)
         object.__setattr__(self, "parameters", parameters)
 

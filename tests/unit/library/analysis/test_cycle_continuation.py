@@ -9,11 +9,11 @@ import pytest
 
 from atoll.analysis.box import Box
 from atoll.analysis.continuation import continuation
+from atoll.analysis.continuation_parameter import Coefficients
 from atoll.analysis.cycle_continuation import CycleBranch, cycle_continuation
 from atoll.analysis.fixed_points import fixed_points
 from atoll.analysis.flow import Flow
 from atoll.analysis.limit_cycles import LimitCycle, limit_cycles
-from atoll.analysis.varied import Coefficients
 from atoll.model.vector_field import VectorField
 from tests.unit.library.analysis.systems import LORENZ, VAN_DER_POL, box, flow
 
@@ -26,10 +26,10 @@ def along(
     its: Flow, where: Box, name: str, bounds: tuple[float, float], *cycles: LimitCycle, has_hopf: bool = False
 ) -> list[CycleBranch]:
     """Return the branches from `cycles` of the model as it is, or from the Hopf points."""
-    explicit, varied = Coefficients.of(its.field).find(its, name)
-    branches = continuation(explicit, where, varied, bounds) if has_hopf else ()
-    known = [(varied.value, each) for each in cycles]
-    return [*cycle_continuation(explicit, where, varied, bounds, branches=branches, known=known)]
+    explicit, parameter = Coefficients.of(its.field).find(its, name)
+    branches = continuation(explicit, where, parameter, bounds) if has_hopf else ()
+    known = [(parameter.value, each) for each in cycles]
+    return [*cycle_continuation(explicit, where, parameter, bounds, branches=branches, known=known)]
 
 
 def unit_circle(size: int) -> LimitCycle:
@@ -47,7 +47,7 @@ def test_the_hopf_normal_form_has_circles_of_radius_sqrt_mu() -> None:
     np.testing.assert_allclose(radii, np.tile(np.sqrt(branch.values)[:, None], 400), rtol=1e-9)
     np.testing.assert_allclose([each.period for each in branch.cycles], 2.0 * np.pi, rtol=1e-12)
     exponents = -4.0 * np.pi * branch.values  # r' = mu r - r**3 is -2 mu times what is linear beside the circle
-    np.testing.assert_allclose([each.divergence for each in branch.cycles], exponents, rtol=1e-9)
+    np.testing.assert_allclose([each.log_multiplier_product for each in branch.cycles], exponents, rtol=1e-9)
     assert branch.special == ()
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from atoll.analysis.continuation_parameter import Coefficients
 from atoll.analysis.flow import Flow
-from atoll.analysis.varied import Coefficients
 from atoll.model.vector_field import VectorField
 from atoll_core.errors import UsageError
 
@@ -30,11 +30,11 @@ POINT = np.array([[1.3, 0.7]])
     ],
 )
 def test_a_name_says_what_varies(name: str, value: float, slope: tuple[float, float]) -> None:
-    flow, varied = COEFFICIENTS.find(FLOW, name)
+    flow, parameter = COEFFICIENTS.find(FLOW, name)
     np.testing.assert_allclose(flow.rates(POINT), FLOW.rates(POINT))
-    assert varied.value == value
-    np.testing.assert_allclose(varied.slope(flow, POINT)[0], slope, atol=1e-15)
-    moved = (varied.at(flow, value + 1e-3).rates(POINT) - FLOW.rates(POINT)) / 1e-3
+    assert parameter.value == value
+    np.testing.assert_allclose(parameter.slope(flow, POINT)[0], slope, atol=1e-15)
+    moved = (parameter.at(flow, value + 1e-3).rates(POINT) - FLOW.rates(POINT)) / 1e-3
     np.testing.assert_allclose(moved[0], slope, atol=1e-9)
 
 

@@ -30,7 +30,7 @@ _SAME: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Varied:
+class ContinuationParameter:
     """A number that varies: the parameters (indices) go with it in the ratios `factors`, the inputs are it.
 
     `value` is that of the model, and `name` what users call it.
@@ -43,10 +43,10 @@ class Varied:
     inputs: tuple[int, ...] = ()
 
     @classmethod
-    def parameter(cls, flow: Flow, index: int) -> "Varied":
+    def of_constant(cls, flow: Flow, index: int) -> "ContinuationParameter":
         """Return what one parameter of a flow is."""
-        its = flow.field.parameters[index]
-        return cls(its.name, float(flow.parameters[index]), (index,), (1.0,))
+        constant = flow.field.parameters[index]
+        return cls(constant.name, float(flow.parameters[index]), (index,), (1.0,))
 
     def at(self, flow: Flow, value: float) -> Flow:
         """Return the flow at another value."""
@@ -57,12 +57,12 @@ class Varied:
 
     def slope(self, flow: Flow, x: FloatArray) -> FloatArray:
         """Return the derivative of the rates at points (N, D) by the value, (N, D)."""
-        found = np.zeros(x.shape)
+        derivative = np.zeros(x.shape)
         if self.parameters:
-            found = found + flow.by_parameters(x)[..., list(self.parameters)] @ np.array(self.factors)
+            derivative = derivative + flow.by_parameters(x)[..., list(self.parameters)] @ np.array(self.factors)
         if self.inputs:
-            found = found + flow.by_inputs(x)[..., list(self.inputs)].sum(axis=-1)
-        return found
+            derivative = derivative + flow.by_inputs(x)[..., list(self.inputs)].sum(axis=-1)
+        return derivative
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class Coefficients:
             if origin is None
         )
 
-    def find(self, flow: Flow, name: str) -> tuple[Flow, Varied]:
+    def find(self, flow: Flow, name: str) -> tuple[Flow, ContinuationParameter]:
         """Return a flow, and what of it varies, by name: constants (several with commas), a term, or an input.
 
         Constants that are named together keep their ratios to the first.
@@ -110,7 +110,7 @@ class Coefficients:
         """
         if name in flow.field.inputs:
             place = flow.field.inputs.index(name)
-            return flow, Varied(name, float(flow.inputs[place]), inputs=(place,))
+            return flow, ContinuationParameter(name, float(flow.inputs[place]), inputs=(place,))
         parts = [part.strip() for part in name.split(",")]
         indices = [index for part in parts for index in self._indices(part)]
         values = self._values(flow.parameters)
@@ -118,7 +118,7 @@ class Coefficients:
         if written[0] == 0.0 and any(written):
             raise UsageError(f"{parts[0]} is 0, so that the others have no ratio to it; name another one first")
         factors = tuple(value / written[0] if written[0] else 1.0 for value in written)
-        return flow.at_field(self.explicit, values), Varied(name, written[0], tuple(indices), factors)
+        return flow.at_field(self.explicit, values), ContinuationParameter(name, written[0], tuple(indices), factors)
 
     def _values(self, parameters: FloatArray) -> FloatArray:
         """Return the values of the parameters of `explicit`."""
@@ -126,15 +126,16 @@ class Coefficients:
 
     def _indices(self, name: str) -> list[int]:
         """Return which parameters of `explicit` are meant: all uses of one constant, or the coefficient of one term."""
-        its = self.field.parameters
-        origin = next((index for index, each in enumerate(its) if name in (each.name, str(index + 1))), None)
+        constants = self.field.parameters
+        numbered = enumerate(constants)
+        origin = next((index for index, constant in numbered if name in (constant.name, str(index + 1))), None)
         if origin is not None:
-            return [index for index, each in enumerate(self.origins) if each == origin]
-        found = self._of_term(name)
-        if len(found) == 1:
-            return found
-        fault = f"'{name}' stands in several equations" if found else f"there is no parameter '{name}'"
-        known = ", ".join(f"{each.name} = {each.value:g} of {each.variable}" for each in self.field.parameters)
+            return [index for index, own_origin in enumerate(self.origins) if own_origin == origin]
+        indices = self._of_term(name)
+        if len(indices) == 1:
+            return indices
+        fault = f"'{name}' stands in several equations" if indices else f"there is no parameter '{name}'"
+        known = ", ".join(f"{constant.name} = {constant.value:g} of {constant.variable}" for constant in constants)
         others = [*self.units, *self.field.inputs]
         more = f", and can vary {', '.join(others)}" if others else ""
         raise UsageError(f"{fault}; the model has {known or 'no constants'}{more}")
@@ -152,13 +153,13 @@ class Coefficients:
         states, inputs = points[:, : len(self.field.states)], points[:, len(self.field.states) :]
         own = self._values(self.field.values_of_parameters)
         slopes = self.explicit.parameter_derivatives(states, inputs, own)
-        found = []
-        for index, each in enumerate(self.explicit.parameters):
-            slope = slopes[:, self.explicit.states.index(each.variable), index]
+        indices = []
+        for index, constant in enumerate(self.explicit.parameters):
+            slope = slopes[:, self.explicit.states.index(constant.variable), index]
             apart = min(np.abs(slope - values).max(), np.abs(slope + values).max())
-            if (not separator or variable == each.variable) and apart <= _SAME * np.abs(values).max():
-                found.append(index)
-        return found
+            if (not separator or variable == constant.variable) and apart <= _SAME * np.abs(values).max():
+                indices.append(index)
+        return indices
 
 
 def _apart(program: Program, origins: Sequence[int | None]) -> tuple[Program, tuple[int | None, ...]]:
