@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atoll.analysis.description import Listing, describe
 from atoll.experiments.determination import Direction, Identifiability, ProfiledConstant
 from atoll.experiments.suggestion import Candidate, Suggestion, Suggestions
 from atoll.model.model import Model
@@ -235,6 +236,15 @@ def test_dynamics_of_equations_that_do_not_fit_are_said_to_be_so() -> None:
     assert str(analysis).startswith("The verdict on dy/dt is no model:")
     section = to_text(section_of_dynamics(Findings(Result.of(found), Model(found), analysis))[0])
     assert section.index("The verdict on dy/dt is no model:") < section.index("<svg")
+
+
+def test_a_page_lists_of_the_dynamics_what_the_text_lists() -> None:
+    analysis = Model(dynamics()).analyse()
+    listings = [part for part in describe(analysis) if isinstance(part, Listing)]
+    page = read(section_of_dynamics(Findings(Result.of(dynamics()), Model(dynamics()), analysis)))
+    assert {cell for part in listings for row in part.rows for cell in row.cells} <= set(page.texts)
+    assert all(row.line in str(analysis) for part in listings for row in part.rows)
+    assert {"stable node, outside the box", "Limit cycles: 0 (26 simulations)."} <= set(page.texts)
 
 
 def test_constants_of_the_result_stand_beside_those_fitted_again() -> None:

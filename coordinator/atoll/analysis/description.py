@@ -1,0 +1,236 @@
+"""What is said of an analysis: sentences, and listings of texts, which text and report draw each in its own way."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll.analysis.analysis import Analysis
+from atoll.analysis.basins import NO_VALUE, RUNS_AWAY, UNDECIDED, Attractor
+from atoll.analysis.continuation import Branch
+from atoll.analysis.cycle_continuation import CycleBranch
+from atoll.analysis.dynamics import Comparison
+from atoll.analysis.fixed_points import MOST_POINTS, FixedPoint
+from atoll.analysis.limit_cycles import LimitCycle
+from atoll_core.data.dataset import FloatArray
+
+CODES: Final[Mapping[int, str]] = {UNDECIDED: "undecided", RUNS_AWAY: "runs away", NO_VALUE: "no value"}
+"""What a start without an attractor is said to do, in the order in which it is told."""
+
+_ENDINGS: Final = {
+    UNDECIDED: "reach none of these within the time that was simulated",
+    RUNS_AWAY: "run away",
+    NO_VALUE: "meet a point where a rate has no value",
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One thing that is listed: its `cells`, "" where nothing is to be said, and all of it as a `line`."""
+
+    cells: tuple[str, ...]
+    line: str
+
+
+@dataclass(frozen=True)
+class Listing:
+    """What is listed under a `title`, a cell for each of `heads`; without a heading lines stand for themselves."""
+
+    title: str
+    heads: tuple[str, ...]
+    rows: tuple[Row, ...]
+    has_heading: bool = True
+
+
+def describe(analysis: Analysis) -> list[str | Listing]:
+    """Return what is said of an analysis, in the order in which it is told; sentences begin as a line does, small."""
+    parts: list[str | Listing] = [analysis.caveat] if analysis.caveat else []
+    parts += [*_searched(analysis), _fixed_points(analysis), _cycles(analysis), *_exponents(analysis)]
+    parts += [_basins(analysis), *_conserved(analysis), *_comparisons(analysis), *_branches(analysis)]
+    return parts
+
+
+def codes_of(analysis: Analysis) -> list[int]:
+    """Return the attractors (by index), and the codes that some start has."""
+    reached = analysis.basins.reached
+    return [*range(len(analysis.attractors)), *(code for code in CODES if (reached == code).any())]
+
+
+def reached_text(which: int, analysis: Analysis) -> str:
+    """Return what an attractor, by index, is called, or a code of `Basins`."""
+    return CODES[which] if which < 0 else attractor_text(analysis.attractors[which])
+
+
+def attractor_text(attractor: Attractor) -> str:
+    """Return what an attractor is called."""
+    if isinstance(attractor, LimitCycle):
+        return f"limit cycle of period {attractor.period:.6g}"
+    return f"{attractor.kind} {_point_text(attractor.point)}"
+
+
+def _point_text(point: FloatArray) -> str:
+    return f"({', '.join(f'{value:.6g}' for value in point)})"
+
+
+def _searched(analysis: Analysis) -> list[str]:
+    box, field = analysis.box, analysis.field
+    sides = zip(field.states, box.lower, box.upper, strict=True)
+    bounds = ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, low, high in sides)
+    held = ", ".join(f"{name} = {value:g}" for name, value in zip(field.inputs, analysis.inputs, strict=True))
+    return [f"box: {bounds}", *([f"inputs held: {held}"] if held else [])]
+
+
+def _fixed_points(analysis: Analysis) -> Listing:
+    search, resting = analysis.fixed_points, analysis.cycles.resting
+    many = f"more than {MOST_POINTS}, so that they form a curve or a surface; some of them"
+    some = f"{len(search.points)} (Newton steps from {search.starts} starts)"
+    title = f"fixed points: {some if search.are_isolated else many}"
+    heads = (f"({', '.join(analysis.field.states)})", "kind", "eigenvalues")
+    return Listing(title, heads, tuple(_fixed_point(point, analysis) for point in (*search.points, *resting)))
+
+
+def _fixed_point(fixed: FixedPoint, analysis: Analysis) -> Row:
+    outside = "" if analysis.box.contains(fixed.point, 1e-6) else ", outside the box"
+    attracts = ", attracts" if fixed.is_stable and fixed.kind == "non-hyperbolic" else ""
+    cells = (_point_text(fixed.point), f"{fixed.kind}{attracts}{outside}", _complex_text(fixed.eigenvalues))
+    return Row(cells, f"{cells[0]}  {cells[1]}, eigenvalues {cells[2]}")
+
+
+def _complex_text(numbers: Iterable[complex]) -> str:
+    """Return complex numbers as text, conjugate ones as a pair."""
+    texts = []
+    for number in numbers:
+        if number.imag < 0.0:
+            texts.append(f"{number.real:.4g} ± {-number.imag:.4g}i")
+        elif number.imag == 0.0 or not math.isfinite(number.imag):
+            texts.append(f"{number.real:.4g}")
+    return ", ".join(texts)
+
+
+def _cycles(analysis: Analysis) -> Listing:
+    search, states = analysis.cycles, analysis.field.states
+    family = "; there are closed orbits that are not isolated" if search.has_family else ""
+    rows = []
+    for cycle in search.cycles:
+        extents = zip(cycle.points.min(axis=0), cycle.points.max(axis=0), strict=True)
+        ranges = [f"{low:.4g} to {high:.4g}" for low, high in extents]
+        period, stability = f"{cycle.period:.6g}", "stable" if cycle.is_stable else "unstable"
+        multipliers = _complex_text(cycle.multipliers)
+        named = ", ".join(f"{name} {ends}" for name, ends in zip(states, ranges, strict=True))
+        line = f"period {period}, {stability}, multipliers {multipliers}; {named}"
+        rows.append(Row((period, stability, multipliers, *ranges), line))
+    heads = ("period", "stability", "Floquet multipliers", *states)
+    return Listing(f"limit cycles: {len(search.cycles)} ({search.starts} simulations){family}", heads, tuple(rows))
+
+
+def _exponents(analysis: Analysis) -> list[str]:
+    spectrum = analysis.lyapunov
+    if spectrum is None:
+        return []
+    pairs = zip(spectrum.exponents, spectrum.standard_errors, strict=True)
+    exponents = ", ".join(f"{value:.3g} ± {error:.1g}" for value, error in pairs)
+    return [f"Lyapunov exponents: {exponents}" + (", chaotic" if spectrum.is_chaotic else "")]
+
+
+def _basins(analysis: Analysis) -> Listing:
+    rows = []
+    for which in codes_of(analysis):
+        share = _share_text(*analysis.basins.fraction(which))
+        ending = _ENDINGS[which] if which < 0 else f"reach the {reached_text(which, analysis)}"
+        if which == UNDECIDED and analysis.cycles.has_family:
+            ending = "go round closed orbits, or reach none of these within the time that was simulated"
+        rows.append(Row((share, ending), f"{share} {ending}"))
+    title = f"basins: of {len(analysis.basins.reached)} starts in the box"
+    return Listing(title, ("share", "of the starts"), tuple(rows))
+
+
+def _share_text(share: float, error: float) -> str:
+    """Return a share in per cent; its error says nothing where all starts, or none, end alike."""
+    if share in (0.0, 1.0):
+        return "all" if share else "none"
+    return f"{100 * share:.1f} ± {100 * error:.1f} %"
+
+
+def _conserved(analysis: Analysis) -> list[str]:
+    kept = ["volumes of states are kept (the divergence is 0)"] if analysis.is_volume_preserving else []
+    return [*kept, *(f"conserved (a hint): {quantity.text}" for quantity in analysis.conserved)]
+
+
+def _comparisons(analysis: Analysis) -> list[str | Listing]:
+    heads = ("trajectory", "bounds", "period", "amplitudes", "phases", "end")
+    rows = tuple(_comparison(comparison, analysis) for comparison in analysis.comparisons)
+    title = "the model, simulated freely, beside the data"
+    parts: list[str | Listing] = [Listing(title, heads, rows, has_heading=False)] if rows else []
+    if analysis.not_compared:
+        names = ", ".join(analysis.not_compared)
+        parts.append(f"the model is not compared with the data of trajectory {names}: the result has not its inputs")
+    return parts
+
+
+def _comparison(comparison: Comparison, analysis: Analysis) -> Row:
+    period, phases = "", ""
+    if comparison.has_same_period is not None:
+        periods = (comparison.simulated.period, comparison.measured.period)
+        simulated, measured = (f"{value:.4g}" if value else "none" for value in periods)
+        period = f"has period {simulated} (measured {measured})"
+    if comparison.has_same_order is not None:
+        phases = "phases agree" if comparison.has_same_order else "phases differ"
+    is_same = comparison.has_same_amplitudes
+    facts = (
+        "is bounded" if comparison.is_bounded else "is not bounded",
+        period,
+        "has the amplitudes of the data" if is_same else "has other amplitudes than the data",
+        phases,
+        _end_text(comparison, analysis),
+    )
+    line = f"from trajectory {comparison.name} the model {', '.join(filter(None, facts))}"
+    return Row((comparison.name, *facts), line)
+
+
+def _end_text(comparison: Comparison, analysis: Analysis) -> str:
+    held = ", inputs held" if analysis.field.inputs else ""
+    if comparison.orbit_period is None:
+        return f"reaches{held}: {reached_text(comparison.reaches, analysis)}"
+    return f"goes round a closed orbit of period {comparison.orbit_period:.4g}{held}"
+
+
+def _branches(analysis: Analysis) -> list[Listing]:
+    parameter, heads = analysis.continuation_parameter, ("branch", "special points")
+    if parameter is None:
+        return []
+    fixed = tuple(_branch(branch) for branch in analysis.branches)
+    cycles = tuple(_cycle_branch(branch) for branch in analysis.cycle_branches)
+    return [
+        Listing(f"fixed points as {parameter.name} (now {parameter.value:.6g}) varies:", heads, fixed),
+        Listing(f"limit cycles as {parameter.name} varies: {len(cycles)} branches", heads, cycles),
+    ]
+
+
+def _branch(branch: Branch) -> Row:
+    unstable = sorted(set(branch.unstable.tolist()))
+    counts = f"{unstable[0]} to {unstable[-1]}" if len(unstable) > 1 else f"{unstable[0]}"
+    special = []
+    for point in branch.special:
+        turning = f", frequency {point.frequency:.6g}" if point.frequency is not None else ""
+        special.append(f"{point.kind} at {point.value:.8g} {_point_text(point.point)}{turning}")
+    return _branch_row(f"a branch {_extent_text(branch.values)}; unstable eigenvalues: {counts}", special)
+
+
+def _cycle_branch(branch: CycleBranch) -> Row:
+    first, last = branch.cycles[0].period, branch.cycles[-1].period
+    stable = sum(cycle.is_stable for cycle in branch.cycles)
+    stability = "stable" if stable == len(branch.cycles) else "unstable" if not stable else "stable in parts"
+    whole = f"a branch {_extent_text(branch.values)}; period {first:.6g} to {last:.6g}, {stability}"
+    ends = f"begins: {branch.ends[0]}; ends: {branch.ends[1]}"
+    special = [f"{point.kind} at {point.value:.8g}, period {point.cycle.period:.6g}" for point in branch.special]
+    return _branch_row(whole, [ends, *special])
+
+
+def _branch_row(branch: str, special: list[str]) -> Row:
+    return Row((branch, "; ".join(special)), "\n".join([branch, *(f"    {text}" for text in special)]))
+
+
+def _extent_text(values: FloatArray) -> str:
+    return f"from {values[0]:.4g} to {values[-1]:.4g}, least {np.min(values):.4g}, greatest {np.max(values):.4g}"
