@@ -21,22 +21,23 @@ _HEADS = ("constant", "value", "standard error", "95 % interval", "equation of")
 def summary(model: "Model") -> str:
     """Return equations with verdicts, constants with errors, and where the model comes from."""
     lines = []
-    for each in model.equations:
-        lines.append(str(each))
-        if each.verdict is not None:
-            lines.append(f"    {each.verdict}: {each.reason}")
+    for equation in model.equations:
+        lines.append(str(equation))
+        if equation.verdict is not None:
+            lines.append(f"    {equation.verdict}: {equation.reason}")
     lines += filter(None, [model.remark])
     rows = [_HEADS, *map(_cells, model.params.values())]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADS))]
     if model.params:
         lines.append("")
     lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows if model.params]
-    its = model.provenance
-    lines += ["", f"seed {its['seed']}, digest {its['digest']}"]
-    if its["data"]:
-        lines.append(f"data {', '.join(its['files'] or ())}: {its['rows']} rows, sha256 {its['data']}")
-    if its["command"]:
-        lines.append(f"command: {its['command']}")
+    provenance = model.provenance
+    lines += ["", f"seed {provenance['seed']}, digest {provenance['digest']}"]
+    if provenance["data"]:
+        files, rows_read = ", ".join(provenance["files"] or ()), provenance["rows"]
+        lines.append(f"data {files}: {rows_read} rows, sha256 {provenance['data']}")
+    if provenance["command"]:
+        lines.append(f"command: {provenance['command']}")
     return "\n".join(lines)
 
 
@@ -56,12 +57,8 @@ def sympy_expressions(model: "Model") -> "dict[str, sympy.Expr]":
 def mathml(model: "Model") -> str:
     """Return the equations as the rows of a table in presentation MathML."""
     names = model.result.names
-    rows = [
-        "<mtr>"
-        + "".join(f"<mtd>{cell}</mtd>" for cell in _mathml_parts(each.lhs, each.variable, each.expression, names))
-        + "</mtr>"
-        for each in model.equations
-    ]
+    parts = [_mathml_parts(equation.lhs, equation.variable, equation.expression, names) for equation in model.equations]
+    rows = ["<mtr>" + "".join(f"<mtd>{cell}</mtd>" for cell in cells) + "</mtr>" for cells in parts]
     return f"{_MATH}<mtable>{''.join(rows)}</mtable></math>"
 
 
@@ -83,13 +80,12 @@ def html(model: "Model") -> str:
     parts = [mathml(model)]
     if model.remark:
         parts.append(f"<p>{escaping.escape(model.remark)}</p>")
-    verdicts = [each for each in model.equations if each.verdict is not None]
-    parts += [
-        f"<p><b>{escaping.escape(f'{each.lhs}: {each.verdict}')}.</b> {escaping.escape(each.reason or '')}</p>"
-        for each in verdicts
-    ]
+    for equation in model.equations:
+        if equation.verdict is not None:
+            head, reason = f"{equation.lhs}: {equation.verdict}", equation.reason or ""
+            parts.append(f"<p><b>{escaping.escape(head)}.</b> {escaping.escape(reason)}</p>")
     if model.params:
-        rows = [_row("th", _HEADS), *(_row("td", _cells(each)) for each in model.params.values())]
+        rows = [_row("th", _HEADS), *(_row("td", _cells(constant)) for constant in model.params.values())]
         parts.append(f"<table>{''.join(rows)}</table>")
     return "<div>" + "".join(parts) + "</div>"
 
@@ -98,11 +94,11 @@ def _row(kind: str, cells: tuple[str, ...]) -> str:
     return "<tr>" + "".join(f"<{kind}>{escaping.escape(cell)}</{kind}>" for cell in cells) + "</tr>"
 
 
-def _cells(its: "Parameter") -> tuple[str, ...]:
-    between = "?" if its.interval is None else _between(its.value, *its.interval)
-    error = "?" if its.stderr is None else f"{its.stderr:.2g}"
-    unit = f" {its.unit}" if its.unit not in (None, "1") else ""
-    return its.name, f"{its.value:.6g}{unit}", error, between, its.variable
+def _cells(constant: "Parameter") -> tuple[str, ...]:
+    between = "?" if constant.interval is None else _between(constant.value, *constant.interval)
+    error = "?" if constant.stderr is None else f"{constant.stderr:.2g}"
+    unit = f" {constant.unit}" if constant.unit not in (None, "1") else ""
+    return constant.name, f"{constant.value:.6g}{unit}", error, between, constant.variable
 
 
 def _between(value: float, low: float, high: float) -> str:

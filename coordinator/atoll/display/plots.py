@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from atoll.display.series import front, label, residuals
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_core.errors import UsageError
 
@@ -34,8 +35,8 @@ def plot_fit(model: "Model", axes: Any = None) -> Any:
             at.plot(times, _numbers(part.values[state]), color=color, label=part.name)
             if part.measured:
                 at.plot(times, _numbers(part.measured[state]), ".", color=color, markersize=3)
-        at.set_ylabel(_label(model, state))
-    axes[-1].set_xlabel(_label(model, model.time))
+        at.set_ylabel(label(model.result, state))
+    axes[-1].set_xlabel(label(model.result, model.time))
     return axes
 
 
@@ -48,11 +49,11 @@ def plot_residuals(model: "Model", axes: Any = None) -> Any:
     axes = _axes(axes, len(states))
     for at, state in zip(axes, states, strict=True):
         for number, part in enumerate(parts):
-            residuals = _numbers(part.measured[state]) - _numbers((part.values or {})[state])
-            at.plot(part.times, residuals, ".", color=f"C{number % 10}")
+            left = residuals(part.measured[state], (part.values or {})[state])
+            at.plot(part.times, _numbers(left), ".", color=f"C{number % 10}")
         at.axhline(0.0, color="0.5", linewidth=0.8)
-        at.set_ylabel(_label(model, state))
-    axes[-1].set_xlabel(_label(model, model.time))
+        at.set_ylabel(label(model.result, state))
+    axes[-1].set_xlabel(label(model.result, model.time))
     return axes
 
 
@@ -70,7 +71,7 @@ def plot_phase(model: "Model", axes: Any = None) -> Any:
     (at,) = _axes(axes, 1)
     (left, right), (low, high) = ranges[0], ranges[1]
     first, second = np.meshgrid(np.linspace(left, right, _GRID), np.linspace(low, high, _GRID))
-    points = np.tile([0.5 * (one + other) for one, other in ranges], (first.size, 1))
+    points = np.tile([0.5 * (lower + upper) for lower, upper in ranges], (first.size, 1))
     points[:, 0], points[:, 1] = first.ravel(), second.ravel()
     rates = model.field.values(points)
     at.streamplot(
@@ -80,8 +81,8 @@ def plot_phase(model: "Model", axes: Any = None) -> Any:
     for part in _trajectories(model):
         if part.values and {x, y} <= set(part.values):
             at.plot(_numbers(part.values[x]), _numbers(part.values[y]))
-    at.set_xlabel(_label(model, x))
-    at.set_ylabel(_label(model, y))
+    at.set_xlabel(label(model.result, x))
+    at.set_ylabel(label(model.result, y))
     return np.array([at])
 
 
@@ -90,10 +91,8 @@ def plot_front(model: "Model", axes: Any = None) -> Any:
     equations = model.result.equations
     axes = _axes(axes, len(equations))
     for at, equation in zip(axes, equations, strict=True):
-        members = [member for member in equation.front if member.normalized_error]
-        at.semilogy([one.complexity for one in members], [one.normalized_error for one in members], "o-")
-        chosen = [member for member in members if member.selected]
-        at.semilogy([one.complexity for one in chosen], [one.normalized_error for one in chosen], "s", color="C3")
+        at.semilogy(*front(equation.front), "o-")
+        at.semilogy(*front(equation.front, is_selected=True), "s", color="C3")
         at.set_ylabel(f"error of {equation.lhs}")
     axes[-1].set_xlabel("complexity")
     return axes
@@ -124,8 +123,3 @@ def _trajectories(model: "Model") -> Sequence[Simulated]:
 
 def _numbers(values: Sequence[float | None]) -> Any:
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-
-
-def _label(model: "Model", column: str) -> str:
-    unit = model.result.columns.units.get(column)
-    return f"{column} [{unit}]" if unit else column

@@ -18,6 +18,11 @@ _WEIGHTS: Final = (
 )
 
 
+def equations_text(equations: Mapping[str, str]) -> str:
+    """Return equations, right-hand sides by left-hand side, in a line."""
+    return "; ".join(f"{side} = {text}" for side, text in equations.items())
+
+
 @dataclass(frozen=True)
 class Candidate:
     """A candidate with its fitted constants: `equations` by left-hand side, `origin` where it comes from.
@@ -34,6 +39,13 @@ class Candidate:
     nats: float
     longer: float = 0.0
     written: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def origin_text(self) -> str:
+        """Where it comes from, and how much longer its description is than that of the equations shown."""
+        if self.origin == "shown":
+            return self.origin
+        return f"{self.origin}, {abs(self.longer):.3g} nats {'longer' if self.longer >= 0.0 else 'shorter'}"
 
 
 @dataclass(frozen=True)
@@ -60,6 +72,16 @@ class Suggestion:
     def worth_per_cost(self) -> float:
         """What it is ranked by, nats per unit of its cost."""
         return self.worth / self.cost
+
+    @property
+    def start_text(self) -> str:
+        """Where it begins, and with which inputs."""
+        return ", ".join(f"{name} = {value:.4g}" for name, value in {**self.initial, **self.inputs}.items())
+
+    @property
+    def samples_text(self) -> str:
+        """How often and how long is measured."""
+        return f"{len(self.times)} samples from {self.times[0]:.4g} to {self.times[-1]:.4g}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
@@ -102,24 +124,22 @@ class Suggestions:
     def __str__(self) -> str:
         return "\n".join([*self._candidate_lines(), *self._bound_lines(), *self._experiment_lines()])
 
+    @property
+    def purpose_text(self) -> str:
+        """What the experiments are for, and why."""
+        purpose = "to tell them apart" if self.purpose == "discrimination" else "to determine constants"
+        return f"{purpose}, since {self.reason}"
+
     def _candidate_lines(self) -> list[str]:
         lines = [f"candidates, their constants fitted again ({self.source}):"]
         for number, candidate in enumerate(self.candidates, start=1):
-            texts = "; ".join(f"{side} = {text}" for side, text in candidate.equations.items())
-            lines.append(f"  {number}. weight {candidate.weight:.2g} ({self._origin(candidate)})  {texts}")
+            origin, texts = candidate.origin_text, equations_text(candidate.equations)
+            lines.append(f"  {number}. weight {candidate.weight:.2g} ({origin})  {texts}")
             if candidate.written:
-                texts = "; ".join(f"{side} = {text}" for side, text in candidate.written.items())
-                lines.append(f"     with the constants of the result  {texts}")
+                lines.append(f"     with the constants of the result  {equations_text(candidate.written)}")
         if self.candidates and self.candidates[0].origin != "shown":
             lines.append(_WEIGHTS)
-        purpose = "to tell them apart" if self.purpose == "discrimination" else "to determine constants"
-        return [*lines, f"purpose: {purpose}, since {self.reason}"]
-
-    def _origin(self, candidate: Candidate) -> str:
-        if candidate.origin == "shown":
-            return candidate.origin
-        compared = "longer" if candidate.longer >= 0.0 else "shorter"
-        return f"{candidate.origin}, {abs(candidate.longer):.3g} nats {compared}"
+        return [*lines, f"purpose: {self.purpose_text}"]
 
     def _bound_lines(self) -> list[str]:
         parts = [
@@ -131,10 +151,8 @@ class Suggestions:
     def _experiment_lines(self) -> list[str]:
         lines = []
         for number, experiment in enumerate(self.experiments, start=1):
-            start = {**experiment.initial, **experiment.inputs}
-            where = ", ".join(f"{name} = {value:.4g}" for name, value in start.items())
-            span = f"{len(experiment.times)} samples from {experiment.times[0]:.4g} to {experiment.times[-1]:.4g}"
-            lines.append(f"experiment {number}: {where}; {span}; {self._worth(experiment)}")
+            where, samples = experiment.start_text, experiment.samples_text
+            lines.append(f"experiment {number}: {where}; {samples}; {self._worth(experiment)}")
         return lines
 
     def _worth(self, experiment: Suggestion) -> str:

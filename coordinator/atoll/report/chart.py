@@ -89,7 +89,7 @@ class Chart:
         if axis.bounds is not None:
             low, high = (_on(axis, bound) for bound in axis.bounds)
             return low, high
-        known = [value for each in values for value in each if math.isfinite(value)] or [0.0, 1.0]
+        known = [value for layer_values in values for value in layer_values if math.isfinite(value)] or [0.0, 1.0]
         low, high = min(known), max(known)
         beyond = _BEYOND * (high - low) or abs(high) or 1.0
         return low - beyond, high + beyond
@@ -153,10 +153,10 @@ def _drawn(layer: _Layer, across: _Scale, up: _Scale) -> Element:
     return element("path", class_=f"{layer.kind} {layer.style}", d=_path(places) + ending)
 
 
-def _rectangle(one: tuple[float, float] | None, other: tuple[float, float] | None) -> str:
-    if one is None or other is None:
+def _rectangle(corner: tuple[float, float] | None, opposite: tuple[float, float] | None) -> str:
+    if corner is None or opposite is None:
         return ""
-    return f"M{one[0]},{one[1]}H{other[0]}V{other[1]}H{one[0]}Z"
+    return f"M{corner[0]},{corner[1]}H{opposite[0]}V{opposite[1]}H{corner[0]}Z"
 
 
 def _path(places: Iterable[tuple[float, float] | None]) -> str:

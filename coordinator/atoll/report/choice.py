@@ -1,31 +1,32 @@
 """Why this equation: the front of each search, and the candidates that were compared."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from atoll.display.series import front
+from atoll.experiments.suggestion import equations_text
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Child, Element, element, figure, number, paragraph, r2_cell, section, table
-from atoll_coordinator.result.equations import Equation, Member
+from atoll_coordinator.result.equations import Equation
 
 if TYPE_CHECKING:
     from atoll.experiments.suggestion import Suggestions
 
 
-def choice(its: Findings) -> list[Element]:
+def choice(findings: Findings) -> list[Element]:
     """Return the sections of fronts and of candidates."""
-    equations = its.result.equations
-    fronts = [_front(one, its) for one in equations if any(member.normalized_error for member in one.front)]
-    compared = [part for equation in equations for part in _candidates(equation, its)]
+    equations = findings.result.equations
+    fronts = [_front(equation, findings) for equation in equations if front(equation.front)[0]]
+    compared = [part for equation in equations for part in _candidates(equation, findings)]
     sections = []
     if compared:
         text = paragraph(
             "In nats, how much longer the data are to describe by another equation than by the one shown: below "
             "about 3 the data hardly decide."
         )
-        if its.result.groups or its.result.group is not None:
+        if findings.result.groups or findings.result.group is not None:
             compared.append(paragraph("Constants of candidates are of all groups of trajectories together."))
-        following = () if its.suggestions is None else _next_experiment(its.suggestions)
+        following = () if findings.suggestions is None else _next_experiment(findings.suggestions)
         sections.append(section("candidates", "Candidates", text, *compared, *following))
     if fronts:
         text = paragraph(
@@ -37,67 +38,59 @@ def choice(its: Findings) -> list[Element]:
     return sections
 
 
-def _next_experiment(found: "Suggestions") -> list[Element]:
+def _next_experiment(suggestions: "Suggestions") -> list[Element]:
     """Return the experiments that would tell most, and which systems they tell apart."""
-    told_apart = found.purpose == "discrimination"
-    text = f"Experiments that {'tell these apart' if told_apart else 'determine the constants'}, since {found.reason}."
+    told_apart = suggestions.purpose == "discrimination"
     systems: list[list[Child]] = [
-        [number(weight, 2), origin, element("code", "; ".join(map(" = ".join, equations.items())))]
-        for each in found.candidates
+        [number(weight, 2), origin, element("code", equations_text(equations))]
+        for candidate in suggestions.candidates
         for weight, origin, equations in (
-            (each.weight, each.origin, each.equations),
-            (None, f"{each.origin}, with the constants of the result", each.written),
+            (candidate.weight, candidate.origin_text, candidate.equations),
+            (None, f"{candidate.origin}, with the constants of the result", candidate.written),
         )
         if equations
     ]
     rows: list[list[Child]] = [
         [
-            element("span", ", ".join(f"{name} = {number(value)}" for name, value in where.items())),
-            f"{len(each.times)}, from {number(each.times[0])} to {number(each.times[-1])}",
-            number(each.information, 3),
-            number(each.evidence, 3) if told_apart else "",
+            element("span", experiment.start_text),
+            experiment.samples_text,
+            number(experiment.information, 3),
+            number(experiment.evidence, 3) if told_apart else "",
         ]
-        for each in found.experiments
-        for where in ({**each.initial, **each.inputs},)
+        for experiment in suggestions.experiments
     ]
     heads = ["begin at", "samples", "information, nats", "evidence for the right one, nats"]
     return [
         element("h3", "The next experiment"),
-        paragraph(text),
+        paragraph(f"Purpose: {suggestions.purpose_text}."),
         table("Systems, their constants fitted again", ["weight", "origin", "equations"], systems),
         table("Experiments", heads, rows),
     ]
 
 
-def _front(equation: Equation, its: Findings) -> Element:
-    members = [member for member in equation.front if member.normalized_error]
+def _front(equation: Equation, findings: Findings) -> Element:
     drawn = Chart(f"error over complexity of {equation.lhs}", Axis("complexity"), Axis("error", is_logarithmic=True))
-    sizes, errors = _places(members)
+    sizes, errors = front(equation.front)
     if equation.derivative_floor:
         drawn.add_line((min(sizes), max(sizes)), (equation.derivative_floor,) * 2, "rule")
     drawn.add_line(sizes, errors, "c0")
     drawn.add_points(sizes, errors, "c0")
-    drawn.add_points(*_places([member for member in members if member.selected]), "chosen c1")
+    drawn.add_points(*front(equation.front, is_selected=True), "chosen c1")
     rows = [
         [str(member.complexity), number(member.normalized_error, 3), "yes" if member.selected else "",
-         element("code", its.rounded(member.expression))]
+         element("code", findings.rounded(member.expression))]
         for member in equation.front
     ]  # fmt: skip
     numbers = table(f"front of {equation.lhs}", ["complexity", "error", "chosen", "expression"], rows)
     return figure(drawn.svg(), equation.lhs, numbers)
 
 
-def _places(members: Sequence[Member]) -> tuple[list[float], list[float | None]]:
-    """Return the complexities and the errors of members of a front."""
-    return [member.complexity or 0 for member in members], [member.normalized_error for member in members]
-
-
-def _candidates(equation: Equation, its: Findings) -> list[Element]:
+def _candidates(equation: Equation, findings: Findings) -> list[Element]:
     if not equation.candidates:
         return []
     rows: list[list[Child]] = [
         [
-            element("code", its.rounded(candidate.expression)),
+            element("code", findings.rounded(candidate.expression)),
             "shown" if candidate.selected else number(candidate.nats, 3),
             r2_cell(candidate.r2),
             r2_cell(candidate.held_out_r2) + (" (left out in turn)" if candidate.cross_validated else ""),

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from atoll.experiments.determination import Identifiability, ProfiledConstant
 
 
-def constants(its: Findings) -> list[Element]:
+def constants(findings: Findings) -> list[Element]:
     """Return the section, none where no equation has a constant."""
-    names = constant_names(its.result)
-    rows = [row for equation in its.result.equations for row in _rows(equation, names[equation.variable])]
+    names = constant_names(findings.result)
+    rows = [row for equation in findings.result.equations for row in _rows(equation, names[equation.variable])]
     if not rows:
         return []
     heads = [
@@ -31,30 +31,30 @@ def constants(its: Findings) -> list[Element]:
         "simple number near it",
         "determined",
     ]
-    equations = its.result.equations
-    notes = [paragraph(text) for one in equations for text in _together(one, names[one.variable])]
-    notes += [paragraph(_correlation(pair, names)) for pair in its.result.correlations]
-    profiles = [] if its.identifiability is None else _profiles(its.identifiability)
-    if count_constants(its.result) > MOST_PROFILES:
+    equations = findings.result.equations
+    notes = [paragraph(text) for equation in equations for text in _together(equation, names[equation.variable])]
+    notes += [paragraph(_correlation(pair, names)) for pair in findings.result.correlations]
+    profiles = [] if findings.identifiability is None else _profiles(findings.identifiability)
+    if count_constants(findings.result) > MOST_PROFILES:
         profiles.append(paragraph("coordinator analyse --identifiability says what the data determine of so many."))
     return [
         section(
             "constants",
             "Constants",
             table("Constants", heads, rows, is_stacked=True),
-            *_groups(its, names),
+            *_groups(findings, names),
             *notes,
             *profiles,
         )
     ]
 
 
-def _groups(its: Findings, names: Mapping[str, Sequence[str]]) -> list[Element]:
+def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Element]:
     """Return a table of the constants that differ between groups of trajectories, none where there are none."""
-    if not differing_groups(its.result):
+    if not differing_groups(findings.result):
         return []
     heads = ["equation", "constant", "group", "value", "standard error", "95 % interval"]
-    equations = its.result.equations
+    equations = findings.result.equations
     rows = [row for equation in equations for row in _rows_of_groups(equation, names[equation.variable])]
     return [table("Constants that differ between groups; those above are means", heads, rows)]
 
@@ -76,15 +76,15 @@ def _rows_of_groups(equation: Equation, names: Sequence[str]) -> list[list[str |
     ]
 
 
-def _profiles(found: "Identifiability") -> list[Element]:
+def _profiles(identifiability: "Identifiability") -> list[Element]:
     """Return what the data determine of each constant, by profile likelihood, with the profiles drawn."""
     text = paragraph(
         "A constant is held at each value of a range while all others are fitted again. Where the deviance stays below "
         "the line, the data allow the value."
     )
-    listed = [element("li", f"{each.name} = {each.sentence}") for each in found.constants]
-    listed += [element("li", each.words) for each in found.sloppy]
-    pictures = [_profile(each, found.quantile**2) for each in found.constants]
+    listed = [element("li", f"{constant.name} = {constant.sentence}") for constant in identifiability.constants]
+    listed += [element("li", direction.words) for direction in identifiability.sloppy]
+    pictures = [_profile(constant, identifiability.quantile**2) for constant in identifiability.constants]
     return [
         element("h3", "What the data determine"),
         text,
@@ -93,14 +93,14 @@ def _profiles(found: "Identifiability") -> list[Element]:
     ]
 
 
-def _profile(its: "ProfiledConstant", most: float) -> Element:
-    values, deviances = its.values.tolist(), its.deviances.tolist()
-    drawn = Chart(f"profile of {its.name}", Axis(its.name), Axis("deviance", bounds=(0.0, 2.0 * most)))
+def _profile(constant: "ProfiledConstant", most: float) -> Element:
+    values, deviances = constant.values.tolist(), constant.deviances.tolist()
+    drawn = Chart(f"profile of {constant.name}", Axis(constant.name), Axis("deviance", bounds=(0.0, 2.0 * most)))
     drawn.add_line([min(values), max(values)], [most, most], "rule")
     drawn.add_line(values, deviances, "c0")
-    drawn.add_points([its.estimate], [0.0], "c0")
+    drawn.add_points([constant.estimate], [0.0], "c0")
     rows = [[number(value, 6), number(deviance)] for value, deviance in zip(values, deviances, strict=True)]
-    return figure(drawn.svg(), its.name, table(f"profile of {its.name}", ["value", "deviance"], rows))
+    return figure(drawn.svg(), constant.name, table(f"profile of {constant.name}", ["value", "deviance"], rows))
 
 
 def _rows(equation: Equation, names: Sequence[str]) -> list[list[str | Element]]:

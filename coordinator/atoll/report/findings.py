@@ -4,8 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from atoll.display.series import label
 from atoll.model.equations import DIGITS
 from atoll.model.model import Model
+from atoll.report.chart import Axis
 from atoll_coordinator.result.findings import System
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
@@ -78,8 +80,11 @@ class Findings:
 
     def labelled(self, column: str) -> str:
         """Return a column name with its unit."""
-        unit = self.result.units.get(column)
-        return f"{column} [{unit}]" if unit else column
+        return label(self.result, column)
+
+    def axis(self, column: str) -> Axis:
+        """Return the axis of a column, labelled with its unit."""
+        return Axis(self.labelled(column))
 
 
 def count_constants(result: Result) -> int:

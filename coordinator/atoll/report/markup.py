@@ -48,8 +48,8 @@ def paragraph(*children: Child, **attributes: str) -> Element:
 def facts(pairs: Iterable[tuple[str, Child]]) -> Element:
     """Return a list of terms and what is said of each."""
     listed = element("dl")
-    for term, said in pairs:
-        extend(listed, (element("dt", term), element("dd", said)))
+    for term, description in pairs:
+        extend(listed, (element("dt", term), element("dd", description)))
     return listed
 
 
@@ -94,10 +94,10 @@ def legend(names: Iterable[tuple[str, str]]) -> Element:
 
 def parse_mathml(text: str) -> Element:
     """Return MathML as elements without the prefix of a namespace, as HTML has them."""
-    found = ElementTree.fromstring(text)
-    for each in found.iter():
-        each.tag = each.tag.removeprefix(MATHML)
-    return found
+    root = ElementTree.fromstring(text)
+    for part in root.iter():
+        part.tag = part.tag.removeprefix(MATHML)
+    return root
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -6,25 +6,25 @@ from atoll.report.findings import Findings
 from atoll.report.markup import Child, Element, element, facts, paragraph, section
 
 
-def origin(its: Findings) -> Element:
+def origin(findings: Findings) -> Element:
     """Return the section."""
-    result = its.result
-    said: list[tuple[str, Child]] = [("Job", str(result.job)), ("Seed", str(result.seed))]
+    result = findings.result
+    entries: list[tuple[str, Child]] = [("Job", str(result.job)), ("Seed", str(result.seed))]
     if result.command:
-        said.append(("Command", element("code", result.command)))
-    said.append(("Digest of the search", element("code", result.digest or "")))
+        entries.append(("Command", element("code", result.command)))
+    entries.append(("Digest of the search", element("code", result.digest or "")))
     if result.data is not None:
-        said.append(("Digest of the data (sha256)", element("code", result.data.digest or "")))
+        entries.append(("Digest of the data (sha256)", element("code", result.data.digest or "")))
     if result.config:
-        said.append(("Settings", element("code", json.dumps(result.config, ensure_ascii=False))))
+        entries.append(("Settings", element("code", json.dumps(result.config, ensure_ascii=False))))
     versions = ", ".join(f"{name} {version}" for name, version in result.versions.items())
-    said.append(("Versions", versions))
-    return section("origin", "How to repeat this", paragraph(_promise(its)), facts(said))
+    entries.append(("Versions", versions))
+    return section("origin", "How to repeat this", paragraph(_promise(findings)), facts(entries))
 
 
-def _promise(its: Findings) -> str:
+def _promise(findings: Findings) -> str:
     """Return what gives the same digest again: not the clock."""
-    cut = [equation for equation in its.result.equations if equation.why in ("max-time", "cancelled")]
+    cut = [equation for equation in findings.result.equations if equation.why in ("max-time", "cancelled")]
     if not cut:
         return "The same data, settings and seed give the same digest on any number of workers and machines."
     epochs = ",".join(f"{equation.variable}={equation.epoch}" for equation in cut)

@@ -17,29 +17,30 @@ MEANINGS: Final = {
 }
 
 
-def overview(its: Findings) -> Element:
+def overview(findings: Findings) -> Element:
     """Return the section: equations with verdicts, then what was asked."""
-    result = its.result
-    equations = [_equation(equation, its) for equation in result.equations]
+    result = findings.result
+    equations = [_equation(equation, findings) for equation in result.equations]
     warnings = [element("li", text) for text in result.warnings]
     noted = (element("h3", "Warnings"), element("ul", *warnings)) if warnings else ()
     remark = remark_on_groups(result)
-    said = [remark] if remark else []
+    remarks = [remark] if remark else []
     if result.process:
-        said.append("Of a state x, d[x]/dt is the variance that noise adds in a unit of time.")
-    verdicts = dict.fromkeys(one.verdict for one in result.equations if one.verdict is not None)
+        remarks.append("Of a state x, d[x]/dt is the variance that noise adds in a unit of time.")
+    verdicts = dict.fromkeys(equation.verdict for equation in result.equations if equation.verdict is not None)
     meanings = element(
-        "small", " ".join(f"{each.capitalize()}: {MEANINGS[each]}." for each in verdicts if each in MEANINGS)
+        "small",
+        " ".join(f"{verdict.capitalize()}: {MEANINGS[verdict]}." for verdict in verdicts if verdict in MEANINGS),
     )
-    said_of_all = [paragraph(meanings), *map(paragraph, said)]
-    return section("found", "Found", *equations, *said_of_all, facts(_facts(its)), *noted)
+    paragraphs = [paragraph(meanings), *map(paragraph, remarks)]
+    return section("found", "Found", *equations, *paragraphs, facts(_facts(findings)), *noted)
 
 
-def _equation(equation: Equation, its: Findings) -> Element:
+def _equation(equation: Equation, findings: Findings) -> Element:
     verdict, reason = equation.verdict, equation.reason
     parts = []
     if equation.expression is not None:
-        names = its.result.names
+        names = findings.result.names
         formula = parse_mathml(equation_mathml(equation.lhs, equation.variable, equation.expression, names))
         parts.append(scrolling(f"equation {equation.lhs}", formula))
     else:
@@ -50,30 +51,30 @@ def _equation(equation: Equation, its: Findings) -> Element:
     return element("div", *parts, class_="equation")
 
 
-def _facts(its: Findings) -> list[tuple[str, str]]:
-    result, system = its.result, its.system
+def _facts(findings: Findings) -> list[tuple[str, str]]:
+    result, system = findings.result, findings.system
     data = result.data
-    said = [] if data is None else [("Data", f"{', '.join(data.files)}: {data.rows} rows")]
+    entries = [] if data is None else [("Data", f"{', '.join(data.files)}: {data.rows} rows")]
     if result.group is not None:
-        said.append(("Group", result.group))
+        entries.append(("Group", result.group))
     lists = (("States", system.states), ("Inputs", system.inputs))
-    said += [(name, ", ".join(map(its.labelled, columns))) for name, columns in lists if columns]
+    entries += [(name, ", ".join(map(findings.labelled, columns))) for name, columns in lists if columns]
     if system.target:
-        said.append(("Target", its.labelled(system.target)))
+        entries.append(("Target", findings.labelled(system.target)))
     if system.time:
-        said.append(("Time", its.labelled(system.time)))
+        entries.append(("Time", findings.labelled(system.time)))
     if system.ranges:
         ranges = (f"{name} {number(low)} to {number(high)}" for name, (low, high) in system.ranges.items())
-        said.append(("Range searched", ", ".join(ranges)))
-    said += _simulation(its)
+        entries.append(("Range searched", ", ".join(ranges)))
+    entries += _simulation(findings)
     if result.state not in (None, "done"):
-        said.append(("Job", f"{result.state}: {result.reason or 'ended early'}"))
-    return said
+        entries.append(("Job", f"{result.state}: {result.reason or 'ended early'}"))
+    return entries
 
 
-def _simulation(its: Findings) -> list[tuple[str, str]]:
-    values = [value for part in its.trajectories for value in part.r2.values() if value is not None]
+def _simulation(findings: Findings) -> list[tuple[str, str]]:
+    values = [value for part in findings.trajectories for value in part.r2.values() if value is not None]
     if not values:
         return []
-    on = f" on {len(its.trajectories)} trajectories" if len(its.trajectories) > 1 else ""
+    on = f" on {len(findings.trajectories)} trajectories" if len(findings.trajectories) > 1 else ""
     return [("Simulation", f"R² at least {r2_text(min(values))}{on}")]

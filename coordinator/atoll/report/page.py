@@ -34,20 +34,20 @@ def as_text(page: Element) -> str:
 
 def build_page(result: Result) -> Element:
     """Return the page of a result as an element."""
-    its = Findings.of(result)
+    findings = Findings.of(result)
     sections = [
-        overview(its),
-        *regression(its),
-        *trajectories(its),
-        *constants(its),
-        *choice(its),
-        *dynamics(its),
-        *process(its),
-        *search(its),
-        origin(its),
+        overview(findings),
+        *regression(findings),
+        *trajectories(findings),
+        *constants(findings),
+        *choice(findings),
+        *dynamics(findings),
+        *process(findings),
+        *search(findings),
+        origin(findings),
     ]
-    title = _title(its)
-    links = (element("li", element("a", _heading(each), href=f"#{each.get('id')}")) for each in sections)
+    title = _title(findings)
+    links = (element("li", element("a", _heading(part), href=f"#{part.get('id')}")) for part in sections)
     contents = element("nav", element("ul", *links), aria_label="Contents")
     foot = element("footer", paragraph(f"Written by Atoll {VERSION}."))
     body = element("body", element("header", element("h1", title), contents), element("main", *sections), foot)
@@ -56,11 +56,11 @@ def build_page(result: Result) -> Element:
 
 def pictures(page: Element) -> dict[str, str]:
     """Return the pictures of a page as SVG files of their own, by name: the section and a number, ``fit-1.svg``."""
-    found: dict[str, str] = {}
+    pictures_by_name: dict[str, str] = {}
     for part in page.iter("section"):
-        drawn = [each for each in part.iter("svg") if each.get("role") == "img"]
-        found |= {f"{part.get('id')}-{number}.svg": _alone(each) for number, each in enumerate(drawn, 1)}
-    return found
+        name, drawn = part.get("id"), [picture for picture in part.iter("svg") if picture.get("role") == "img"]
+        pictures_by_name |= {f"{name}-{number}.svg": _alone(picture) for number, picture in enumerate(drawn, 1)}
+    return pictures_by_name
 
 
 def _alone(picture: Element) -> str:
@@ -73,9 +73,9 @@ def _alone(picture: Element) -> str:
     return to_text(made) + "\n"
 
 
-def _title(its: Findings) -> str:
-    data = its.result.data
-    names = (data.files if data is not None else ()) or (f"job {its.result.job}",)
+def _title(findings: Findings) -> str:
+    data = findings.result.data
+    names = (data.files if data is not None else ()) or (f"job {findings.result.job}",)
     return f"Equations of {', '.join(names)}"
 
 

@@ -9,23 +9,23 @@ from atoll.report.trajectories import ROWS
 from atoll_coordinator.result.findings import Density, PathEnsemble
 
 
-def process(its: Findings) -> list[Element]:
+def process(findings: Findings) -> list[Element]:
     """Return the section, none of a model without noise of its own."""
-    known = its.result.process
-    if known is None:
+    fitted = findings.result.process
+    if fitted is None:
         return []
-    said = [
-        ("Steps", f"{known.steps}, of {number(known.step)} in the median"),
-        ("Log-likelihood of a step", f"{number(known.log_likelihood)} nats"),
+    entries = [
+        ("Steps", f"{fitted.steps}, of {number(fitted.step)} in the median"),
+        ("Log-likelihood of a step", f"{number(fitted.log_likelihood)} nats"),
     ]
-    ensemble, densities = known.ensemble, known.stationary or {}
-    pictures = [] if ensemble is None else [_ensemble(ensemble, state, its) for state in ensemble.mean]
-    pictures += [_density(density, state, its) for state, density in densities.items()]
+    ensemble, densities = fitted.ensemble, fitted.stationary or {}
+    pictures = [] if ensemble is None else [_ensemble(ensemble, state, findings) for state in ensemble.mean]
+    pictures += [_density(density, state, findings) for state, density in densities.items()]
     return [
         section(
             "process",
             "Noise as part of the law",
-            facts(said),
+            facts(entries),
             paragraph(
                 "Of the simulated paths the mean, and the bounds that 5 % lie beyond on either side; stationary "
                 "densities beside the measured ones."
@@ -35,22 +35,22 @@ def process(its: Findings) -> list[Element]:
     ]
 
 
-def _ensemble(ensemble: PathEnsemble, state: str, its: Findings) -> Element:
-    drawn = Chart(f"simulated paths of {state}", Axis(its.labelled(its.time)), Axis(its.labelled(state)))
+def _ensemble(ensemble: PathEnsemble, state: str, findings: Findings) -> Element:
+    drawn = Chart(f"simulated paths of {state}", findings.axis(findings.time), findings.axis(state))
     drawn.add_band(ensemble.times, ensemble.lower[state], ensemble.upper[state], "c0")
     drawn.add_line(ensemble.times, ensemble.mean[state], "c0")
     curves = (ensemble.mean, ensemble.lower, ensemble.upper)
     rows = list(zip(ensemble.times, *(curve[state] for curve in curves), strict=True))
     numbers = table(
         f"simulated paths of {state}",
-        [its.time, "mean", "5 %", "95 %"],
+        [findings.time, "mean", "5 %", "95 %"],
         [[number(value, 5) for value in row] for row in rows[:: max(1, len(rows) // ROWS)]],
     )
-    return figure(drawn.svg(), f"{its.labelled(state)}, {ensemble.finite_paths} paths", numbers)
+    return figure(drawn.svg(), f"{findings.labelled(state)}, {ensemble.finite_paths} paths", numbers)
 
 
-def _density(density: Density, state: str, its: Findings) -> Element:
-    drawn = Chart(f"stationary density of {state}", Axis(its.labelled(state)), Axis("density"))
+def _density(density: Density, state: str, findings: Findings) -> Element:
+    drawn = Chart(f"stationary density of {state}", findings.axis(state), Axis("density"))
     edges = density.edges
     middles = [0.5 * ((low or 0.0) + (high or 0.0)) for low, high in pairwise(edges)]
     drawn.add_points(middles, density.measured, "c1")
@@ -62,4 +62,4 @@ def _density(density: Density, state: str, its: Findings) -> Element:
         [[number(value) for value in row] for row in rows],
     )
     overlap = f"; they overlap by {100 * density.overlap:.0f} %" if density.overlap is not None else ""
-    return figure(drawn.svg(), f"{its.labelled(state)}: line simulated, dots measured{overlap}", numbers)
+    return figure(drawn.svg(), f"{findings.labelled(state)}: line simulated, dots measured{overlap}", numbers)

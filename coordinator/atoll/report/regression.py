@@ -2,22 +2,23 @@
 
 from collections.abc import Sequence
 
+from atoll.display.series import residuals
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, figure, number, section, table
-from atoll.report.trajectories import ROWS, difference
+from atoll.report.trajectories import ROWS
 
 
-def regression(its: Findings) -> list[Element]:
+def regression(findings: Findings) -> list[Element]:
     """Return the section, none of a model of dynamics: over the variable, of several fitted over measured values."""
-    known = its.result.regression
+    known = findings.result.regression
     if known is None:
         return []
-    target, variables = str(its.system.target), known.variables
+    target, variables = str(findings.system.target), known.variables
     fitted, measured = known.fitted, known.measured
     if len(variables) == 1:
         ((name, values),) = variables.items()
-        fit = Chart(f"{target} over {name}", Axis(its.labelled(name)), Axis(its.labelled(target)))
+        fit = Chart(f"{target} over {name}", findings.axis(name), findings.axis(target))
         fit.add_points(values, measured, "c0")
         order = [row for _, row in sorted((value, row) for row, value in enumerate(values) if value is not None)]
         fit.add_line([values[row] for row in order], [fitted[row] for row in order], "c1")
@@ -26,9 +27,8 @@ def regression(its: Findings) -> list[Element]:
         fit.add_points(measured, fitted, "c0")
         ends = _ends(measured)
         fit.add_line(ends, ends, "rule")
-    residuals = difference(measured, fitted)
     left = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured less fitted"))
-    left.add_points(fitted, residuals, "c0")
+    left.add_points(fitted, residuals(measured, fitted), "c0")
     rows = zip(*variables.values(), measured, fitted, strict=True)
     some = list(rows)[:: max(1, len(measured) // ROWS)]
     numbers = table(

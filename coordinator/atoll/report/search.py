@@ -19,9 +19,9 @@ ENDS: Final = {
 }
 
 
-def search(its: Findings) -> list[Element]:
+def search(findings: Findings) -> list[Element]:
     """Return the section."""
-    equations = its.result.equations
+    equations = findings.result.equations
     rows = [
         [equation.lhs, ENDS.get(equation.why or "", equation.why or ""), str(equation.epoch),
          f"{equation.point_evaluations or 0:.3g}",

@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from atoll.report.chart import COLORS, Axis, Chart
+from atoll.display.series import residuals
+from atoll.report.chart import COLORS, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, figure, legend, number, paragraph, r2_cell, section, table
 from atoll_coordinator.result.findings import Errors, Noise
@@ -15,21 +16,21 @@ ROWS: Final = 60
 """Rows of the numbers behind a picture."""
 
 
-def trajectories(its: Findings) -> list[Element]:
+def trajectories(findings: Findings) -> list[Element]:
     """Return the sections of the fit, of its residuals, and of the errors of the measurements."""
-    parts = chosen(its.trajectories)
+    parts = chosen(findings.trajectories)
     sections = []
     if parts:
-        said = _which(parts, its)
+        explained = _which(parts, findings)
         states = list(parts[0].values or {})
-        fits = [_fit(state, parts, its) for state in states]
-        left = [_residuals(state, parts, its) for state in states if parts[0].measured]
-        sections.append(section("fit", "Measured and simulated", said, _pictures(fits), _explained(its)))
+        fits = [_fit(state, parts, findings) for state in states]
+        left = [_residuals(state, parts, findings) for state in states if parts[0].measured]
+        sections.append(section("fit", "Measured and simulated", explained, _pictures(fits), _explained(findings)))
         sections.append(section("residuals", "What the model leaves", _left_text(), _pictures(left)))
-    elif its.trajectories:
+    elif findings.trajectories:
         sections.append(section("fit", "Measured and simulated", paragraph("The model could not be simulated.")))
-    if its.result.noise:
-        sections.append(_errors(its))
+    if findings.result.noise:
+        sections.append(_errors(findings))
     return sections
 
 
@@ -50,14 +51,15 @@ def _pictures(figures: Iterable[Element]) -> Element:
     return element("div", *figures, class_="pictures")
 
 
-def _which(parts: Sequence[Simulated], its: Findings) -> Element:
+def _which(parts: Sequence[Simulated], findings: Findings) -> Element:
     text = (
         "Dots are measured. Lines are simulated, each from one fitted initial state, with 95 % bands of the errors of "
         "constants and initial states."
     )
-    if len(its.trajectories) > len(parts):
+    if len(findings.trajectories) > len(parts):
         text += (
-            f" {len(parts)} trajectories of {len(its.trajectories)} are drawn, from the worst explained to the best."
+            f" {len(parts)} trajectories of {len(findings.trajectories)} are drawn, from the worst explained to the "
+            "best."
         )
     return paragraph(text)
 
@@ -69,8 +71,8 @@ def _legend(parts: Sequence[Simulated]) -> Element:
     return legend((f"c{index}", name(part)) for index, part in enumerate(parts))
 
 
-def _fit(state: str, parts: Sequence[Simulated], its: Findings) -> Element:
-    drawn = Chart(f"{state} over time, measured and simulated", Axis(its.labelled(its.time)), Axis(its.labelled(state)))
+def _fit(state: str, parts: Sequence[Simulated], findings: Findings) -> Element:
+    drawn = Chart(f"{state} over time, measured and simulated", findings.axis(findings.time), findings.axis(state))
     for index, part in enumerate(parts):
         if part.lower and part.upper:
             drawn.add_band(part.times, part.lower[state], part.upper[state], f"c{index}")
@@ -78,9 +80,9 @@ def _fit(state: str, parts: Sequence[Simulated], its: Findings) -> Element:
         if part.measured:
             drawn.add_points(part.times, part.measured[state], f"c{index}")
         drawn.add_line(part.times, (part.values or {})[state], f"c{index}")
-    heads = ["trajectory", its.time, "measured", "simulated", "lower", "upper"]
+    heads = ["trajectory", findings.time, "measured", "simulated", "lower", "upper"]
     numbers = table(f"{state}, measured and simulated", heads, _rows(parts, state))
-    return figure(drawn.svg(), its.labelled(state), numbers, *((_legend(parts),) if len(parts) > 1 else ()))
+    return figure(drawn.svg(), findings.labelled(state), numbers, *((_legend(parts),) if len(parts) > 1 else ()))
 
 
 def _rows(parts: Sequence[Simulated], state: str) -> Iterable[list[str]]:
@@ -93,15 +95,15 @@ def _rows(parts: Sequence[Simulated], state: str) -> Iterable[list[str]]:
             yield [part.name, *(number(value, 6) for value in row)]
 
 
-def _explained(its: Findings) -> Element:
-    states = list(its.trajectories[0].r2)
+def _explained(findings: Findings) -> Element:
+    states = list(findings.trajectories[0].r2)
     rows = [
         [
             part.name + (" (held out)" if part.held_out else ""),
             *(r2_cell(part.r2.get(state)) for state in states),
             ", ".join(f"{name} = {number(value)}" for name, value in (part.start or {}).items()),
         ]
-        for part in its.trajectories
+        for part in findings.trajectories
     ]
     return table("R² of each trajectory", ["trajectory", *states, "fitted initial state"], rows)
 
@@ -113,36 +115,30 @@ def _left_text() -> Element:
     )
 
 
-def _residuals(state: str, parts: Sequence[Simulated], its: Findings) -> Element:
-    drawn = Chart(f"residuals of {state} over time", Axis(its.labelled(its.time)), Axis(its.labelled(state)))
-    lists = [difference(part.measured[state], (part.values or {})[state]) for part in parts]
+def _residuals(state: str, parts: Sequence[Simulated], findings: Findings) -> Element:
+    drawn = Chart(f"residuals of {state} over time", findings.axis(findings.time), findings.axis(state))
+    left = [residuals(part.measured[state], (part.values or {})[state]) for part in parts]
     times = [time for part in parts for time in part.times if time is not None]
-    noise = its.result.noise.get(state)
+    noise = findings.result.noise.get(state)
     sd = None if noise is None else noise.error
     for level in (-2.0, 0.0, 2.0) if sd else (0.0,):
         drawn.add_line((min(times), max(times)), (level * (sd or 0.0),) * 2, "rule")
-    for index, (part, residuals) in enumerate(zip(parts, lists, strict=True)):
-        drawn.add_points(part.times, residuals, f"c{index}")
+    for index, (part, values) in enumerate(zip(parts, left, strict=True)):
+        drawn.add_points(part.times, values, f"c{index}")
     rows = [
         [part.name, number(time, 6), number(value)]
-        for part, residuals in zip(parts, lists, strict=True)
-        for time, value in list(zip(part.times, residuals, strict=True))[:: max(1, len(times) // ROWS)]
+        for part, values in zip(parts, left, strict=True)
+        for time, value in list(zip(part.times, values, strict=True))[:: max(1, len(times) // ROWS)]
     ]
-    numbers = table(f"residuals of {state}", ["trajectory", its.time, "residual"], rows)
-    return figure(drawn.svg(), its.labelled(state), numbers)
+    numbers = table(f"residuals of {state}", ["trajectory", findings.time, "residual"], rows)
+    return figure(drawn.svg(), findings.labelled(state), numbers)
 
 
-def difference(measured: Sequence[float | None], values: Sequence[float | None]) -> list[float | None]:
-    """Return what values leave of measurements, None where one of both is not known."""
-    pairs = zip(measured, values, strict=True)
-    return [one - other if one is not None and other is not None else None for one, other in pairs]
-
-
-def _errors(its: Findings) -> Element:
+def _errors(findings: Findings) -> Element:
     heads = ["state", "error (sd)", "of the deviation", "smoothing", "rounded to", "rows left out", "outliers", "kind"]
     rows = [
         [
-            its.labelled(state),
+            findings.labelled(state),
             number(noise.error, 3),
             f"{100 * noise.relative:.3g} %" if noise.relative is not None else "",
             _method(noise),
@@ -151,10 +147,10 @@ def _errors(its: Findings) -> Element:
             str(noise.outliers or 0),
             _kind(noise.errors or Errors()),
         ]
-        for state, noise in its.result.noise.items()
+        for state, noise in findings.result.noise.items()
     ]
-    smoothed = its.result.smoothed
-    pictures = [_smoothing(state, smoothed, its) for state in (smoothed[0].measured if smoothed else ())]
+    smoothed = findings.result.smoothed
+    pictures = [_smoothing(state, smoothed, findings) for state in (smoothed[0].measured if smoothed else ())]
     return section(
         "errors",
         "Errors of the measurements",
@@ -171,18 +167,18 @@ def _method(noise: Noise) -> str:
 
 
 def _kind(errors: Errors) -> str:
-    said = []
+    descriptions = []
     if errors.proportional:
-        said.append(f"{100 * errors.proportional:.0f} % of the variance grows with the value squared")
+        descriptions.append(f"{100 * errors.proportional:.0f} % of the variance grows with the value squared")
     if errors.correlated:
-        said.append(f"{100 * errors.correlated:.0f} % goes together between rows")
+        descriptions.append(f"{100 * errors.correlated:.0f} % goes together between rows")
     if errors.add_up:
-        said.append("adds up along trajectories, as errors of a solver do")
-    return "; ".join(said)
+        descriptions.append("adds up along trajectories, as errors of a solver do")
+    return "; ".join(descriptions)
 
 
-def _smoothing(state: str, parts: Sequence[Smoothed], its: Findings) -> Element:
-    drawn = Chart(f"{state} measured and smoothed", Axis(its.labelled(its.time)), Axis(its.labelled(state)))
+def _smoothing(state: str, parts: Sequence[Smoothed], findings: Findings) -> Element:
+    drawn = Chart(f"{state} measured and smoothed", findings.axis(findings.time), findings.axis(state))
     some = parts[:SHOWN]
     for index, part in enumerate(some):
         drawn.add_points(part.times, part.measured[state], f"c{index}")
@@ -194,5 +190,5 @@ def _smoothing(state: str, parts: Sequence[Smoothed], its: Findings) -> Element:
             :: max(1, len(some) * len(part.times) // ROWS)
         ]
     ]
-    numbers = table(f"{state} smoothed", ["trajectory", its.time, "measured", "smoothed"], rows)
-    return figure(drawn.svg(), its.labelled(state), numbers)
+    numbers = table(f"{state} smoothed", ["trajectory", findings.time, "measured", "smoothed"], rows)
+    return figure(drawn.svg(), findings.labelled(state), numbers)
