@@ -5,7 +5,7 @@ They can be started, killed, dismissed; what they do is watched, and every event
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Any, Final
@@ -20,16 +20,12 @@ from atoll_core.wire.bus.interface import Event
 from atoll_core.wire.messages.workers import EpochReport
 from atoll_island_worker.session.events import Computed
 from atoll_island_worker.worker import Worker
-from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus
 from tests.simulation.harness.fault_schedule import Schedule, job_config
-from tests.simulation.harness.simulated_cluster import prepare
+from tests.simulation.harness.simulated_cluster import Programs, prepare
 from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk, DiskStore
 from tests.simulation.harness.stub_islands import StubCompute
 from tests.task_pools import LocalPool
-
-WAIT_S: Final = 60.0
-"""How long a worker bears that the coordinator is away."""
 
 SUPERVISED_S: Final = 2.0
 """After which a worker that ended with an error is started again."""
@@ -53,82 +49,61 @@ class Cast:
 STUBS: Final = Cast()
 
 
-@dataclass
-class Participants:
+class Participants(Programs):
     """All participants but the client.
 
     `wrong` is what must not happen and did, `story` what happened; `is_over`: nobody is struck any more, and somebody
     must be there to compute.
     """
 
-    schedule: Schedule
-    cast: Cast = STUBS
-    wrong: list[str] = field(default_factory=list)
-    story: list[str] = field(default_factory=list)
-    workers: dict[str, Worker] = field(default_factory=dict)
-    computes: dict[str, StubCompute] = field(default_factory=dict)
-    buses: dict[str, SimulatedBus] = field(default_factory=dict)
-    made: dict[tuple[object, ...], list[int]] = field(default_factory=dict)
-    service: Service | None = None
-    is_over: bool = False
-    background_s: float = USUAL_BACKGROUND_S
-    down_s: float = 0.0
-    jumped_s: float = 0.0
-    broken: int = 0
-
-    def __post_init__(self) -> None:
-        self.network = SimulatedNetwork(self.schedule.seed, self.schedule.plan)
+    def __init__(self, schedule: Schedule, cast: Cast = STUBS) -> None:
+        self.schedule = schedule
+        self.cast = cast
+        self.wrong: list[str] = []
+        self.story: list[str] = []
+        self.buses: dict[str, SimulatedBus] = {}
+        self.made: dict[tuple[object, ...], list[int]] = {}
+        self.service: Service | None = None
+        self.is_over = False
+        self.background_s = USUAL_BACKGROUND_S
+        self.down_s = 0.0
+        self.jumped_s = 0.0
+        self.broken = 0
         self.disk = Disk()
         self.history = hashlib.sha256()
         self._store: DiskStore | None = None
         self._written_at = 0.0
         self._processes = 0
-        self.start_router()
+        super().__init__(schedule.seed, schedule.plan, schedule.has_own_router, cast.compute)
         self.start_coordinator()
-        for number in range(self.schedule.workers):
+        for number in range(schedule.workers):
             self.start_worker(f"w{number}")
-
-    def at(self, time_s: float, act: Callable[[], object]) -> None:
-        """Let something happen."""
-        self.network.at(time_s, lambda: (act(), None)[1])
 
     def note(self, sentence: str) -> None:
         """Add to the story."""
         self.story.append(f"{self.network.now:8.3f}  {sentence}")
-
-    def start_router(self) -> None:
-        """Start the router, if there is one of its own and it does not run."""
-        if self.schedule.has_own_router and "router" not in self.network.participants:
-            self.network.bus("router", is_router=True)
 
     # ----------------------------------------------------------------------------------------- service
 
     def start_coordinator(self) -> None:
         if self.service is not None:
             return
-        bus = self.buses["coordinator"] = self.network.bus("coordinator", is_router=not self.schedule.has_own_router)
+        bus = self.buses["coordinator"] = self.coordinator_bus()
         store = self._store = self.disk.open(bus.spend, bus.now)
         pool = LocalPool(partial(self._do_later, bus, store))
         writer = partial(self._write_later, bus, store)
         dependencies = Dependencies(
             pool, self._time_of_day, self.cast.prepare, lambda *_: Refinement(), retention=RETENTION, writer=writer
         )
-        service = self.service = Service(bus, store, dependencies=dependencies)
+        service = self.service = self.serve(bus, store, dependencies)
         self._watch_reports(service)
-
-        def step(event: Event) -> None:
-            self._take_down(bus, event)
-            self._guarded(store, lambda: service.step(event))
-            self._check_breakages(service)
-            for job in service.controller.jobs.values():
-                job.validate()
-
-        bus.handle_with(step)
         self.note(f"the coordinator starts, incarnation {store.incarnation}")
         self._guarded(store, service.start)
 
-    def _check_breakages(self, service: Service) -> None:
+    def step_service(self, bus: SimulatedBus, event: Event, service: Service, store: DiskStore) -> None:
         """Nothing breaks, also where that would end one job only."""
+        self._take_down(bus, event)
+        self._guarded(store, lambda: service.step(event))
         if service.controller.breakages.total > self.broken:
             self.wrong.append("something broke in the coordinator")
         self.broken = service.controller.breakages.total
@@ -188,13 +163,16 @@ class Participants:
 
     # ----------------------------------------------------------------------------------------- workers
 
-    def start_worker(self, name: str, slowness: float = 1.0, lifetime_s: float | None = None) -> None:
+    def start_worker(self, name: str, slowness: float = 1.0, lifetime_s: float | None = None, **options: Any) -> Worker:
+        """Start a worker, unless it runs."""
         if name in self.workers:
-            return
-        bus = self.network.bus(name)
+            return self.workers[name]
+        return super().start_worker(name, self.schedule.slowness * slowness, lifetime_s, **options)
+
+    def watch_worker(self, name: str, bus: SimulatedBus, compute: StubCompute) -> None:
+        """Take down which process evolves what."""
         self._processes += 1
         process, post = self._processes, bus.post
-        compute = self.cast.compute(self.network, name, self.schedule.seed, self.schedule.slowness * slowness)
 
         def witnessed(item: object) -> None:
             if isinstance(item, Computed):
@@ -204,20 +182,14 @@ class Participants:
             post(item)
 
         bus.post = witnessed  # type: ignore[method-assign]
-        worker = Worker(bus, compute, name, WAIT_S, lifetime_s)
+        self.buses[name] = bus
 
-        def step(event: Event) -> None:
-            self._take_down(bus, event)
-            worker.step(event)
-            worker.session.validate()
-            if worker.exit_code is not None:
-                self._worker_ended(name, worker)
+    def step_worker(self, bus: SimulatedBus, event: Event, worker: Worker) -> None:
+        self._take_down(bus, event)
+        worker.step(event)
 
-        bus.handle_with(step)
-        self.workers[name], self.computes[name], self.buses[name] = worker, compute, bus
-        worker.start()
-
-    def _worker_ended(self, name: str, worker: Worker) -> None:
+    def end_worker(self, name: str, worker: Worker, bus: SimulatedBus, compute: StubCompute) -> None:
+        """Let it go, and start it again if it failed."""
         if self.workers.get(name) is not worker:
             return
         self.note(f"{name} ends with {worker.exit_code}: {worker.error}")
@@ -239,10 +211,8 @@ class Participants:
             self.start_worker("rescue")
 
     def crash(self, name: str) -> None:
-        self.computes.pop(name).close()
-        self.workers.pop(name)
         del self.buses[name]
-        self.network.crash(name)
+        super().crash(name)
 
     def _take_down(self, bus: SimulatedBus, event: Event) -> None:
         self.history.update(f"{self.network.now:.9f} {bus.name} {type(event).__name__}\n".encode())

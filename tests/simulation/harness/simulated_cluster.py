@@ -33,6 +33,8 @@ from tests.simulation.harness.stub_islands import StubCompute
 from tests.task_pools import LocalPool, call
 
 LIMIT_S = 600.0
+WAIT_S: Final = 60.0
+"""How long a worker bears that the coordinator is away."""
 T = TypeVar("T")
 
 
@@ -59,8 +61,91 @@ def refine_once(
     return _REFINEMENTS[key]
 
 
-class World:
-    """Everything that takes part, and what a test does with it."""
+class Programs:
+    """Coordinator, workers and perhaps a router on a simulated bus, each watched at every event that it takes.
+
+    They can be started and crashed. `start_coordinator` is for those who have a store and dependencies to give.
+    """
+
+    def __init__(
+        self, seed: int, plan: Plan | None, has_own_router: bool, compute: type[StubCompute], expected: int = 1
+    ) -> None:
+        self.seed = seed
+        self.has_own_router = has_own_router
+        self.compute = compute
+        self.expected = expected
+        self.network = SimulatedNetwork(seed, plan)
+        self.workers: dict[str, Worker] = {}
+        self.computes: dict[str, StubCompute] = {}
+        self.start_router()
+
+    def at(self, time_s: float, act: Callable[[], object]) -> None:
+        """Let something happen."""
+        self.network.at(time_s, lambda: (act(), None)[1])
+
+    def start_router(self) -> None:
+        """Start the router, if there is one of its own and it does not run."""
+        if self.has_own_router and "router" not in self.network.participants:
+            self.network.bus("router", is_router=True)
+
+    def coordinator_bus(self) -> SimulatedBus:
+        return self.network.bus("coordinator", is_router=not self.has_own_router)
+
+    def serve(self, bus: SimulatedBus, store: Any, dependencies: Dependencies) -> Service:
+        """Return a coordinator that is about to start."""
+        service = Service(bus, store, expected_workers=self.expected, dependencies=dependencies)
+
+        def step(event: Event) -> None:
+            self.step_service(bus, event, service, store)
+            for job in service.controller.jobs.values():
+                job.validate()
+
+        bus.handle_with(step)
+        return service
+
+    def step_service(self, bus: SimulatedBus, event: Event, service: Service, store: Any) -> None:
+        service.step(event)
+
+    def start_worker(self, name: str, slowness: float = 1.0, lifetime_s: float | None = None, **options: Any) -> Worker:
+        """Start a worker; `slowness` and `options` are those of its islands."""
+        bus = self.network.bus(name)
+        compute = self.compute(self.network, name, self.seed, slowness, **options)
+        self.watch_worker(name, bus, compute)
+        worker = Worker(bus, compute, name, WAIT_S, lifetime_s)
+
+        def step(event: Event) -> None:
+            self.step_worker(bus, event, worker)
+            worker.session.validate()
+            if worker.exit_code is not None:
+                self.end_worker(name, worker, bus, compute)
+
+        bus.handle_with(step)
+        self.workers[name], self.computes[name] = worker, compute
+        worker.start()
+        return worker
+
+    def watch_worker(self, name: str, bus: SimulatedBus, compute: StubCompute) -> None:
+        """Get ready for a worker that is about to start."""
+        compute.kill = lambda: self.crash(name) if self.computes.get(name) is compute else None
+
+    def step_worker(self, bus: SimulatedBus, event: Event, worker: Worker) -> None:
+        worker.step(event)
+
+    def end_worker(self, name: str, worker: Worker, bus: SimulatedBus, compute: StubCompute) -> None:
+        """Close what a worker has that has ended; it can still be looked at."""
+        if not bus.closed:
+            compute.close()
+            bus.close()
+
+    def crash(self, name: str) -> None:
+        """Let a worker die without a word."""
+        self.computes.pop(name).close()
+        self.workers.pop(name)
+        self.network.crash(name)
+
+
+class World(Programs):
+    """The programs and a client, on a store that never fails, and what a test does with them."""
 
     def __init__(
         self,
@@ -75,18 +160,10 @@ class World:
         **options: Any,
     ) -> None:
         """`options` are those of the workers' `compute`."""
-        self.has_own_router = has_own_router
-        self.seed = seed
-        self.compute = compute
+        super().__init__(seed, plan, has_own_router, compute, expected)
         self.prepare = prepare
         self.refiner = refiner
-        self.network = SimulatedNetwork(seed, plan)
-        if has_own_router:
-            self.network.bus("router", is_router=True)
         self.store = Store.open(None)
-        self.expected = expected
-        self.workers: dict[str, Worker] = {}
-        self.computes: dict[str, StubCompute] = {}
         self.service = self.start_service()
         for index in range(workers):
             self.start_worker(f"w{index}", **options)
@@ -99,44 +176,10 @@ class World:
         return f"2026-01-01T00:00:{self.network.now:09.3f}"
 
     def start_service(self) -> Service:
-        bus = self.network.bus("coordinator", is_router=not self.has_own_router)
         dependencies = Dependencies(LocalPool(), self.clock, self.prepare, self.refiner, writer=call)
-        service = Service(bus, self.store, expected_workers=self.expected, dependencies=dependencies)
-
-        def step(event: Event) -> None:
-            service.step(event)
-            for job in service.controller.jobs.values():
-                job.validate()
-
-        bus.handle_with(step)
+        service = self.serve(self.coordinator_bus(), self.store, dependencies)
         service.start()
         return service
-
-    def start_worker(self, name: str, **options: Any) -> Worker:
-        bus = self.network.bus(name)
-        stub = self.compute(self.network, name, self.seed, **options)
-        stub.kill = lambda: self.crash(name) if self.computes.get(name) is stub else None
-        worker = Worker(bus, stub, name, wait_s=60.0)
-
-        def step(event: Event) -> None:
-            worker.step(event)
-            worker.session.validate()
-            if worker.exit_code is not None and not bus.closed:
-                stub.close()
-                bus.close()
-
-        bus.handle_with(step)
-        worker.start()
-        self.workers[name], self.computes[name] = worker, stub
-        return worker
-
-    def crash(self, name: str) -> None:
-        self.computes.pop(name).close()
-        self.workers.pop(name)
-        self.network.crash(name)
-
-    def at(self, time_s: float, action: Callable[[], object]) -> None:
-        self.network.at(time_s, lambda: (action(), None)[1])
 
     def submit(self, config: JobConfig, variables: str = "x,y", job: str = "job", priority: int = 0) -> str:
         """Submit a job through the client, which tries again whatever is lost."""
