@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 from atoll_core.config import JobConfig
@@ -10,8 +11,9 @@ from atoll_core.errors import UsageError
 from benchmarks.corpus.cases import LEAST_T, Case, Key
 from benchmarks.corpus.lengths import excess_of_truth
 from benchmarks.harness.stopwatch import Stopwatch
-from benchmarks.judging.fits import Kind, judge_form
+from benchmarks.judging.fits import judge_form
 from benchmarks.judging.generalisation import GOOD_R2, field_of, simulated
+from benchmarks.judging.rules import Kind, right_ones
 
 MOST_LOOKED_AT: Final = 60
 """So many equations of a front and of the candidates are looked at for the truth."""
@@ -139,10 +141,10 @@ def _equation(case: Case, state: str, equation: Mapping[str, Any], r2: float | N
 
 
 def _elsewhere(case: Case, truth: str, equation: Mapping[str, Any]) -> tuple[str | None, float | None]:
+    rule = partial(judge_form, truth=truth, columns=case.clean, with_extra=False)
     for place in ("candidates", "front"):
-        for each in (equation.get(place) or [])[:MOST_LOOKED_AT]:
-            if judge_form(each.get("expression"), truth, case.clean, with_extra=False).is_right:
-                return place, each.get("nats")
+        for member in right_ones(rule, (equation.get(place) or [])[:MOST_LOOKED_AT]):
+            return place, member.get("nats")
     return None, None
 
 

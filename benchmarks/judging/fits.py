@@ -10,13 +10,13 @@ other: an equation that has the form then had so many extra terms.
 
 import ast
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.judging.fractions import FloatArray
+from benchmarks.judging.rules import NO_EQUATION, Form, Kind
 
 NEGLIGIBLE: Final = 1e-6
 """Largest difference, over the derivative's deviation, between two writings of one function."""
@@ -40,21 +40,6 @@ _FUNCTIONS: Final[dict[str, Any]] = {
     "square": lambda value: value * value, "pow": np.power, "inverse": lambda value: 1.0 / value,
 }  # fmt: skip
 
-Kind = Literal["right", "extra", "missing", "other", "none"]
-
-
-@dataclass(frozen=True)
-class Form:
-    """`kind` says how the form compares; `extra` is how many summands are too many (None unless right or extra)."""
-
-    kind: Kind
-    extra: int | None = None
-
-    @property
-    def is_right(self) -> bool:
-        """Whether the equation has the truth's form and nothing else."""
-        return self.kind == "right"
-
 
 def judge_form(found: str | None, truth: str, columns: Mapping[str, FloatArray], *, with_extra: bool = True) -> Form:
     """Compare the form of `found` with that of `truth`, both over the names of `columns`, (R,) values without errors.
@@ -62,7 +47,7 @@ def judge_form(found: str | None, truth: str, columns: Mapping[str, FloatArray],
     Without `with_extra`, extra terms are not looked for.
     """
     if found is None:
-        return Form("none")
+        return NO_EQUATION
     points = _points(columns)
     with np.errstate(all="ignore"):
         model = _Model(truth, points)

@@ -21,7 +21,6 @@ import re
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -41,6 +40,7 @@ from benchmarks.judging.fractions import (
     UndefinedError,
 )
 from benchmarks.judging.rewriting import Rewritten, rewrite
+from benchmarks.judging.rules import NO_EQUATION, Form, Kind
 
 NEGLIGIBLE: Final = 1e-6
 """Share of the target's standard deviation below which a term counts as absent."""
@@ -50,28 +50,21 @@ SLACK: Final = 3.0
 """How often the effect of a small change of the truth's angles the same change of the model's angles may have."""
 
 
-@dataclass(frozen=True)
-class FormVerdict:
-    """Whether a model is exact in form, and why not.
-
-    `constants_error` is the largest relative difference of a coefficient (None when the monomials differ),
-    `function_error` the root mean square difference of model and truth on fresh points in the data's range, over the
-    standard deviation of the truth there (None when it is not finite).
-    """
-
-    exact: bool
-    reason: str
-    constants_error: float | None
-    function_error: float | None
-
-
 class _DifferentError(Exception):
     """Raised with the sentence that says why the forms differ."""
+
+    kind: Kind = "other"
+
+
+class _MissingError(_DifferentError):
+    """Raised where a term of the truth is missing."""
+
+    kind = "missing"
 
 
 def compare(
     model: str | None, truth: str, data: Mapping[str, FloatArray], target_sd: float, tolerance: float = 0.01
-) -> FormVerdict:
+) -> Form:
     """Compare `model` with `truth`, both infix text over the names of `data`.
 
     Args:
@@ -85,20 +78,20 @@ def compare(
         UsageError: one of the texts is no expression over `data`'s names.
     """
     if model is None:
-        return FormVerdict(False, "no equation was found", None, None)
+        return NO_EQUATION
     with np.errstate(all="ignore"):
         function_error = _function_error(model, truth, data)
         try:
             difference = _constants_error(model, truth, data, target_sd, tolerance)
         except _DifferentError as different:
-            return FormVerdict(False, str(different), None, function_error)
+            return Form(different.kind, reason=str(different), function_error=function_error)
         except TooLargeError:
-            return FormVerdict(False, "too many terms to compare", None, function_error)
+            return Form("other", reason="too many terms to compare", function_error=function_error)
         except UndefinedError:
-            return FormVerdict(False, "a division by zero", None, function_error)
-    if not difference <= tolerance:
-        return FormVerdict(False, f"a constant differs by {difference:.3g}", difference, function_error)
-    return FormVerdict(True, "the same form", difference, function_error)
+            return Form("other", reason="a division by zero", function_error=function_error)
+    is_within = difference <= tolerance
+    reason = "the same form" if is_within else f"a constant differs by {difference:.3g}"
+    return Form("right" if is_within else "near", None, reason, difference, function_error)
 
 
 def _constants_error(
@@ -108,8 +101,10 @@ def _constants_error(
     both = rewrite(truth, model, data, tolerance)
     scale = _Scale(both.atoms, target_sd)
     sought, found = scale.without_negligible(both.truth), scale.without_negligible(both.model)
-    if not sought.numerator or not found.numerator:
-        raise _DifferentError("a term is missing: everything" if sought.numerator else "the truth is zero")
+    if not sought.numerator:
+        raise _DifferentError("the truth is zero")
+    if not found.numerator:
+        raise _MissingError("a term is missing: everything")
     _check_arguments(model, data, both, found, scale)
     if not _has_same_monomials(found, sought):
         found = _in_form_of(sought, found, scale)
@@ -228,7 +223,7 @@ def _largest_difference(found: Fraction, sought: Fraction, scale: _Scale) -> flo
         for monomial, coefficient in whole.items():
             relative = factor * part.get(monomial, 0.0) / coefficient
             if not abs(relative) > NEGLIGIBLE:
-                raise _DifferentError(f"a term is missing: {scale.atoms.text(monomial)}")
+                raise _MissingError(f"a term is missing: {scale.atoms.text(monomial)}")
             largest = max(largest, abs(relative - 1.0))
     return largest
 
@@ -282,10 +277,10 @@ def main(options: Namespace) -> int:
     except UsageError as error:
         print(error, file=sys.stderr)
         return 2
-    print(f"{'exact in form' if verdict.exact else 'not exact in form'}: {verdict.reason}")
+    print(f"{'exact in form' if verdict.is_right else 'not exact in form'}: {verdict.reason}")
     print(f"largest difference of a constant: {_shown(verdict.constants_error)}")
     print(f"error on fresh points: {_shown(verdict.function_error)}")
-    return 0 if verdict.exact else 1
+    return 0 if verdict.is_right else 1
 
 
 if __name__ == "__main__":

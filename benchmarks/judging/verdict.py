@@ -7,7 +7,8 @@ from typing import Any, Final
 from atoll.terminal.output import error_text
 from atoll_core.data.dataset import Dataset, FloatArray
 from benchmarks.harness.tables import Columns
-from benchmarks.judging.forms import FormVerdict, compare
+from benchmarks.judging.forms import compare
+from benchmarks.judging.rules import Rule, right_ones
 
 TOLERANCE: Final = 0.01
 """Largest relative error of a constant."""
@@ -82,15 +83,17 @@ def judged(question: Question, result: Mapping[str, Any]) -> list[Verdict]:
 
 def _verdict(question: Question, result: Mapping[str, Any], equation: Mapping[str, Any]) -> Verdict:
     variable = equation["variable"]
-    form = _compared(question, variable, equation["expression"])
+    rule = _rule(question, variable)
+    form = rule(equation["expression"])
+    exact = (int(member["complexity"]) for member in right_ones(rule, equation["front"]))
     is_singular = variable in question.singular
     is_close = form.function_error is not None and form.function_error <= SMALL_ERROR
     return Verdict(
         case=question.case,
         seed=question.seed,
         lhs=equation["lhs"],
-        found=is_close if is_singular else form.exact,
-        exact=form.exact,
+        found=is_close if is_singular else form.is_right,
+        exact=form.is_right,
         is_singular=is_singular,
         reason=form.reason,
         expression=equation["expression"],
@@ -108,23 +111,17 @@ def _verdict(question: Question, result: Mapping[str, Any], equation: Mapping[st
         equation_seconds=equation["seconds"],
         search_seconds=result["search_seconds"],
         seconds=result["seconds"],
-        exact_on_front=None if form.exact else _on_front(question, variable, equation["front"]),
+        exact_on_front=None if form.is_right else next(exact, None),
         digest=result["digest"],
     )
 
 
-def _compared(question: Question, variable: str, expression: str | None) -> FormVerdict:
+def _rule(question: Question, variable: str) -> Rule:
     dataset = question.dataset
     columns: dict[str, FloatArray] = dict(zip(dataset.names, dataset.inputs, strict=True))
     deviation = dataset.problem(variable).target.standard_deviation
-    return compare(expression, question.truths[variable], columns, deviation, TOLERANCE)
-
-
-def _on_front(question: Question, variable: str, front: list[Mapping[str, Any]]) -> int | None:
-    for member in front:
-        if _compared(question, variable, member["expression"]).exact:
-            return int(member["complexity"])
-    return None
+    truth = question.truths[variable]
+    return lambda expression: compare(expression, truth, columns, deviation, TOLERANCE)
 
 
 COLUMNS: Final = Columns(

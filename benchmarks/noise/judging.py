@@ -17,8 +17,9 @@ from benchmarks.harness.service import Searches
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.judging.coverage import Covered, covered
 from benchmarks.judging.errors import error_on, finite
-from benchmarks.judging.forms import FormVerdict, compare
+from benchmarks.judging.forms import compare
 from benchmarks.judging.generalisation import foretold, is_foretold
+from benchmarks.judging.rules import Form, Rule, right_ones
 from benchmarks.judging.verdict import SMALL_ERROR
 from benchmarks.noise.data import Case, Key
 
@@ -121,21 +122,22 @@ def failed(key: Key, case: Case, failure: str, seconds: float) -> Outcome:
 
 def _equation(key: Key, case: Case, name: str, equation: Mapping[str, Any], r2: float | None) -> EquationOutcome:
     text = equation.get("expression")
-    form = _form(case, name, text)
-    constants = _constants(case, name, equation) if form.exact and key.system not in BY_FUNCTION else None
+    rule = _rule(case, name)
+    form = rule(text)
+    constants = _constants(case, name, equation) if form.is_right and key.system not in BY_FUNCTION else None
     own = [abs(each.value / each.truth - 1.0) for each in constants or () if each.truth]
     candidates = equation.get("candidates") or []
     return EquationOutcome(
         variable=name,
         expression=text,
         found=_is_found(key, form),
-        in_form=form.exact,
+        in_form=form.is_right,
         reason=form.reason,
         constants_error=finite(form.constants_error),
         own_error=max(own, default=None),
         function_error=form.function_error,
         path_error=_path_error(case, name, text),
-        elsewhere=None if form.exact else _elsewhere(case, name, equation),
+        elsewhere=None if form.is_right else _elsewhere(rule, equation),
         constants=constants,
         r2=finite(r2),
         grade=equation.get("verdict"),
@@ -149,21 +151,25 @@ def _equation(key: Key, case: Case, name: str, equation: Mapping[str, Any], r2: 
     )
 
 
-def _is_found(key: Key, form: FormVerdict) -> bool:
+def _is_found(key: Key, form: Form) -> bool:
     if key.level == 0.0:
-        return form.exact and form.constants_error is not None and form.constants_error <= EXACT_CONSTANTS
+        return form.is_right and form.constants_error is not None and form.constants_error <= EXACT_CONSTANTS
     if key.system in BY_FUNCTION:
         return form.function_error is not None and form.function_error < SMALL_ERROR
-    return form.exact
+    return form.is_right
 
 
-def _form(case: Case, name: str, text: str | None) -> FormVerdict:
+def _rule(case: Case, name: str) -> Rule:
     slope = case.slope(name)
     deviation = float(np.std(slope[np.isfinite(slope)]))
-    try:
-        return compare(text, case.truths[name], case.clean, deviation, FREE)
-    except UsageError as error:
-        return FormVerdict(False, str(error), None, None)
+
+    def rule(text: str | None) -> Form:
+        try:
+            return compare(text, case.truths[name], case.clean, deviation, FREE)
+        except UsageError as error:
+            return Form("other", reason=str(error))
+
+    return rule
 
 
 def _constants(case: Case, name: str, equation: Mapping[str, Any]) -> tuple[Covered, ...] | None:
@@ -184,11 +190,10 @@ def _path_error(case: Case, name: str, text: str | None) -> float | None:
     return error_on(text, case.truths[name], columns)
 
 
-def _elsewhere(case: Case, name: str, equation: Mapping[str, Any]) -> str | None:
+def _elsewhere(rule: Rule, equation: Mapping[str, Any]) -> str | None:
     """Say where the true form is among what was not shown."""
     for place, key in (("contenders", "candidates"), ("front", "front")):
-        for each in (equation.get(key) or [])[:MOST_CONTENDERS]:
-            if _form(case, name, each.get("expression")).exact:
-                nats = each.get("nats")
-                return place if nats is None else f"{place} ({nats:+.1f} nats)"
+        for member in right_ones(rule, (equation.get(key) or [])[:MOST_CONTENDERS]):
+            nats = member.get("nats")
+            return place if nats is None else f"{place} ({nats:+.1f} nats)"
     return None

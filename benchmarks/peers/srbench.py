@@ -18,7 +18,6 @@ import subprocess
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
@@ -30,6 +29,7 @@ from benchmarks.judging.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UN
 from benchmarks.judging.errors import values_on
 from benchmarks.judging.forms import compare
 from benchmarks.judging.fractions import FloatArray
+from benchmarks.judging.rules import NO_EQUATION, Form
 
 STRICT: Final = 1e-3
 """Largest relative difference of a constant by the strict rule."""
@@ -39,15 +39,6 @@ LIMIT_S: Final = 30.0
 """What sympy gets for one comparison; a model on which it needs longer is not solved."""
 
 _STOP_LIMIT_S: Final = 5.0
-
-
-@dataclass(frozen=True)
-class Assessment:
-    """Whether a model is solved by SRBench's rule; why not, or by which of its two ways; R² on the test rows."""
-
-    solved: bool
-    reason: str
-    r_squared: float
 
 
 class Comparer:
@@ -102,12 +93,16 @@ def comparer() -> Comparer:
 
 
 def assess(
-    expression: str, truth: str, columns: Mapping[str, FloatArray], labels: FloatArray, by: Comparer | None = None
-) -> Assessment:
-    """Judge `expression` by SRBench's rule.
+    expression: str | None,
+    truth: str,
+    columns: Mapping[str, FloatArray],
+    labels: FloatArray,
+    by: Comparer | None = None,
+) -> Form:
+    """Judge `expression` by SRBench's rule: right or other, and why or by which of its two ways.
 
     Args:
-        expression: the model, infix text over the names of `columns`.
+        expression: the model, infix text over the names of `columns`; None where there is none.
         truth: the true expression, likewise.
         columns: the test rows: by name, R values each.
         labels: the true values on them (R,), without noise.
@@ -116,25 +111,22 @@ def assess(
     Raises:
         UsageError: `expression` is no expression over the names of `columns`.
     """
+    if expression is None:
+        return NO_EQUATION
     r_squared = coefficient_of_determination(expression, columns, labels)
     if not r_squared > LEAST_R_SQUARED:
-        return Assessment(False, f"R² is {r_squared:.3g}", r_squared)
+        return Form("other", reason=f"R² is {r_squared:.3g}", r_squared=r_squared)
     answer = (by or comparer()).ask(expression, truth, tuple(columns))
     if answer is None:
-        return Assessment(False, "sympy did not answer in time", r_squared)
+        return Form("other", reason="sympy did not answer in time", r_squared=r_squared)
     ways = [way for way in ("difference", "ratio") if answer[way]]
     reason = f"a constant {' and '.join(ways)}" if ways else f"left of truth minus model: {answer['text']}"
-    return Assessment(bool(ways), reason, r_squared)
+    return Form("right" if ways else "other", reason=reason, r_squared=r_squared)
 
 
-def srbench_solved(expression: str, truth: str, columns: Mapping[str, FloatArray], labels: FloatArray) -> bool:
-    """Whether `expression` is solved by SRBench's rule; arguments and errors as for `assess`."""
-    return assess(expression, truth, columns, labels).solved
-
-
-def strict_solved(expression: str, truth: str, columns: Mapping[str, FloatArray], labels: FloatArray) -> bool:
-    """Whether `expression` has the truth's terms and all its constants; arguments and errors as for `assess`."""
-    return compare(expression, truth, columns, float(np.std(labels)), STRICT).exact
+def compare_strictly(expression: str | None, truth: str, columns: Mapping[str, FloatArray], labels: FloatArray) -> Form:
+    """Judge whether `expression` has the truth's terms and all its constants; arguments and errors as for `assess`."""
+    return compare(expression, truth, columns, float(np.std(labels)), STRICT)
 
 
 def coefficient_of_determination(expression: str, columns: Mapping[str, FloatArray], labels: FloatArray) -> float:
@@ -169,7 +161,7 @@ def main(options: Namespace) -> int:
         columns, labels = rows_of(name)
         for form, *expected in expectations(name):
             found = assess(form, truth, columns, labels)
-            both = [found.solved, strict_solved(form, truth, columns, labels)]
+            both = [found.is_right, compare_strictly(form, truth, columns, labels).is_right]
             credited += all(both) and all(expected)
             surprises += both != expected
             rows.append((name, form, *("yes" if each else "no" for each in both), found.reason))

@@ -1,21 +1,20 @@
 """How often the 14 Strogatz equations are solved from 300 rows with noise on the label: SRBench's protocol."""
 
-import math
 import statistics
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
-
-import numpy as np
 
 from atoll.terminal.output import count, note, say, table
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError
 from benchmarks.harness.record import Record
 from benchmarks.harness.service import Searches
-from benchmarks.judging.forms import compare
-from benchmarks.peers.srbench import STRICT, assess
+from benchmarks.judging.errors import finite
+from benchmarks.judging.rules import right_ones
+from benchmarks.peers.srbench import assess, compare_strictly
 from benchmarks.peers.strogatz_files import Split, rows_of, split
 
 PUBLISHED: Final = {
@@ -98,26 +97,20 @@ def outcome(result: Mapping[str, Any], rows: Split, key: tuple[str, int, float],
     """Judge the equation in `result` (the contents of a result.json) of the search `key`: file, seed and level."""
     (equation,) = result["equations"]
     file, seed, level = key
-    deviation = float(np.std(rows.labels))
-    text = equation["expression"]
-    found = assess(text, truth, rows.columns, rows.labels) if text else None
-    form = compare(text, truth, rows.columns, deviation, STRICT) if text else None
-    sizes = (
-        member["complexity"]
-        for member in equation["front"]
-        if compare(member["expression"], truth, rows.columns, deviation, STRICT).exact
-    )
+    strictly = partial(compare_strictly, truth=truth, columns=rows.columns, labels=rows.labels)
+    text = equation["expression"] or None
+    by_srbench, strict = assess(text, truth, rows.columns, rows.labels), strictly(text)
     return Outcome(
         file=file,
         seed=seed,
         level=level,
-        srbench=found is not None and found.solved,
-        srbench_reason=found.reason if found else "no equation",
-        strict=form is not None and form.exact,
-        strict_reason=form.reason if form else "no equation",
-        r_squared=found.r_squared if found and math.isfinite(found.r_squared) else None,
-        constants_error=form.constants_error if form else None,
-        on_front=min(sizes, default=None),
+        srbench=by_srbench.is_right,
+        srbench_reason=by_srbench.reason if text else "no equation",
+        strict=strict.is_right,
+        strict_reason=strict.reason if text else "no equation",
+        r_squared=finite(by_srbench.r_squared),
+        constants_error=strict.constants_error,
+        on_front=min((member["complexity"] for member in right_ones(strictly, equation["front"])), default=None),
         expression=text,
         complexity=equation["complexity"],
         why=equation["why"],

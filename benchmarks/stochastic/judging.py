@@ -66,7 +66,7 @@ def judge(
         columns = dict(zip(process.names, states, strict=True))
         rms = float(np.sqrt(np.mean(values * values)))
         away = process.values(its["expression"], states) - values
-        is_right = compare(its["expression"], truth, columns, rms, ANY_CONSTANT).exact
+        is_right = compare(its["expression"], truth, columns, rms, ANY_CONSTANT).is_right
         its_intervals = _covered(its, process.names, columns, values) if is_right else ()
         error = float(np.sqrt(np.mean(away * away))) / rms
         judged.append(Judged(case, seed, name, its["expression"], its["verdict"], is_right, error, its_intervals))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.judging.fits import Form, judge_form
+from benchmarks.judging.fits import judge_form
+from benchmarks.judging.rules import Form
 
 RNG = np.random.default_rng(5)
 COLUMNS = {"x": RNG.uniform(0.3, 6.0, 200), "y": RNG.uniform(0.4, 3.0, 200)}

@@ -6,7 +6,8 @@ import pytest
 from atoll_core.errors import UsageError
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
-from benchmarks.judging.forms import FormVerdict, compare, main
+from benchmarks.judging.forms import compare, main
+from benchmarks.judging.rules import Form
 
 RANGES = {
     "positive": ((0.3, 8.0), (0.3, 8.0)),
@@ -337,14 +338,14 @@ def data_for(truth: str) -> tuple[dict[str, np.ndarray], float]:
     return data, float(np.std(values_of(from_infix(truth, names), np.array([*data.values()]))))
 
 
-def judge(model: str, truth: str, tolerance: float = 0.01) -> FormVerdict:
+def judge(model: str, truth: str, tolerance: float = 0.01) -> Form:
     return compare(model, truth, *data_for(truth), tolerance)
 
 
 @pytest.mark.parametrize(("truth", "text", "is_same"), CHANGED)
 def test_rewritings_are_accepted_and_near_misses_refused(truth, text, is_same):
     verdict = judge(text, truth)
-    assert verdict.exact is is_same, verdict
+    assert verdict.is_right is is_same, verdict
 
 
 @pytest.mark.parametrize("truth", CASES)
@@ -352,7 +353,7 @@ def test_there_are_at_least_five_of_each_kind_and_the_truth_is_its_own_form(trut
     _, good, bad = CASES[truth]
     assert min(len(good), len(bad)) >= 5
     verdict = judge(truth, truth)
-    assert verdict.exact
+    assert verdict.is_right
     assert verdict.constants_error < 1e-14
     assert verdict.function_error == 0.0
 
@@ -360,9 +361,9 @@ def test_there_are_at_least_five_of_each_kind_and_the_truth_is_its_own_form(trut
 def test_the_tolerance_is_that_of_each_coefficient():
     truth = "3*x - 2*x*y - x**2"
     verdict = judge("3*x - 2*x*y - 1.003*x**2", truth)
-    assert verdict.exact
+    assert verdict.is_right
     assert verdict.constants_error == pytest.approx(0.003)
-    assert not judge("3*x - 2*x*y - 1.003*x**2", truth, tolerance=0.001).exact
+    assert not judge("3*x - 2*x*y - 1.003*x**2", truth, tolerance=0.001).is_right
 
 
 def test_units_do_not_matter():
@@ -370,8 +371,8 @@ def test_units_do_not_matter():
     data = {"x": generator.uniform(1e-7, 8e-6, 300), "y": generator.uniform(1e5, 8e6, 300)}
     truth = "3*x - 2e-6*x*y - 1e6*x**2"
     sd = float(np.std(values_of(from_infix(truth, ("x", "y")), np.array([*data.values()]))))
-    assert compare("x*(3 - 2e-6*y - 1e6*x)", truth, data, sd).exact
-    assert not compare("x*(3 - 2e-6*y - 1e6*x) + 1e-8", truth, data, sd).exact
+    assert compare("x*(3 - 2e-6*y - 1e6*x)", truth, data, sd).is_right
+    assert not compare("x*(3 - 2e-6*y - 1e6*x) + 1e-8", truth, data, sd).is_right
 
 
 @pytest.mark.parametrize(
@@ -403,7 +404,7 @@ def test_other_functions_follow_their_rules(model, truth, is_same):
     generator = np.random.default_rng(7)
     data = {name: generator.uniform(0.5, 2.5, 300) for name in ("x", "y")}
     sd = float(np.std(values_of(from_infix(truth, ("x", "y")), np.array([*data.values()]))))
-    assert compare(model, truth, data, sd).exact is is_same
+    assert compare(model, truth, data, sd).is_right is is_same
 
 
 def test_an_approximation_that_is_good_on_the_data_is_not_the_form():
@@ -411,14 +412,14 @@ def test_an_approximation_that_is_good_on_the_data_is_not_the_form():
     series = "x - x**3/6 + x**5/120"
     verdict = compare(series, "sin(x)", data, float(np.std(np.sin(data["x"]))))
     assert verdict.function_error < 1e-6
-    assert not verdict.exact
+    assert not verdict.is_right
 
 
 @pytest.mark.parametrize(
     "model", ["1/(x - x)", "x/0", "(x + y + sin(x) + cos(y) + 1)**40", "log(-x*x)", "0", "1e300*x*1e300"]
 )
 def test_hopeless_models_are_refused_and_do_not_hang(model):
-    assert not judge(model, "3*x - 2*x*y - x**2").exact
+    assert not judge(model, "3*x - 2*x*y - x**2").is_right
 
 
 def test_names_that_the_data_lack_are_refused():

@@ -5,8 +5,9 @@ import pytest
 
 from atoll_core.errors import UsageError
 from benchmarks.judging.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UNCREDITED, rows_of
+from benchmarks.judging.rules import NO_EQUATION
 from benchmarks.peers import srbench
-from benchmarks.peers.srbench import Comparer, assess, expectations, main, srbench_solved, strict_solved
+from benchmarks.peers.srbench import Comparer, assess, compare_strictly, expectations, main
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def _shared(monkeypatch, comparer):
 def judged(name, form):
     truth = EQUIVALENTS[name][0]
     arguments = (form, truth, *rows_of(name))
-    return srbench_solved(*arguments), strict_solved(*arguments)
+    return assess(*arguments).is_right, compare_strictly(*arguments).is_right
 
 
 @pytest.mark.parametrize("name", EQUIVALENTS)
@@ -36,7 +37,7 @@ def test_every_truth_is_credited_in_another_form(name):
 def test_the_strict_rule_judges_all_forms(name):
     truth = EQUIVALENTS[name][0]
     for form, _, exact in expectations(name):
-        assert strict_solved(form, truth, *rows_of(name)) is exact, form
+        assert compare_strictly(form, truth, *rows_of(name)).is_right is exact, form
 
 
 @pytest.mark.parametrize("name", ["vdp2", "lv2"])
@@ -62,7 +63,7 @@ def test_there_are_five_forms_for_each_file():
 def test_a_model_that_explains_nothing_is_not_compared():
     truth = EQUIVALENTS["lv1"][0]
     found = assess(f"({truth}) + 100", truth, *rows_of("lv1"))
-    assert not found.solved
+    assert not found.is_right
     assert found.reason.startswith("R² is -")
 
 
@@ -71,9 +72,13 @@ def test_a_model_that_is_not_finite_is_not_solved():
     assert assess("x/(y - y)", "x", columns, labels).r_squared == -np.inf
 
 
+def test_no_model_is_not_solved():
+    assert assess(None, "x", *rows_of("lv1")) == NO_EQUATION
+
+
 def test_text_that_is_no_expression_is_refused():
     with pytest.raises(UsageError):
-        srbench_solved("__import__('os')", "x", *rows_of("lv1"))
+        assess("__import__('os')", "x", *rows_of("lv1"))
 
 
 def test_a_comparison_that_takes_too_long_is_no_credit_and_the_next_one_works():

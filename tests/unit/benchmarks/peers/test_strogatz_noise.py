@@ -9,8 +9,8 @@ import pytest
 
 from atoll_core.config import PRESETS
 from benchmarks.harness.record import Record
+from benchmarks.judging.rules import NO_EQUATION, Form
 from benchmarks.peers import strogatz_noise
-from benchmarks.peers.srbench import Assessment
 from benchmarks.peers.strogatz_files import NAMES, rows_of, split
 from benchmarks.peers.strogatz_noise import Outcome, by_file, by_level, outcome, rates, run
 
@@ -36,8 +36,11 @@ def folder(tmp_path):
 @pytest.fixture(autouse=True)
 def _quick_rule(monkeypatch):
     """Sympy takes a second to load, and is tested elsewhere."""
-    solved = lambda text, truth, columns, labels: Assessment(text == truth, "as told", 0.9)  # noqa: E731
-    monkeypatch.setattr(strogatz_noise, "assess", solved)
+
+    def assess(text, truth, columns, labels):
+        return Form("right" if text == truth else "other", reason="as told", r_squared=0.9) if text else NO_EQUATION
+
+    monkeypatch.setattr(strogatz_noise, "assess", assess)
 
 
 def result(expression, *others):
