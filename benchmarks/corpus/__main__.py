@@ -32,7 +32,7 @@ CHAOTIC: Final = ("lorenz",)
 METHODS: Final = (OURS, *pysindy_models.METHODS, OPERON)
 
 
-def keys(options: argparse.Namespace) -> list[Key]:
+def keys(options: Namespace) -> list[Key]:
     """Return all jobs, seed by seed; with --qualities each, one quality a seed in turn."""
     qualities = options.qualities or (NAMED_QUALITIES if options.named is not None else QUALITIES)
     if options.named is not None:

@@ -11,7 +11,8 @@ from atoll_core.errors import AtollError
 from benchmarks.corpus.cases import OURS, Case, Key, make_case
 from benchmarks.corpus.outcomes import Outcome, judge_job
 from benchmarks.harness import campaign
-from benchmarks.harness.campaign import Answer, Service, attempt, configured, work_off
+from benchmarks.harness.campaign import Answer, Service, attempt, work_off
+from benchmarks.harness.jobs import configured
 from benchmarks.harness.journal import Journal
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.harness.tables import Columns

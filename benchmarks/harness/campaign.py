@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any, TypeVar
 
 from atoll.terminal.output import note
-from atoll_core.config import PRESETS, JobConfig
+from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError
 from benchmarks.harness.journal import Ended, Journal
@@ -42,19 +42,6 @@ def attempt(searches: Searches, name: str, table: Table, config: JobConfig, stop
         searches.check()  # without a coordinator no job is to blame
         return Attempt({}, str(error), time.monotonic() - begun)
     return Attempt(result, None, time.monotonic() - begun)
-
-
-def configured(
-    seed: int, data: Mapping[str, Any] | None = None, budget: Mapping[str, Any] | None = None,
-    operators: Sequence[str] | None = None, preset: str = "default", **evolution: Any,
-) -> JobConfig:  # fmt: skip
-    """Return a preset with a seed, some fields of its data, budget and evolution, and perhaps other operators."""
-    config = PRESETS[preset]  # type: ignore[index]
-    changes: dict[str, Mapping[str, Any]] = {"data": data or {}, "budget": budget or {}, "evolution": evolution}
-    if operators is not None:
-        changes["space"] = {"operators": tuple(operators)}
-    update = {part: getattr(config, part).model_copy(update=dict(fields)) for part, fields in changes.items()}
-    return config.model_copy(update={"seed": seed, **update})
 
 
 def journal_of(name: str, kind: type[Ended], options: Namespace) -> Journal[Ended]:

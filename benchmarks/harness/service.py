@@ -24,11 +24,12 @@ from typing import Any, Final
 from atoll.client.client import Client, connected
 from atoll.client.local_workers import worker_command
 from atoll.terminal.output import count, duration, note
-from atoll_core.config import PRESETS, JobConfig
+from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.signals import raising_interrupts
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
+from benchmarks.harness.jobs import configured
 from benchmarks.harness.systems import table_of, trajectories
 from benchmarks.harness.tables import Columns
 
@@ -122,9 +123,7 @@ class Searches:
 
     def warm_up(self) -> None:
         """Search for one epoch, so that the coordinator, too, has loaded what it needs."""
-        config = PRESETS["default"]
-        budget = config.budget.model_copy(update={"max_epochs": 1})
-        self.solve("warm-up", table_of(trajectories("lotka_volterra")), config.model_copy(update={"budget": budget}))
+        self.solve("warm-up", table_of(trajectories("lotka_volterra")), configured(budget={"max_epochs": 1}))
 
     def wait_for(self, workers: int) -> None:
         """Wait until `workers` are ready; raises AtollError."""

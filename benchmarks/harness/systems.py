@@ -17,6 +17,7 @@ from scipy.integrate import solve_ivp
 
 from atoll_core.data.table import Table
 from benchmarks.harness.command_line import option, program
+from benchmarks.harness.jobs import table_of_columns
 
 FloatArray = npt.NDArray[np.float64]
 Draw = Callable[[np.random.Generator], tuple[float, float]]
@@ -185,13 +186,10 @@ def _solved(system: System, start: Sequence[float], times: FloatArray) -> FloatA
 
 def table_of(sampled: Sampled) -> Table:
     """Return the table that a file with these trajectories would be read as."""
-    times = np.concatenate(sampled.times)
-    lengths = [len(each) for each in sampled.times]
-    columns = np.ascontiguousarray(np.column_stack((times, np.concatenate(sampled.values))).T)
-    starts = tuple(int(start) for start in np.cumsum([0, *lengths[:-1]]))
-    rows = np.arange(len(times), dtype=np.int64)
-    names = ("t", *sampled.names)
-    return Table(names, ("",) * len(names), columns, starts, ("sampled",), np.zeros_like(rows), rows + 2)
+    values = np.concatenate(sampled.values).T
+    columns = {"t": np.concatenate(sampled.times), **dict(zip(sampled.names, values, strict=True))}
+    starts = np.cumsum([0, *map(len, sampled.times[:-1])]).tolist()
+    return table_of_columns(columns, "sampled", starts)
 
 
 def write_csv(path: Path, sampled: Sampled) -> None:

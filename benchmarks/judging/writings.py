@@ -9,7 +9,6 @@ in N other ways by valid identities, drawn from seeds, and reports how often the
 A node is a number, a variable, an operator or a function; a minus sign in front and brackets are none.
 """
 
-import argparse
 import json
 import math
 import re
@@ -25,7 +24,6 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.terminal.output import clipped, note, say, table
-from atoll_core.config import PRESETS
 from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.operators import (
     ADD,
@@ -44,10 +42,11 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.writing.shortest import shortest
 from benchmarks.harness.command_line import option, program, search_options, whole
+from benchmarks.harness.jobs import configured
 from benchmarks.harness.record import Record
 from benchmarks.harness.service import searching
 from benchmarks.harness.systems import TABLE_III, TRUTH, table_of
-from benchmarks.paper.seven import case, configured
+from benchmarks.paper.seven import case
 
 _TOKEN: Final = re.compile(r"[^\W\d]\w*|\d+\.?\d*(?:[eE][-+]?\d+)?|\*\*|[-+*/()]")
 _QUARTER: Final = re.compile(r"(?:sin|cos)\([^()]*\b(?:1\.5707\d*|3\.1415\d*|4\.7123\d*|6\.2831\d*)")
@@ -139,14 +138,14 @@ def read(path: Path) -> Iterator[Writing]:
             yield from of_result(saved["answer"], key["system"] if is_plain else "", key["seed"])
 
 
-def searched(options: argparse.Namespace, record: Record) -> Iterator[Writing]:
+def searched(options: Namespace, record: Record) -> Iterator[Writing]:
     """Search every system with every seed and yield what is counted."""
     with searching(options.workers) as searches:
         for system in TABLE_III:
             for seed in options.seeds:
-                its = case(system, options.step, seed)
-                config = configured(PRESETS["default"], seed, its.order, options.max_time)
-                result = searches.solve(f"{system} seed {seed}", table_of(its.sampled), config)
+                sampled = case(system, options.step, seed)
+                config = configured(seed, {"order": sampled.order}, {"max_time": options.max_time})
+                result = searches.solve(f"{system} seed {seed}", table_of(sampled.sampled), config)
                 note(
                     f"{system} seed {seed}: "
                     + "; ".join(str(equation["expression"]) for equation in result["equations"])

@@ -73,7 +73,7 @@ def _with_shares(columns: Columns, speeds: Sequence[Speed] | Sequence[OperatorSp
     return table((*columns.heads, "of peak", "of L1 loop"), rows)
 
 
-def _make(options: argparse.Namespace) -> int:
+def _make(options: Namespace) -> int:
     if options.data is None:
         raise UsageError("--make-corpus needs --data, the folder of the Strogatz label files; name it")
     save_corpus(make_corpus(options.data), options.corpus)
@@ -81,7 +81,7 @@ def _make(options: argparse.Namespace) -> int:
     return 0
 
 
-def _measure(options: argparse.Namespace, arguments: Sequence[str]) -> int:
+def _measure(options: Namespace, arguments: Sequence[str]) -> int:
     corpus = load_corpus(options.corpus)
     parts = parts_of(corpus, LANES)
     note("kernels are compiled or loaded")

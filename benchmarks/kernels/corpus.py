@@ -18,7 +18,7 @@ import numpy.typing as npt
 from atoll.terminal.output import note
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
-from atoll_core.config import PRESETS, JobConfig
+from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Problem
 from atoll_core.errors import DataError, UsageError
 from atoll_core.expression.kernels.tape import LANES
@@ -29,6 +29,7 @@ from atoll_island_worker.evolution.kernels.random import below
 from atoll_island_worker.evolution.kernels.variation import copy_list, cross, mutate
 from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import Lists, Space, empty_lists
+from benchmarks.harness.jobs import UNMET, configured
 from benchmarks.peers.strogatz import PUBLISHED
 from benchmarks.peers.strogatz_files import LABEL
 
@@ -37,7 +38,6 @@ SIZE: Final = 1000
 EPOCHS: Final = 10
 """Of 100 generations each."""
 
-_UNMET: Final = 1e-300
 """A target error that ends no search."""
 
 
@@ -95,7 +95,7 @@ def make_corpus(folder: Path, seed: int = 0, size: int = SIZE, names: Sequence[s
     Raises:
         DataError: a file is missing or not as expected.
     """
-    config = _configured(seed)
+    config = configured(seed, {"target": LABEL}, {"target_error": UNMET}, preset="paper")
     shares = [size // len(names) + (index < size % len(names)) for index in range(len(names))]
     tables = [read_table([folder / f"{name}.csv"], config.data) for name in names]
     problems = [prepare(table, config).dataset.problem(LABEL) for table in tables]
@@ -116,13 +116,6 @@ def make_corpus(folder: Path, seed: int = 0, size: int = SIZE, names: Sequence[s
         inputs=np.array([problem.inputs[:, chosen] for problem, chosen in zip(problems, rows, strict=True)]),
         target=np.array([problem.target.values[chosen] for problem, chosen in zip(problems, rows, strict=True)]),
     )
-
-
-def _configured(seed: int) -> JobConfig:
-    config = PRESETS["paper"]
-    data = config.data.model_copy(update={"target": LABEL})
-    budget = config.budget.model_copy(update={"target_error": _UNMET})
-    return config.model_copy(update={"seed": seed, "data": data, "budget": budget})
 
 
 def _spaced(problem: Problem) -> npt.NDArray[np.int64]:

@@ -9,7 +9,6 @@ when the equation of every run is exact in form, and its values lie within 5 % o
 constants of all runs, as fitted. Seeds 0 to 9 are for tuning.
 """
 
-import argparse
 import sys
 import time
 from argparse import Namespace
@@ -33,6 +32,7 @@ from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.search.pareto import FrontEntry
 from benchmarks.harness.command_line import option, program, seeds
+from benchmarks.harness.jobs import table_of_columns
 from benchmarks.harness.service import searching
 
 Rates = Callable[[float, Sequence[float], float], Sequence[float]]
@@ -86,10 +86,8 @@ def table(law: Law, noise: float, seed: int) -> Table:
     values = np.concatenate(runs, axis=1)
     values = values + noise * values.std(axis=1)[:, None] * draw.standard_normal(values.shape)
     numbers = np.repeat(np.arange(1.0, len(runs) + 1.0), ROWS)
-    columns = np.array([numbers, np.tile(times, len(runs)), *values])
-    rows = np.arange(columns.shape[1], dtype=np.int64)
-    names = ("run", "t", *law.states)
-    return Table(names, ("",) * len(names), columns, (0,), (f"{law.name}.csv",), 0 * rows, rows + 2, ())
+    columns = {"run": numbers, "t": np.tile(times, len(runs)), **dict(zip(law.states, values, strict=True))}
+    return table_of_columns(columns, f"{law.name}.csv")
 
 
 @dataclass(frozen=True)
@@ -189,7 +187,7 @@ def measure(solve: Solve, law: Law, noise: float, seed: int) -> Outcome:
     return outcome
 
 
-def rows(solve: Solve, options: argparse.Namespace) -> list[str]:
+def rows(solve: Solve, options: Namespace) -> list[str]:
     """Return a line of the table for each law and noise."""
     lines = []
     for law in LAWS[: options.laws]:

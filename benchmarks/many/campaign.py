@@ -12,7 +12,8 @@ from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
 from benchmarks.dysts.flows import NEVER_POLYNOMIAL, load
 from benchmarks.dysts.making import POLYNOMIAL
-from benchmarks.harness.campaign import Service, attempt, configured, journal_of, work_off
+from benchmarks.harness.campaign import Service, attempt, journal_of, work_off
+from benchmarks.harness.jobs import configured
 from benchmarks.harness.journal import read
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.harness.systems import table_of

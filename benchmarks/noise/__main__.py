@@ -37,7 +37,7 @@ OURS: Final = "atoll"
 LEVELS: Final = (0.0, 0.01, 0.05, 0.1, 0.2)
 
 
-def keys(options: argparse.Namespace) -> Iterator[Key]:
+def keys(options: Namespace) -> Iterator[Key]:
     """Yield all searches, seed by seed, so that an interrupted run has whole seeds."""
     for seed in options.seeds:
         for level in options.levels:
@@ -47,7 +47,7 @@ def keys(options: argparse.Namespace) -> Iterator[Key]:
                         yield Key(method, variant, system, level, seed)
 
 
-def _methods(options: argparse.Namespace) -> tuple[str, ...]:
+def _methods(options: Namespace) -> tuple[str, ...]:
     if options.versus is None:
         return (OURS,)
     return METHODS if options.only_versus else (OURS, *METHODS)
@@ -69,7 +69,7 @@ def campaign(options: Namespace, journal: Journal[Outcome]) -> list[Outcome]:
     return work_off(wanted, journal, do, line, options.workers)
 
 
-def show(outcomes: Sequence[Outcome], options: argparse.Namespace, arguments: Sequence[str]) -> bool:
+def show(outcomes: Sequence[Outcome], options: Namespace, arguments: Sequence[str]) -> bool:
     """Print the tables, write the figures where --json says; return whether ours met all that is expected of it."""
     summaries = summarized(outcomes)
     say(by_level(summaries))
@@ -92,7 +92,7 @@ def show(outcomes: Sequence[Outcome], options: argparse.Namespace, arguments: Se
     return all(each.is_met for each in expected)
 
 
-def _check(options: argparse.Namespace) -> None:
+def _check(options: Namespace) -> None:
     if options.versus is not None:
         require()
     elif options.only_versus:

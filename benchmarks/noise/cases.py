@@ -13,7 +13,8 @@ from atoll.terminal.output import clipped, note, say, shortened, table
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import DataConfig
 from atoll_core.data.table import Table
-from benchmarks.harness.campaign import attempt, configured
+from benchmarks.harness.campaign import attempt
+from benchmarks.harness.jobs import configured
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.stopwatch import Stopwatch, largest_child_mb
 from benchmarks.harness.systems import Sampled, table_of, trajectories, with_noise

@@ -12,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from atoll_core.errors import UsageError
-from benchmarks.harness.campaign import Answer, attempt, configured
+from benchmarks.harness.campaign import Answer, attempt
+from benchmarks.harness.jobs import configured
 from benchmarks.harness.service import Searches
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.judging.coverage import Covered, covered

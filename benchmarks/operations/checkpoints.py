@@ -10,7 +10,6 @@ hardly depends on what else the machine does. The cost is the share of throughpu
 Returns 1 when a digest differs or the median cost is above the goal, else 0.
 """
 
-import argparse
 import os
 import re
 import statistics
@@ -22,19 +21,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from atoll.terminal.output import note, say
-from atoll_core.config import PRESETS, JobConfig
 from atoll_core.wire.messages.views import JobView
 from benchmarks.harness.command_line import OUT, option, program, seeds, whole
+from benchmarks.harness.jobs import NEVER, UNENDING, configured
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import TIED_COORDINATOR, Searches, searching
 from benchmarks.harness.systems import SYSTEMS, table_of, trajectories
 from benchmarks.harness.tables import Columns
 
 GOAL: Final = 0.03
-UNMET: Final = 1e-300
-"""A target error that ends no search."""
-
-NEVER: Final = 10**9
 PLAIN: Final = "plain"
 """What the ids of jobs begin with that take no checkpoint."""
 
@@ -102,14 +97,15 @@ class Pair:
         return 1.0 - self.without_cpu / self.with_cpu
 
 
-def measured(its: Searches, options: argparse.Namespace, seed: int) -> Pair:
+def measured(its: Searches, options: Namespace, seed: int) -> Pair:
     """Search for the same with checkpoints and without."""
     found: dict[bool, tuple[dict[str, Any], float]] = {}
+    config = configured(seed, budget={**UNENDING, "max_epochs": options.epochs})
     for kept in (False, True) if seed % 2 else (True, False):
         spent = Spent(its.pids)
         sampled = table_of(trajectories(options.system, seed=seed))
         prefix = "kept" if kept else PLAIN
-        result = its.solve(f"seed {seed}", sampled, _config(options, seed), spent.look, prefix)
+        result = its.solve(f"seed {seed}", sampled, config, spent.look, prefix)
         found[kept] = (result, spent.seconds)
     (one, with_cpu), (other, without_cpu) = found[True], found[False]
     sizes = committed(its.log, one["job"])
@@ -130,12 +126,6 @@ def measured(its: Searches, options: argparse.Namespace, seed: int) -> Pair:
 def committed(log: str, job: str) -> list[float]:
     """Return, for each checkpoint of a job that a coordinator's log mentions, the bytes of one island."""
     return [int(size) / int(islands) for its, islands, size in _COMMITTED.findall(log) if its == job]
-
-
-def _config(options: argparse.Namespace, seed: int) -> JobConfig:
-    config = PRESETS["default"]
-    changes = {"target_error": UNMET, "max_epochs": options.epochs, "stagnation": NEVER}
-    return config.model_copy(update={"seed": seed, "budget": config.budget.model_copy(update=changes)})
 
 
 def pairs_table(pairs: Sequence[Pair]) -> str:

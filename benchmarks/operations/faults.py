@@ -12,7 +12,6 @@ coordinator; ``--networks`` gives each worker a network that can be cut (root). 
 calm one did, else 0.
 """
 
-import argparse
 import statistics
 import sys
 from argparse import Namespace
@@ -25,19 +24,17 @@ from typing import Final, TypeVar
 from atoll.client.client import Client
 from atoll.terminal.output import note, say, table
 from atoll_coordinator.result.result import Result
-from atoll_core.config import PRESETS, JobConfig
+from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
 from benchmarks.harness.command_line import OUT, option, program, whole
+from benchmarks.harness.jobs import UNENDING, configured
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Machines, can_have_networks, running
 from benchmarks.harness.systems import TABLE_III, table_of, trajectories
 from benchmarks.operations.strikes import LASTING_S, Blow, Kind, Standing, Strikes, kinds_of, rows
 
 A = TypeVar("A")
-
-UNMET: Final = 1e-300
-"""A target error that ends no search."""
 
 LOOK_S: Final = 0.05
 GLANCE_S: Final = 0.6
@@ -210,7 +207,7 @@ def _figures(campaign: Campaign) -> dict[str, object]:
     }
 
 
-def _kinds(options: argparse.Namespace) -> tuple[Kind, ...]:
+def _kinds(options: Namespace) -> tuple[Kind, ...]:
     if options.networks and not can_have_networks():
         raise UsageError("--networks needs Linux, root and iproute2's network namespaces; leave it out")
     usual = [lasting_ for lasting_ in LASTING_S if "router" not in lasting_ and "cut" not in lasting_]
@@ -225,13 +222,6 @@ def _kinds(options: argparse.Namespace) -> tuple[Kind, ...]:
     if "cut-worker" in kinds and not options.networks:
         raise UsageError("a worker can be cut off with --networks only")
     return kinds
-
-
-def _config(options: argparse.Namespace) -> JobConfig:
-    config = PRESETS["default"]
-    budget = config.budget.model_copy(update={"max_epochs": options.epochs, "target_error": UNMET, "stagnation": 10**9})
-    evolution = config.evolution.model_copy(update={"islands": options.islands})
-    return config.model_copy(update={"budget": budget, "evolution": evolution})
 
 
 @program(
@@ -257,7 +247,8 @@ def main(options: Namespace) -> int:
     place = running(options.workers, options.keep, has_own_router=options.own_router, has_networks=options.networks)
     with place as (machines, client):
         strikes = Strikes(options.seed, kinds, machines.workers)
-        campaign = Campaign(machines, client, strikes, _config(options), options.system)
+        config = configured(budget={**UNENDING, "max_epochs": options.epochs}, islands=options.islands)
+        campaign = Campaign(machines, client, strikes, config, options.system)
         try:
             campaign.run(options.jobs, options.strikes)
         finally:

@@ -8,18 +8,17 @@ from typing import Final
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.service.jobs.defaults import resolve
 from atoll_coordinator.service.jobs.job import commit_order_of
-from atoll_core.config import PRESETS
 from atoll_core.wire.codec import dataset_to_bytes, decode, encode
 from atoll_core.wire.messages.workers import EpochReport, IslandReport, Reports
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.session.epoch_tasks import Task, TaskKey
 from atoll_island_worker.session.events import Computed
+from benchmarks.harness.jobs import UNMET, configured
 from benchmarks.harness.systems import table_of, trajectories
 
 SYSTEM: Final = "predator_prey"
 ISLANDS: Final = 8
 EPOCHS: Final = 4
-UNMET: Final = 1e-300
 _JOB: Final = "sample"
 
 
@@ -52,13 +51,7 @@ class Samples:
 
 def sampled(noise: float = 0.0) -> Samples:
     """Compute some epochs of an archipelago, with measurements to which noise of that share of sd was added."""
-    config = PRESETS["default"]
-    config = config.model_copy(
-        update={
-            "evolution": config.evolution.model_copy(update={"islands": ISLANDS}),
-            "budget": config.budget.model_copy(update={"target_error": UNMET}),
-        }
-    )
+    config = configured(budget={"target_error": UNMET}, islands=ISLANDS)
     prepared = prepare(table_of(trajectories(SYSTEM, 0.1, 0, noise)), config)
     config = resolve(config, prepared.dataset)
     engine = Engine()

@@ -15,11 +15,12 @@ import numpy as np
 
 from atoll.client.client import Client, connected
 from atoll.terminal.output import note, say, table
-from atoll_core.config import PRESETS, JobConfig
+from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UnreachableError
 from atoll_core.wire.messages.views import FINAL_STATES
 from benchmarks.harness.command_line import OUT, option, program, whole, workers
+from benchmarks.harness.jobs import UNMET, configured, table_of_columns
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import CONNECT_LIMIT_S, Searches, searching
 
@@ -42,18 +43,12 @@ class Ended:
 def measurements() -> Table:
     """Return a table of two inputs and a target that no short expression meets."""
     a, b = np.linspace(0.1, 3.0, ROWS), np.cos(np.linspace(0.0, 7.0, ROWS))
-    y = a * np.exp(-b) + np.sin(a * b)
-    rows = np.arange(ROWS, dtype=np.int64)
-    columns = np.ascontiguousarray(np.stack([a, b, y]))
-    return Table(("a", "b", "y"), ("",) * 3, columns, (0,), ("measured",), np.zeros_like(rows), rows + 2)
+    return table_of_columns({"a": a, "b": b, "y": a * np.exp(-b) + np.sin(a * b)}, "measured")
 
 
-def configured(seed: int) -> JobConfig:
+def config_of(seed: int) -> JobConfig:
     """Return the configuration of a search of a fixed number of epochs."""
-    config = PRESETS["default"]
-    budget = config.budget.model_copy(update={"max_epochs": EPOCHS, "target_error": 1e-300})
-    data = config.data.model_copy(update={"target": "y"})
-    return config.model_copy(update={"seed": seed, "budget": budget, "data": data})
+    return configured(seed, {"target": "y"}, {"max_epochs": EPOCHS, "target_error": UNMET})
 
 
 def all_at_once(client: Client, digest: str, jobs: int) -> dict[str, float]:
@@ -61,7 +56,7 @@ def all_at_once(client: Client, digest: str, jobs: int) -> dict[str, float]:
     begun = client.now()
     names = [f"crowd-{seed}" for seed in range(jobs)]
     for seed, name in enumerate(names):
-        client.submit(name, name, configured(seed), digest)
+        client.submit(name, name, config_of(seed), digest)
     ends: dict[str, float] = {}
     while len(ends) < jobs:
         if client.now() - begun > LIMIT_S:
@@ -85,7 +80,7 @@ def measured(searches: Searches, jobs: int) -> list[Ended]:
             name = f"crowd-{seed}"
             state = client.status(name).state
             digest = client.result(name)["digest"] if state == "done" else ""
-            alone: dict[str, Any] = searches.solve(f"seed {seed} alone", data, configured(seed))
+            alone: dict[str, Any] = searches.solve(f"seed {seed} alone", data, config_of(seed))
             found.append(Ended(seed, state, ends[name], digest == alone["digest"]))
     return found
 

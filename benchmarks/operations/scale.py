@@ -23,9 +23,9 @@ import numpy as np
 
 from atoll.client.client import Client
 from atoll.terminal.output import note, say
-from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UnreachableError
+from benchmarks.harness.jobs import UNENDING, configured, table_of_columns
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import COORDINATOR, Machines, running
 from benchmarks.harness.tables import Columns
@@ -38,10 +38,12 @@ MOST_JOBS: Final = 4
 WORKERS_EACH: Final = 16
 """Workers of a process that pretends."""
 
+ENDLESS: Final = {**UNENDING, "max_epochs": 1_000_000, "max_time": None}
+"""The budget of a search that nothing ends."""
+
 GOAL_ISLANDS: Final = 1000
 READY_LIMIT_S: Final = 180.0
 _ROWS: Final = 200
-_NEVER: Final = 10**9
 _LOOK_S: Final = 0.5
 
 
@@ -92,21 +94,8 @@ def shape(islands: int) -> tuple[int, int]:
 def signals(count: int) -> Table:
     """Return a table of `count` variables that move smoothly."""
     times = np.linspace(0.0, 10.0, _ROWS)
-    values = [np.sin((0.5 + 0.01 * number) * times + number) for number in range(count)]
-    names = ("t", *(f"v{number}" for number in range(count)))
-    rows = np.arange(_ROWS, dtype=np.int64)
-    columns = np.ascontiguousarray(np.stack([times, *values]))
-    return Table(names, ("",) * len(names), columns, (0,), ("signals",), np.zeros_like(rows), rows + 2)
-
-
-def configured(seed: int) -> JobConfig:
-    """Return the configuration of a search that nothing ends."""
-    config = PRESETS["default"]
-    budget = config.budget.model_copy(
-        update={"target_error": 1e-300, "max_epochs": 1_000_000, "stagnation": _NEVER, "max_time": None}
-    )
-    evolution = config.evolution.model_copy(update={"islands": ISLANDS_EACH})
-    return config.model_copy(update={"seed": seed, "budget": budget, "evolution": evolution})
+    values = {f"v{number}": np.sin((0.5 + 0.01 * number) * times + number) for number in range(count)}
+    return table_of_columns({"t": times, **values}, "signals")
 
 
 @dataclass(frozen=True)
@@ -174,7 +163,7 @@ def measured(islands: int, samples: Samples, period: float, seconds: float) -> L
         names = [f"scale-{number}" for number in range(jobs)]
         digest = client.upload(signals(variables).to_bytes())
         for number, name in enumerate(names):
-            client.submit(name, name, configured(number), digest)
+            client.submit(name, name, configured(number, budget=ENDLESS, islands=ISLANDS_EACH), digest)
         _until(client, lambda: _is_under_way(client, names), f"all islands of {jobs} jobs in their third epoch")
         note(f"  {islands} islands are under way")
         before = Account.of(machines.pid(COORDINATOR))

@@ -32,6 +32,7 @@ from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError
 from benchmarks.harness.command_line import OUT, group, option, positive, program, seeds, seeds_of, whole
+from benchmarks.harness.jobs import UNENDING, configured
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.systems import TABLE_III, table_of, trajectories
@@ -41,10 +42,6 @@ from benchmarks.operations.watching import Idleness, Load, counting, load_of
 
 GOAL_WAITING: Final = 0.05
 GOAL_EFFICIENCY: Final = 0.90
-UNMET: Final = 1e-300
-"""A target error that ends no search."""
-
-NEVER: Final = 10**9
 COUNTED_EPOCHS: Final = 4
 """Epochs in which messages are counted: their number does not vary much."""
 
@@ -78,18 +75,16 @@ class Round:
 class Bench:
     """The searches of one benchmark: the same system, preset and number of epochs throughout."""
 
-    def __init__(self, options: argparse.Namespace) -> None:
+    def __init__(self, options: Namespace) -> None:
         self._options = options
 
     def _table(self, seed: int) -> Table:
         return table_of(trajectories(self._options.system, self._options.step, seed))
 
     def _config(self, seed: int, epochs: int) -> JobConfig:
-        config = PRESETS[self._options.preset]
-        changes = {"target_error": UNMET, "max_epochs": epochs, "stagnation": NEVER, "max_time": self._options.max_time}
-        budget = config.budget.model_copy(update=changes)
-        data = config.data.model_copy(update={"only": self._options.only and tuple(self._options.only)})
-        return config.model_copy(update={"seed": seed, "budget": budget, "data": data})
+        budget = {**UNENDING, "max_epochs": epochs, "max_time": self._options.max_time}
+        only = self._options.only and tuple(self._options.only)
+        return configured(seed, {"only": only}, budget, preset=self._options.preset)
 
     def timed(self, searches: Searches, workers: int, seed: int) -> Timing:
         """Search once, and watch how long the workers wait."""
@@ -223,7 +218,7 @@ class Findings:
         say(f"{same}; load {load():.1f}")
 
 
-def _measure(bench: Bench, options: argparse.Namespace, findings: Findings) -> None:
+def _measure(bench: Bench, options: Namespace, findings: Findings) -> None:
     for workers in options.workers:
         with searching(workers) as searches:
             for seed in options.seeds:

@@ -19,11 +19,12 @@ from typing import Final
 
 from atoll.client.client import Client, connected
 from atoll.terminal.output import note, say, table
-from atoll_core.config import PRESETS, JobConfig
+from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
 from benchmarks.harness.command_line import OUT, option, positive, program
+from benchmarks.harness.jobs import UNENDING, configured
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import COORDINATOR, Machines, running
 from benchmarks.harness.systems import table_of, trajectories
@@ -186,15 +187,8 @@ def measured(name: str, pid: int, at_s: float) -> Sample:
 
 def short_job(seed: int, endless: bool) -> JobConfig:
     """Return a job of a few epochs, or one that goes on until it is cancelled."""
-    config = PRESETS["default"]
-    budget = {"max_epochs": 10**6 if endless else 3, "target_error": 1e-300, "stagnation": 10**9}
-    return config.model_copy(
-        update={
-            "seed": seed,
-            "budget": config.budget.model_copy(update=budget),
-            "evolution": config.evolution.model_copy(update={"islands": 3, "population": 16}),
-        }
-    )
+    budget = {**UNENDING, "max_epochs": 10**6 if endless else 3}
+    return configured(seed, budget=budget, islands=3, population=16)
 
 
 def _row(line: Trend) -> tuple[str, str, str]:

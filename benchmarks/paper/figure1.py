@@ -14,7 +14,6 @@ Rows are drawn uniformly from [0, 10] (left) and [-3, 3] (right), anew for each 
 + - * / sin cos exp. Islands are not reshuffled, as there is one; epochs and offers to a front change nothing.
 """
 
-import argparse
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
@@ -76,7 +75,7 @@ def _band(panel: Any, looks: list[int], means: Sequence[Mean], label: str) -> No
     panel.fill_between(looks, middle - errors, middle + errors, alpha=0.3)
 
 
-def tasks(options: argparse.Namespace) -> list[Task]:
+def tasks(options: Namespace) -> list[Task]:
     """Return all runs: those on the function by seed, then one on each target, both arms in turn."""
     chosen = options.seeds if options.seeds is not None else range(options.runs)
     common = (options.targets, options.generations, options.rows, options.reading)

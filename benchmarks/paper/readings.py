@@ -11,7 +11,6 @@ therefore have one budget, the range of budgets at which each row agrees with th
 error, and the budget at which most of them do.
 """
 
-import argparse
 import itertools
 import math
 import sys
@@ -53,7 +52,7 @@ def _same(one: Task, other: Task) -> bool:
     return (one.reading, one.problem, one.seed) == (other.reading, other.problem, other.seed)
 
 
-def tasks(options: argparse.Namespace) -> list[Task]:
+def tasks(options: Namespace) -> list[Task]:
     """Return all runs that are asked for: by reading, then by problem."""
     asked = itertools.product(options.reading, options.problem or (*TABLE_III, *_rows()))
     return [
@@ -67,7 +66,7 @@ def _rows() -> list[str]:
     return [name for names in BUDGETS.values() for name in names]
 
 
-def budget_of(problem: str, options: argparse.Namespace) -> int:
+def budget_of(problem: str, options: Namespace) -> int:
     """Return the point evaluations of a run: of Table III a multiple of the paper's, of Table I a number."""
     if problem in ROWS:
         return int(options.row_budget)

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_core.config import PRESETS, JobConfig
 from benchmarks.harness.command_line import option, program, search_options
+from benchmarks.harness.jobs import configured
 from benchmarks.harness.report import Report
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, FloatArray, Sampled, table_of, trajectories
@@ -83,16 +83,9 @@ def _field(system: str, values: FloatArray) -> FloatArray:
     return np.array([SYSTEMS[system].field(*state) for state in values])
 
 
-def configured(config: JobConfig, seed: int, order: int, max_time: float) -> JobConfig:
-    """Return `config` with a seed, an order of the derivative and a limit of time."""
-    data = config.data.model_copy(update={"order": order})
-    budget = config.budget.model_copy(update={"max_time": max_time})
-    return config.model_copy(update={"seed": seed, "data": data, "budget": budget})
-
-
 def search(searches: Searches, case: Case, max_time: float, report: Report) -> None:
     """Search one case and add the verdicts on its equations to `report`."""
-    config = configured(PRESETS["default"], case.seed, case.order, max_time)
+    config = configured(case.seed, {"order": case.order}, {"max_time": max_time})
     table = table_of(case.sampled)
     result = searches.solve(f"{case.name} seed {case.seed}", table, config)
     question = Question(case.name, case.seed, case.truths, prepare(table, config).dataset, case.singular)

@@ -11,7 +11,6 @@ A ``cos 2x`` found as a sine of 2x with a phase is counted apart. Preset ``paper
 told from the paper's own (two-sided, 5 %, by the binomial deviations of both).
 """
 
-import argparse
 import itertools
 import math
 import sys
@@ -226,7 +225,7 @@ def _draw_published(panel: Any, row: Row) -> None:
     panel.legend(fontsize=7)
 
 
-def tasks(options: argparse.Namespace) -> list[Task]:
+def tasks(options: Namespace) -> list[Task]:
     """Return all runs that are asked for, row by row."""
     asked = itertools.product(options.row or USUAL, options.preset or PRESETS)
     return [

@@ -10,7 +10,6 @@ that did not find its equation counting as infinitely long. Seconds are those of
 submission to the end, are what is compared with the paper's.
 """
 
-import argparse
 import itertools
 import math
 import statistics
@@ -27,6 +26,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
+from benchmarks.harness import jobs
 from benchmarks.harness.command_line import option, positive, program, search_options
 from benchmarks.harness.report import Report
 from benchmarks.harness.service import Searches, searching
@@ -39,9 +39,6 @@ STEP: Final = 0.1
 """Sampling step of the paper; with 10 time units, 100 points on a trajectory."""
 
 SLOPE: Final = "slope_of_"
-NEVER: Final = 10**9
-"""More epochs than any search has."""
-
 Derivatives = Literal["given", "estimated"]
 COLUMNS: Final[tuple[Derivatives, ...]] = ("given", "estimated")
 
@@ -110,23 +107,21 @@ def with_slopes(system: str, sampled: Sampled) -> Table:
 
 
 def configured(
-    options: argparse.Namespace, seed: int, equation: tuple[str, str], derivatives: Derivatives
+    options: Namespace, seed: int, equation: tuple[str, str], derivatives: Derivatives
 ) -> JobConfig:
     """Return the configuration of the search for one equation."""
     system, variable = equation
-    config = PRESETS[options.preset]
     states = SYSTEMS[system].states
     slopes = tuple(SLOPE + name for name in states) if derivatives == "given" else None
-    data = config.data.model_copy(update={"states": states, "derivatives": slopes, "only": (variable,)})
+    data = {"states": states, "derivatives": slopes, "only": (variable,)}
     limits = {"max_time": options.max_time, "target_error": options.target_error}
     if options.to_the_end:
-        limits |= {"stagnation": NEVER, "max_epochs": NEVER}
-    budget = config.budget.model_copy(update=limits)
-    return config.model_copy(update={"seed": seed, "data": data, "budget": budget})
+        limits |= {"stagnation": jobs.NEVER, "max_epochs": jobs.NEVER}
+    return jobs.configured(seed, data, limits, preset=options.preset)
 
 
 def search(
-    searches: Searches, options: argparse.Namespace, seed: int, equation: tuple[str, str], derivatives: Derivatives
+    searches: Searches, options: Namespace, seed: int, equation: tuple[str, str], derivatives: Derivatives
 ) -> Verdict:
     """Search one equation once and return the verdict on it."""
     system, variable = equation
@@ -184,7 +179,7 @@ def balance(rows: Sequence[Row]) -> str:
     return "; ".join(lines)
 
 
-def chosen(options: argparse.Namespace) -> list[tuple[str, str]]:
+def chosen(options: Namespace) -> list[tuple[str, str]]:
     """Return the equations that the options ask for; raises UsageError when there are none."""
     systems = options.system or TABLE_III
     equations = [
@@ -199,7 +194,7 @@ def chosen(options: argparse.Namespace) -> list[tuple[str, str]]:
 
 
 def _searched(
-    searches: Searches, options: argparse.Namespace, equation: tuple[str, str], derivatives: Derivatives, report: Report
+    searches: Searches, options: Namespace, equation: tuple[str, str], derivatives: Derivatives, report: Report
 ) -> Row:
     """Search one equation with every seed, report each, and return what it came to."""
     verdicts: list[Verdict] = []

@@ -26,6 +26,7 @@ from atoll.terminal.output import error_text, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.wire.messages.views import JobView
+from benchmarks.harness import jobs
 from benchmarks.harness.command_line import one_of, option, program, search_options
 from benchmarks.harness.record import Record
 from benchmarks.harness.report import Report
@@ -36,9 +37,6 @@ from benchmarks.peers.operon import require
 from benchmarks.peers.strogatz_files import LABEL, rows_of, truths
 
 SOLVED: Final = 1e-4
-NEVER: Final = 10**9
-"""More epochs than any search has."""
-
 LEVELS: Final = (1e-2, 1e-3, 1e-4)
 """Normalized errors at whose first passing seconds and point evaluations are taken."""
 
@@ -61,15 +59,12 @@ PUBLISHED: Final = {
 """Table III of Schmidt & Lipson 2008: seconds on 8 processors and point evaluations, one run each."""
 
 
-def configured(options: argparse.Namespace, seed: int) -> JobConfig:
+def configured(options: Namespace, seed: int) -> JobConfig:
     """Return the configuration of one search."""
-    config = PRESETS[options.preset]
     limits = {"max_time": options.max_time, "target_error": options.target_error}
     if options.to_the_end:
-        limits |= {"stagnation": NEVER, "max_epochs": NEVER}
-    budget = config.budget.model_copy(update=limits)
-    data = config.data.model_copy(update={"target": LABEL})
-    return config.model_copy(update={"seed": seed, "budget": budget, "data": data})
+        limits |= {"stagnation": jobs.NEVER, "max_epochs": jobs.NEVER}
+    return jobs.configured(seed, {"target": LABEL}, limits, preset=options.preset)
 
 
 @dataclass
@@ -130,7 +125,7 @@ def _row(verdict: Verdict, passings: Passings) -> tuple[str, ...]:
     )
 
 
-def _compared(run: Callable[..., int], options: argparse.Namespace, known: Mapping[str, str], words: list[str]) -> int:
+def _compared(run: Callable[..., int], options: Namespace, known: Mapping[str, str], words: list[str]) -> int:
     """Let `run` search with the configuration of each seed."""
     if options.versus and options.target_error is None:
         options.target_error = SOLVED
@@ -139,7 +134,7 @@ def _compared(run: Callable[..., int], options: argparse.Namespace, known: Mappi
         return run(searches, options, configs, known, Record("strogatz", words, options.out))
 
 
-def _solved(options: argparse.Namespace, known: Mapping[str, str], words: list[str]) -> int:
+def _solved(options: Namespace, known: Mapping[str, str], words: list[str]) -> int:
     """Search without noise; return 0 when all are solved (or, with a target error, converged)."""
     report = Report("strogatz", words, options.out)
     searched: list[tuple[Verdict, Passings]] = []

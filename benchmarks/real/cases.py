@@ -11,7 +11,7 @@ import numpy as np
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
-from benchmarks.harness.campaign import configured
+from benchmarks.harness.jobs import configured
 
 
 @dataclass(frozen=True)

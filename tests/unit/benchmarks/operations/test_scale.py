@@ -165,7 +165,7 @@ def test_the_most_memory_is_what_the_system_says(tmp_path: Path) -> None:
 
 
 def test_many_jobs_have_a_table_that_can_be_searched() -> None:
-    table, config = manyjobs.measurements(), manyjobs.configured(3)
+    table, config = manyjobs.measurements(), manyjobs.config_of(3)
     assert table.rows == manyjobs.ROWS
     assert (config.seed, config.data.target) == (3, "y")
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from atoll_core.config import PRESETS
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.systems import Sampled, trajectories
-from benchmarks.paper.seven import SCALED_TRUTH, case, configured, pendulum, scaled, singular
+from benchmarks.paper.seven import SCALED_TRUTH, case, pendulum, scaled, singular
 
 
 def test_a_well_sampled_run_is_not_flagged():
@@ -35,12 +34,6 @@ def test_the_truth_in_other_units_is_the_derivative_there():
 def test_the_pendulum_is_sought_in_second_order():
     its = pendulum(0.1, 2)
     assert (its.order, its.sampled.names, list(its.truths)) == (2, ("theta",), ["theta"])
-
-
-def test_seed_order_and_time_enter_the_configuration():
-    config = configured(PRESETS["default"], 7, 2, 33.0)
-    assert (config.seed, config.data.order, config.budget.max_time) == (7, 2, 33.0)
-    assert config.evolution == PRESETS["default"].evolution
 
 
 def test_an_unknown_system_is_refused(capsys):
