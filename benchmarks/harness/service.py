@@ -182,7 +182,8 @@ class Machines:
 
     `folder` takes state and logs. With `has_networks` each worker gets a network that can be cut. `guests` are further
     workers, which are not started with the others. `environment` is this process's if None; `program` is the
-    coordinator's Python text, given this process's id and the words of a command line.
+    coordinator's Python text, given this process's id and the words of a command line; with `programs`, a folder of
+    another revision's, those are started instead.
     """
 
     folder: Path
@@ -192,6 +193,7 @@ class Machines:
     guests: tuple[str, ...] = ()
     environment: Mapping[str, str] | None = None
     program: str = TIED_COORDINATOR
+    programs: Path | None = None
 
     def __post_init__(self) -> None:
         self.workers = tuple(f"w{number}" for number in range(self.number))
@@ -306,9 +308,13 @@ class Machines:
             network = self._networks[name]
             return [*network.prefix(), *worker_command(f"tcp/{network.outside}:{self._port}", name)]
         if name in (*self.workers, *self.guests):
+            if self.programs is not None:
+                return [str(self.programs / "island-worker"), "--connect", self.address, "--processes", "1"]
             return worker_command(self.address, name)
         listen = f"tcp/{'0.0.0.0' if self._networks else '127.0.0.1'}:{self._port}"
         tied = [sys.executable, "-c", self.program, str(os.getpid())]
+        if self.programs is not None:
+            tied = [str(self.programs / "coordinator")]
         if name == ROUTER:
             return [*tied, "router", "--listen", listen]
         place = ["--router", self.address] if self.has_own_router else ["--listen", listen]

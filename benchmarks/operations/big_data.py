@@ -21,6 +21,7 @@ import polars
 from atoll.client.client import Client
 from atoll.terminal.output import say, table
 from atoll_core.errors import AtollError, UnreachableError
+from benchmarks.harness.accounts import status
 from benchmarks.harness.command_line import OUT, option, program, whole, workers
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import COORDINATOR, Machines, running
@@ -30,6 +31,7 @@ GOAL_BYTES: Final = 10**9
 READY_LIMIT_S: Final = 600.0
 LOAD_LIMIT_S: Final = 300.0
 JOB: Final = "big"
+PEAK: Final = "VmHWM"
 _LOOK_S: Final = 0.2
 
 
@@ -42,14 +44,6 @@ def write_data(file: Path, megabytes: int) -> int:
     names = [*(f"x{number}" for number in range(COLUMNS - 1)), "y"]
     polars.DataFrame(dict(zip(names, columns, strict=True))).write_csv(file)
     return rows
-
-
-def peak(pid: int, processes: Path = Path("/proc")) -> int:
-    """Return the most bytes that a process has had in memory so far; raises AtollError when that is not known."""
-    for line in (processes / str(pid) / "status").read_text("ascii", "replace").splitlines():
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1]) * 1024
-    raise AtollError(f"the system does not say how much memory process {pid} had")
 
 
 def submitted(machines: Machines, file: Path) -> int:
@@ -87,8 +81,8 @@ def measured(megabytes: int, workers: int) -> tuple[dict[str, int], float]:
         wait_for(client, workers, ("computing", "waiting"), LOAD_LIMIT_S)
         client.pause(2.0)
         seconds = time.monotonic() - begun - 2.0
-        most["coordinator"] = peak(machines.pid(COORDINATOR))
-        most |= {f"worker {index}": peak(machines.pid(name)) for index, name in enumerate(machines.workers)}
+        most["coordinator"] = status(machines.pid(COORDINATOR), PEAK)
+        most |= {f"worker {index}": status(machines.pid(name), PEAK) for index, name in enumerate(machines.workers)}
         client.cancel(JOB)
     return most, seconds
 

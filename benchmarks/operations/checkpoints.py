@@ -10,7 +10,6 @@ hardly depends on what else the machine does. The cost is the share of throughpu
 Returns 1 when a digest differs or the median cost is above the goal, else 0.
 """
 
-import os
 import re
 import statistics
 import sys
@@ -22,6 +21,7 @@ from typing import Any, Final
 
 from atoll.terminal.output import note, say
 from atoll_core.wire.messages.views import JobView
+from benchmarks.harness.accounts import PROCESSES, processor_seconds
 from benchmarks.harness.command_line import OUT, option, program, seeds, whole
 from benchmarks.harness.jobs import NEVER, UNENDING, configured
 from benchmarks.harness.record import Record, load
@@ -44,14 +44,7 @@ Archipelago.__init__ = chosen
 {TIED_COORDINATOR}"""
 """The coordinator's program; the first checkpoint of plain jobs lies beyond the end of every search."""
 
-PROCESSES: Final = Path("/proc")
 _COMMITTED: Final = re.compile(r"\bcommit .*\bjob=(\S+) .*\bislands=(\d+) bytes=(\d+)")
-
-
-def processor_seconds(pid: int, processes: Path = PROCESSES) -> float:
-    """Return the processor time that a process has taken so far, in seconds (Linux)."""
-    fields = (processes / str(pid) / "stat").read_text("ascii", "replace").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @dataclass
@@ -66,7 +59,7 @@ class Spent:
     def look(self, view: JobView) -> None:
         """Take in the state of the job; called again and again."""
         if view.state == "running" and any(variable.epoch for variable in view.variables):
-            self.ended = sum(processor_seconds(pid, self.processes) for pid in self.pids)
+            self.ended = sum(processor_seconds(pid, processes=self.processes) for pid in self.pids)
             self.begun = self.ended if self.begun is None else self.begun
 
     @property

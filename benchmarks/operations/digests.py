@@ -5,7 +5,6 @@ of its group. Searches of one group differ in nothing that may matter: not in th
 them, in the processor's features that numpy uses, or in the processor that the kernels are compiled for.
 """
 
-import argparse
 import importlib
 import itertools
 import json
@@ -24,14 +23,11 @@ from atoll.terminal.output import note, say
 from atoll_core.errors import AtollError
 from atoll_core.signals import raising_interrupts
 from benchmarks.harness.command_line import OUT, option, program
-from benchmarks.harness.record import load, machine
+from benchmarks.harness.jobs import UNMET
+from benchmarks.harness.record import Record
 from benchmarks.harness.service import searching
 from benchmarks.harness.systems import TABLE_III, trajectories, write_csv
 from benchmarks.harness.tables import Columns
-
-UNREACHABLE: Final = 1e-300
-"""A target that is never met, so that all of the search is compared."""
-
 
 @dataclass(frozen=True)
 class Way:
@@ -81,7 +77,7 @@ def optional_features() -> list[str]:
     return [name for name in numpy.__cpu_dispatch__ if numpy.__cpu_features__[name]]
 
 
-def searched(way: Way, data: Path, options: argparse.Namespace, folder: Path) -> dict[str, object]:
+def searched(way: Way, data: Path, options: Namespace, folder: Path) -> dict[str, object]:
     """Search `data` in one way, with the seed and within the budget of `options`; raises AtollError."""
     environment = {**os.environ, **dict(way.environment)}
     words = [
@@ -127,7 +123,7 @@ def compared(system: str, all_ways: Sequence[Way], search: Callable[[Way], dict[
     return outcomes
 
 
-def _outcomes(system: str, options: argparse.Namespace, folder: Path) -> list[Outcome]:
+def _outcomes(system: str, options: Namespace, folder: Path) -> list[Outcome]:
     data = folder / f"{system}.csv"
     write_csv(data, trajectories(system, options.step, options.seed, options.noise))
     numbers = itertools.count()
@@ -144,21 +140,6 @@ COLUMNS: Final = Columns(
 )
 
 
-def _write(out: Path, outcomes: Sequence[Outcome]) -> None:
-    figures = [
-        {
-            "system": outcome.system,
-            "way": outcome.way.name,
-            "islands": outcome.way.islands,
-            "digest": outcome.digest,
-            "same": outcome.is_same,
-        }
-        for outcome in outcomes
-    ]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps({"machine": machine(), "load": load(), "ways": figures}, indent=1) + "\n", "utf-8")
-
-
 @program(
     "benchmarks.operations.digests",
     __doc__,
@@ -167,7 +148,7 @@ def _write(out: Path, outcomes: Sequence[Outcome]) -> None:
     option("--noise", type=float, default=0.0, help="share of each state's deviation (%(default)s)"),
     option("--seed", type=int, default=0, help="of data and search (%(default)s)"),
     option("--epochs", type=int, default=4, help="length of each search (%(default)s)"),
-    option("--target-error", type=float, default=UNREACHABLE, help="where a search ends (never)"),
+    option("--target-error", type=float, default=UNMET, help="where a search ends (never)"),
     OUT,
 )
 def main(options: Namespace) -> int:
@@ -179,8 +160,17 @@ def main(options: Namespace) -> int:
     say(COLUMNS.table(outcomes))
     differing = sum(not outcome.is_same for outcome in outcomes)
     say(f"\n{differing} of {len(outcomes)} digests differ" if differing else "\nthe same digest in every way")
-    if options.out:
-        _write(options.out, outcomes)
+    figures = [
+        {
+            "system": outcome.system,
+            "way": outcome.way.name,
+            "islands": outcome.way.islands,
+            "digest": outcome.digest,
+            "same": outcome.is_same,
+        }
+        for outcome in outcomes
+    ]
+    Record("digests", options.words, options.out).write(ways=figures)
     return 1 if differing else 0
 
 

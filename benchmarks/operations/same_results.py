@@ -7,12 +7,12 @@ and goes on with a file that exists; ``--against FILE`` compares with such a fil
 where anything differs.
 """
 
-import argparse
 import hashlib
 import json
 import shutil
 import subprocess
 import sys
+from argparse import Namespace
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, contextmanager
@@ -25,9 +25,9 @@ from typing import Any, Final
 from atoll.terminal.output import note, say
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.signals import raising_interrupts
-from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.command_line import option, program, whole
 from benchmarks.harness.journal import Journal, read
-from benchmarks.harness.service import COORDINATOR, Machines
+from benchmarks.harness.service import Machines
 from benchmarks.operations.differences import Difference, differences, masked, masked_line, report, without_progress
 from benchmarks.operations.side_by_side import FOLDER, TREE, program_of
 from benchmarks.operations.small_jobs import JOBS, files_of, write_files
@@ -107,13 +107,9 @@ def serving(program: Path) -> Iterator[str]:
     A service of its own for each job would spend most of its time on loading kernels.
     """
     with TemporaryDirectory(prefix="atoll-same-") as folder:
-        machines = Machines(Path(folder), 0)
-        worker = [str(program.parent / "island-worker"), "--connect", machines.address, "--processes", "1"]
-        state = str(Path(folder) / "state")
+        machines = Machines(Path(folder), 1, programs=program.parent)
         try:
-            machines.start_program(COORDINATOR, [str(program), "serve", "--listen", machines.address, "--state", state])
-            machines.wait_until_it_listens(COORDINATOR)
-            machines.start_program("w0", worker)
+            machines.open()
             yield machines.address
         finally:
             machines.close()
@@ -209,25 +205,31 @@ def summed(found: Mapping[str, Sequence[Difference]], places: int) -> str:
     return "\n".join([*lines, f"\n{len(differing)} of {len(found)} jobs differ, {digests} of them in their digests"])
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    f"benchmarks.operations.{NAME}",
+    __doc__,
+    option("revision", nargs="?", help="commit, tag or branch to compare with"),
+    option("--other", default=TREE, help="what is compared with it, a revision too (%(default)s)"),
+    option("--record", type=Path, metavar="FILE", help="keep what OTHER found; gone on with if it exists"),
+    option("--against", type=Path, metavar="FILE", help="compare with what --record has written"),
+    option("--strogatz", type=Path, help="folder of the Strogatz label files; else such are made"),
+    option("--only", help="jobs whose name contains this"),
+    option("--processes", type=whole, default=2, help="jobs at a time (%(default)s)"),
+    option("--places", type=whole, default=5, help="differences shown of a job (%(default)s)"),
+)
+def main(options: Namespace) -> int:
     """Run, record and compare; return 1 when anything differs, else 0."""
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    options = _parser().parse_args(words)
-    with (
-        plain_errors(f"benchmarks.operations.{NAME}"),
-        raising_interrupts(),
-        TemporaryDirectory(prefix="atoll-same-") as name,
-    ):
-        if not (options.revision or options.record or options.against):
-            raise UsageError("nothing to compare with; name a revision, --against FILE or --record FILE")
+    if not (options.revision or options.record or options.against):
+        raise UsageError("nothing to compare with; name a revision, --against FILE or --record FILE")
+    with raising_interrupts(), TemporaryDirectory(prefix="atoll-same-") as name:
         FOLDER.mkdir(parents=True, exist_ok=True)
         names, files = _chosen(options.only), Path(name)
         write_files(files, {each for job in names for each in files_of(JOBS[job])}, options.strogatz)
-        ours = _found(options.other, options.record, names, files, options.processes, words)
+        ours = _found(options.other, options.record, names, files, options)
         if options.against:
             theirs = read(options.against, Found)
         elif options.revision:
-            theirs = _found(options.revision, None, names, files, options.processes, words)
+            theirs = _found(options.revision, None, names, files, options)
         else:
             return 0
     found = compare(ours, theirs)
@@ -245,26 +247,13 @@ def _chosen(word: str | None) -> list[str]:
 
 
 def _found(
-    revision: str, record: Path | None, names: Sequence[str], files: Path, processes: int, words: Sequence[str]
+    revision: str, record: Path | None, names: Sequence[str], files: Path, options: Namespace
 ) -> dict[str, Found]:
     side = side_of(program_of(revision), files)
-    journal = journal_of(side, record, words)
+    journal = journal_of(side, record, options.words)
     note(f"{revision}, code {side.sources}")
-    run_all(side, names, journal, processes)
+    run_all(side, names, journal, options.processes)
     return {name: journal.outcomes[name] for name in names}
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.operations.{NAME}", description=__doc__.split("\n")[0])
-    parser.add_argument("revision", nargs="?", help="commit, tag or branch to compare with")
-    parser.add_argument("--other", default=TREE, help="what is compared with it, a revision too (%(default)s)")
-    parser.add_argument("--record", type=Path, metavar="FILE", help="keep what OTHER found; gone on with if it exists")
-    parser.add_argument("--against", type=Path, metavar="FILE", help="compare with what --record has written")
-    parser.add_argument("--strogatz", type=Path, help="folder of the Strogatz label files; else such are made")
-    parser.add_argument("--only", help="jobs whose name contains this")
-    parser.add_argument("--processes", type=whole, default=2, help="jobs at a time (%(default)s)")
-    parser.add_argument("--places", type=whole, default=5, help="differences shown of a job (%(default)s)")
-    return parser
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ islands each, spread over as many archipelagos.
 import contextlib
 import json
 import math
-import os
 import queue
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from atoll.client.client import Client
 from atoll.terminal.output import note, say
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UnreachableError
+from benchmarks.harness.accounts import processor_seconds, status
 from benchmarks.harness.jobs import UNENDING, configured, table_of_columns
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import COORDINATOR, Machines, running
@@ -108,17 +108,9 @@ class Account:
     at: float
 
     @classmethod
-    def of(cls, pid: int, processes: Path = Path("/proc")) -> "Account":
+    def of(cls, pid: int) -> "Account":
         """Read the system's account of a process (Linux)."""
-        ticks = os.sysconf("SC_CLK_TCK")
-        resident = int((processes / str(pid) / "statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
-        whole, main = (_ticks(processes / str(pid) / place) for place in ("stat", f"task/{pid}/stat"))
-        return cls(whole / ticks, main / ticks, resident, time.monotonic())
-
-
-def _ticks(file: Path) -> int:
-    words = file.read_text("utf-8", "replace").rpartition(")")[2].split()
-    return int(words[11]) + int(words[12])
+        return cls(processor_seconds(pid), processor_seconds(pid, pid), status(pid, "VmRSS"), time.monotonic())
 
 
 class Hosts:

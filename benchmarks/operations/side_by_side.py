@@ -7,13 +7,13 @@ the next time. Jobs take turns, so that both see the same load; where other prog
 say more than the clock. Ends with 1 where a digest differs.
 """
 
-import argparse
 import json
 import os
 import statistics
 import subprocess
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import count
@@ -25,7 +25,7 @@ import numpy as np
 
 from atoll.terminal.output import note, say, table
 from atoll_core.errors import AtollError, UsageError
-from benchmarks.harness.command_line import plain_errors, positive, whole
+from benchmarks.harness.command_line import OUT, option, positive, program, whole
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, trajectories
 from benchmarks.peers.strogatz_files import LABEL, NAMES
@@ -237,13 +237,23 @@ def _means(found: Sequence[Beside], what: str) -> tuple[str, str, str]:
     return f"{mine:.3f}", f"{others:.3f}", f"{mine / others:.3f}"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@program(
+    "benchmarks.operations.side_by_side",
+    __doc__,
+    option("revision", help="commit, tag or branch to compare with"),
+    option("--other", default=TREE, help="what is compared with it, a revision too (%(default)s)"),
+    option("--strogatz", type=Path, help="folder with the Strogatz label files; else files like them are made"),
+    option("--seeds", type=whole, default=2, help="searches of each label file (%(default)s)"),
+    option("--rounds", type=whole, default=3, help="how often each job is run by both (%(default)s)"),
+    option("--minutes", type=positive, default=10.0, help="no job begins after so many (%(default)g)"),
+    option("--only", help="jobs whose name contains this"),
+    OUT,
+)
+def main(options: Namespace) -> int:
     """Compare, print the table; return 1 when a digest differs, else 0."""
-    options = _parser().parse_args(arguments)
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    with plain_errors("benchmarks.operations.side_by_side"), TemporaryDirectory(prefix="atoll-compare-") as name:
+    with TemporaryDirectory(prefix="atoll-compare-") as name:
         FOLDER.mkdir(parents=True, exist_ok=True)
-        programs = [program_of(each) for each in (options.other, options.revision)]
+        programs = [program_of(revision) for revision in (options.other, options.revision)]
         chosen = jobs(Path(name), options.strogatz, range(options.seeds))
         kept = [each for each in chosen if options.only is None or options.only in each]
         if not kept:
@@ -251,7 +261,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 f"no job has {options.only!r} in its name; the first of {len(chosen)} is {next(iter(chosen))!r}"
             )
         folders = count()
-        record = Record("side_by_side", words, options.out)
+        record = Record("side_by_side", options.words, options.out)
 
         def runner(program: Path) -> Callable[[str], Took]:
             return lambda job: run(program, chosen[job], Path(name) / f"run-{next(folders)}")
@@ -271,23 +281,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if len(found) < len(kept):
         say(f"left out for lack of time: {len(kept) - len(found)} of {len(kept)} jobs")
     return 1 if differing else 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.operations.side_by_side", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("revision", help="commit, tag or branch to compare with")
-    parser.add_argument("--other", default=TREE, help="what is compared with it, a revision too (%(default)s)")
-    parser.add_argument(
-        "--strogatz", type=Path, help="folder with the Strogatz label files; else files like them are made"
-    )
-    parser.add_argument("--seeds", type=whole, default=2, help="searches of each label file (%(default)s)")
-    parser.add_argument("--rounds", type=whole, default=3, help="how often each job is run by both (%(default)s)")
-    parser.add_argument("--minutes", type=positive, default=10.0, help="no job begins after so many (%(default)g)")
-    parser.add_argument("--only", help="jobs whose name contains this")
-    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
-    return parser
 
 
 if __name__ == "__main__":

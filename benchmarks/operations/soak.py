@@ -23,6 +23,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
+from benchmarks.harness.accounts import PROCESSES, status
 from benchmarks.harness.command_line import OUT, option, positive, program
 from benchmarks.harness.jobs import UNENDING, configured
 from benchmarks.harness.record import Record, load
@@ -179,10 +180,8 @@ class Soak:
 
 def measured(name: str, pid: int, at_s: float) -> Sample:
     """Return what a process uses now, by the system's account of it (Linux)."""
-    status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text("ascii").splitlines())
-    files = sum(1 for _ in Path(f"/proc/{pid}/fd").iterdir())
-    memory = int(status["VmRSS"].split()[0]) * 1024 / MEGABYTE
-    return Sample(name, at_s, memory, files, int(status["Threads"]))
+    files = sum(1 for _ in (PROCESSES / str(pid) / "fd").iterdir())
+    return Sample(name, at_s, status(pid, "VmRSS") / MEGABYTE, files, status(pid, "Threads"))
 
 
 def short_job(seed: int, endless: bool) -> JobConfig:

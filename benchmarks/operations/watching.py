@@ -16,8 +16,8 @@ from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus, Message
 from atoll_core.wire.bus.zenoh_bus import open_client
 from atoll_core.wire.messages.views import JobView
+from benchmarks.harness.accounts import PROCESSES
 
-PROCESSES: Final = Path("/proc")
 _CONNECT_LIMIT_S: Final = 20.0
 _QUIET_S: Final = 0.5
 """No message for so long: all have come."""

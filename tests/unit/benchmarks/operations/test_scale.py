@@ -16,6 +16,7 @@ from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.workers import Addition, EpochReport, IslandReport, SliceCounters
 from atoll_island_worker.session.epoch_tasks import Task, TaskKey
 from atoll_island_worker.session.events import Computed, JobReady, Snapshot
+from benchmarks.harness.accounts import status
 from benchmarks.operations import big_data as bigdata
 from benchmarks.operations import many_jobs as manyjobs
 from benchmarks.operations import scale, scaling
@@ -157,11 +158,11 @@ def test_a_large_table_has_the_size_that_was_asked_for(tmp_path: Path) -> None:
 
 
 def test_the_most_memory_is_what_the_system_says(tmp_path: Path) -> None:
-    assert bigdata.peak(os.getpid()) > 2**20
+    assert status(os.getpid(), bigdata.PEAK) > 2**20
     (tmp_path / "7").mkdir()
     (tmp_path / "7" / "status").write_text("Name: x\n")
     with pytest.raises(AtollError, match="does not say"):
-        bigdata.peak(7, tmp_path)
+        status(7, bigdata.PEAK, tmp_path)
 
 
 def test_many_jobs_have_a_table_that_can_be_searched() -> None:
