@@ -46,8 +46,8 @@ CASES: Final = {
     "van der Pol, errors of 0.05": Case(_TURNING, noise=0.05),
     "Lotka-Volterra": Case(PROCESSES["Lotka-Volterra"]),
     "Lorenz": Case(PROCESSES["Lorenz"]),
-    **{f"van der Pol, correlation {its}": Case(_TURNING, its) for its in (0.05, 0.1, 0.2)},
-    **{f"Lorenz, correlation {its}": Case(PROCESSES["Lorenz"], its) for its in (0.05, 0.1, 0.2)},
+    **{f"van der Pol, correlation {value}": Case(_TURNING, value) for value in (0.05, 0.1, 0.2)},
+    **{f"Lorenz, correlation {value}": Case(PROCESSES["Lorenz"], value) for value in (0.05, 0.1, 0.2)},
 }
 
 
@@ -65,16 +65,15 @@ def simulate(case: Case, paths: int, steps: int, seed: int) -> list[Steps]:
     joint = np.eye(size)
     joint[0, 1] = joint[1, 0] = case.correlation
     factor = np.linalg.cholesky(joint)
-    rates = eval(f"lambda {', '.join(process.names)}: ({', '.join(process.drift.values())},)")
-    squares = eval(f"lambda {', '.join(process.names)}: ({', '.join(process.diffusion.values())},)")
-    states, found = np.repeat(np.array(process.starts)[:, None], paths, axis=1), []
+    rates, squares = process.function(process.drift.values()), process.function(process.diffusion.values())
+    states, rows = np.repeat(np.array(process.starts)[:, None], paths, axis=1), []
     for length in (lengths / SMALL).tolist():
         for _ in range(SMALL):
             normal = factor @ random.standard_normal((size, paths))
-            spread = np.array([np.sqrt(its) * np.ones(paths) for its in squares(*states)])
+            spread = np.array([np.sqrt(square) * np.ones(paths) for square in squares(*states)])
             states = states + length * np.array(rates(*states)) + spread * np.sqrt(length) * normal
-        found.append(states)
-    sampled = np.array(found[SETTLING - 1 :])
+        rows.append(states)
+    sampled = np.array(rows[SETTLING - 1 :])
     sampled = (sampled + case.noise * random.standard_normal(sampled.shape)).transpose(2, 1, 0)
     return [_steps(path, lengths[SETTLING:]) for path in sampled]
 
@@ -96,8 +95,8 @@ def main(options: Namespace) -> None:
     """Run what the command line asks for."""
     rows = []
     for name, case in CASES.items():
-        found = [_pairs(steps) for steps in simulate(case, options.paths, options.steps, options.seed)]
-        first, others = sum((0, 1) in its for its in found), sum(bool({*its} - {(0, 1)}) for its in found)
+        sought = [_pairs(steps) for steps in simulate(case, options.paths, options.steps, options.seed)]
+        first, others = sum((0, 1) in pairs for pairs in sought), sum(bool({*pairs} - {(0, 1)}) for pairs in sought)
         rows.append((name, str(options.paths), f"{100.0 * first / options.paths:.0f} %", f"{others}"))
     say(table(("process", "paths", "first pair sought", "others"), rows))
 

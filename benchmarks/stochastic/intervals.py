@@ -37,7 +37,7 @@ def _fitted(process: Process, steps: Steps, is_stepped: bool) -> tuple[FloatArra
     pairs, noisy = tuple((i, i) for i in range(states)), [text != "0" for text in process.diffusion.values()]
     scheme = "Euler-Maruyama" if is_stepped else "local linearisation"
     model = ProcessModel(drift, diffusion, pairs, (0.0,) * states, scheme)  # type: ignore[arg-type]
-    free = (*range(states), *(states + place for place, its in enumerate(noisy) if its))
+    free = (*range(states), *(states + place for place, is_noisy in enumerate(noisy) if is_noisy))
     likelihood = ProcessLikelihood(steps)
     fitted = likelihood.fit(model, free)
     errors = np.sqrt(np.diag(fitted.covariance))
@@ -50,18 +50,17 @@ def simulate(process: Process, paths: int, seed: int, substeps: int) -> list[Ste
     """Return the steps of so many tables of a process, drawn together."""
     random, count = np.random.default_rng(seed), STEPS // process.paths
     settling = SETTLING if process.settles else 0
-    rates = eval(f"lambda {', '.join(process.names)}: ({', '.join(process.drift.values())},)")
-    squares = eval(f"lambda {', '.join(process.names)}: ({', '.join(process.diffusion.values())},)")
+    rates, squares = process.function(process.drift.values()), process.function(process.diffusion.values())
     is_corrected = "0" in process.diffusion.values() and substeps > 1
     states = np.repeat(np.array(process.starts, dtype=np.float64)[:, None], paths * process.paths, axis=1)
     small, rows = process.step / substeps, [states]
     for _ in range(settling + count):
         for _ in range(substeps):
-            drift = np.array([its + 0.0 * states[0] for its in rates(*states)])
-            spread = np.sqrt(np.array([its + 0.0 * states[0] for its in squares(*states)]) * small)
+            drift = np.array([rate + 0.0 * states[0] for rate in rates(*states)])
+            spread = np.sqrt(np.array([square + 0.0 * states[0] for square in squares(*states)]) * small)
             moved = states + small * drift + spread * random.standard_normal(states.shape)
             if is_corrected:
-                moved += 0.5 * small * (np.array([its + 0.0 * states[0] for its in rates(*moved)]) - drift)
+                moved += 0.5 * small * (np.array([rate + 0.0 * states[0] for rate in rates(*moved)]) - drift)
             states = moved
         rows.append(states)
     whole = np.array(rows[settling:]).transpose(2, 1, 0)
@@ -91,12 +90,12 @@ def main(options: Namespace) -> None:
     """Run what the command line asks for."""
     rows = []
     for name in options.processes:
-        found = [_fitted(CASES[name], each, options.substeps == 1)
-                 for each in simulate(CASES[name], options.paths, options.seed, options.substeps)]  # fmt: skip
-        away = np.concatenate([its for its, _ in found])
-        doubts = [doubt for _, its in found for doubt in its]
+        fits = [_fitted(CASES[name], steps, options.substeps == 1)
+                for steps in simulate(CASES[name], options.paths, options.seed, options.substeps)]  # fmt: skip
+        away = np.concatenate([errors for errors, _ in fits])
+        doubts = [doubt for _, doubts_of_fit in fits for doubt in doubts_of_fit]
         holds = np.abs(away) < 1.96
-        numbers = (len(found), holds.sum(), len(away), f"{away.mean():.2f}", f"{np.sqrt(np.mean(away**2)):.2f}")
+        numbers = (len(fits), holds.sum(), len(away), f"{away.mean():.2f}", f"{np.sqrt(np.mean(away**2)):.2f}")
         rows.append((name, *map(str, numbers), str(sum(doubts)), str(len(doubts))))
         say(table(HEADS, rows[-1:]))
     say(table(HEADS, rows))

@@ -50,26 +50,27 @@ def judge(
         states: (S, R), where errors are measured.
         equations: those of a result.
     """
-    found = {each["variable"]: each for each in equations}
+    shown = {equation["variable"]: equation for equation in equations}
+    columns = dict(zip(process.names, states, strict=True))
     judged = []
-    for name in dict.fromkeys([*process.truth, *found]):
+    for name in dict.fromkeys([*process.truth, *shown]):
         truth = process.truth.get(name, "0")
-        its = found.get(name)
-        if its is None or its["expression"] is None:
+        equation = shown.get(name)
+        if equation is None or equation["expression"] is None:
             judged.append(Judged(case, seed, name, None, None, False, 1.0, ()))
             continue
+        text, verdict = equation["expression"], equation["verdict"]
         if truth == "0":
-            is_right = not process.values(its["expression"], states).any()
-            judged.append(Judged(case, seed, name, its["expression"], its["verdict"], is_right, 0.0, ()))
+            is_right = not process.values(text, states).any()
+            judged.append(Judged(case, seed, name, text, verdict, is_right, 0.0, ()))
             continue
         values = process.values(truth, states)
-        columns = dict(zip(process.names, states, strict=True))
         rms = float(np.sqrt(np.mean(values * values)))
-        away = process.values(its["expression"], states) - values
-        is_right = compare(its["expression"], truth, columns, rms, ANY_CONSTANT).is_right
-        its_intervals = _covered(its, process.names, columns, values) if is_right else ()
+        away = process.values(text, states) - values
+        is_right = compare(text, truth, columns, rms, ANY_CONSTANT).is_right
+        is_covered = _covered(equation, process.names, columns, values) if is_right else ()
         error = float(np.sqrt(np.mean(away * away))) / rms
-        judged.append(Judged(case, seed, name, its["expression"], its["verdict"], is_right, error, its_intervals))
+        judged.append(Judged(case, seed, name, text, verdict, is_right, error, is_covered))
     return judged
 
 
@@ -84,7 +85,7 @@ def _covered(
     implied, known = iter(equation["implied"]), equation["constants"]
     constants = [next(implied) if origin is None else known[origin] for origin in explicit.origins]
     fitted = [{**each, "value": each["fitted"]} for each in constants]
-    values = {place: its["value"] for place, its in zip(constant_places(explicit.program), fitted, strict=True)}
+    values = {place: each["value"] for place, each in zip(constant_places(explicit.program), fitted, strict=True)}
     text = to_infix(with_constants(explicit.program, values), names)
     found = covered(text, fitted, columns, truth)
     return () if found is None else tuple(each.is_covered for each in found)

@@ -1,10 +1,10 @@
 """Processes dx = f dt + g dW as text, and paths of them: 10,000 steps, in small steps of Euler and Maruyama."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -46,6 +46,11 @@ class Process:
     def truth(self) -> dict[str, str]:
         """The equations by the names that a result gives them."""
         return {**self.drift, **{f"[{name}]": text for name, text in self.diffusion.items()}}
+
+    def function(self, texts: Iterable[str]) -> Callable[..., Sequence[Any]]:
+        """Return expressions as a function of the states, in plain Python: of numbers, or of many paths at once."""
+        made: Callable[..., Sequence[Any]] = eval(f"lambda {', '.join(self.names)}: ({', '.join(texts)},)")
+        return made
 
     def values(self, text: str, states: FloatArray) -> FloatArray:
         """Return an expression at states (S, R)."""
@@ -95,24 +100,23 @@ def simulate(process: Process, seed: int, steps: int = STEPS, substeps: int = SU
 
 def _path(process: Process, rows: int, random: np.random.Generator, substeps: int) -> FloatArray:
     """Return one path (S, R), in plain numbers: there are half a million small steps."""
-    names = ", ".join(process.names)
-    rates = eval(f"lambda {names}: ({', '.join([*process.drift.values(), *process.diffusion.values()])},)")
+    rates = process.function([*process.drift.values(), *process.diffusion.values()])
     small, size = process.step / substeps, len(process.names)
     is_corrected = "0" in process.diffusion.values() and substeps > 1
     states, found = [*process.starts], [[*process.starts]]
     for _ in range(rows - 1):
         normal = (random.standard_normal((substeps, size)) * np.sqrt(small)).tolist()
-        for each in normal:
-            its = rates(*states)
+        for draws in normal:
+            before = rates(*states)
             moved = [
                 state + small * rate + math.sqrt(square) * draw
-                for state, rate, square, draw in zip(states, its, its[size:], each, strict=False)
+                for state, rate, square, draw in zip(states, before, before[size:], draws, strict=False)
             ]
             if is_corrected:
                 after = rates(*moved)
                 moved = [
                     state + 0.5 * small * (end - begin)
-                    for state, begin, end in zip(moved, its, after[:size], strict=False)
+                    for state, begin, end in zip(moved, before, after[:size], strict=False)
                 ]
             states = moved
         found.append(states)

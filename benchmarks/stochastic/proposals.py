@@ -33,7 +33,7 @@ SLOWER: Final = 0.95
 
 
 def _counts(found: Sequence[Sequence[bool]]) -> tuple[str, ...]:
-    return (str(len(found)), *(str(sum(its)) for its in zip(*found, strict=True)))
+    return (str(len(found)), *(str(sum(proposed)) for proposed in zip(*found, strict=True)))
 
 
 def _of_process(process: Process, seed: int) -> Iterator[bool]:
@@ -56,20 +56,19 @@ def _of_system(system: str, level: float, seed: int) -> Iterator[bool]:
 
 def _slowed(clean: Sampled) -> list[FloatArray]:
     return [
-        np.array([np.interp(SLOWER * times, times, its) for its in values.T])
+        np.array([np.interp(SLOWER * times, times, column) for column in values.T])
         for times, values in zip(clean.times, clean.values, strict=True)
     ]
 
 
 def _drifted(process: Process, path: FloatArray) -> FloatArray:
     """Return where the drift alone leads from the beginning of a path (S, R)."""
-    names = ", ".join(process.names)
-    rates = eval(f"lambda {names}: ({', '.join(process.drift.values())},)")
+    rates = process.function(process.drift.values())
     states, found = path[:, 0].tolist(), [path[:, 0].tolist()]
     for _ in range(path.shape[1] - 1):
         for _ in range(SMALL):
-            moved = rates(*states)
-            states = [its + process.step / SMALL * rate for its, rate in zip(states, moved, strict=True)]
+            velocity = rates(*states)
+            states = [state + process.step / SMALL * rate for state, rate in zip(states, velocity, strict=True)]
         found.append(states)
     return np.array(found).T
 
@@ -80,8 +79,8 @@ def _is_proposed(given: Table, model: Sequence[FloatArray] | None) -> bool:
     if model is None:
         return bool(stochastic_remarks(recording, None))
     simulated = tuple(
-        Simulated(its.name, its.held_out, its.times, its.measured, values, None, (None,) * len(values))
-        for its, values in zip(recording.trajectories, model, strict=True)
+        Simulated(whole.name, whole.held_out, whole.times, whole.measured, values, None, (None,) * len(values))
+        for whole, values in zip(recording.trajectories, model, strict=True)
     )
     return bool(stochastic_remarks(recording, Simulation(recording.states, simulated, 1.96)))
 
