@@ -15,7 +15,7 @@ UNMET: Final = 1e-300
 NEVER: Final = 10**9
 """More epochs than any search has."""
 
-UNENDING: Final[Mapping[str, float]] = {"target_error": UNMET, "stagnation": NEVER}
+UNENDING: Final[Mapping[str, Any]] = {"target_error": UNMET, "stagnation": NEVER}
 """The budget of a search that only its number of epochs or its time ends."""
 
 

@@ -127,12 +127,12 @@ class Searches:
 
     def wait_for(self, workers: int) -> None:
         """Wait until `workers` are ready; raises AtollError."""
-        end = self._client.now() + KERNELS_LIMIT_S
-        while sum(worker.state not in ("compiling", "lost") for worker in self._client.workers()) < workers:
+
+        def are_ready() -> bool:
             self.check()
-            if self._client.now() > end:
-                raise UnreachableError(f"{workers} workers were not ready within {KERNELS_LIMIT_S:.0f} s")
-            self._client.pause(_LOOK_S)
+            return sum(worker.state not in ("compiling", "lost") for worker in self._client.workers()) >= workers
+
+        wait_until(self._client, are_ready, f"{workers} workers were not ready", KERNELS_LIMIT_S)
 
     def _followed(self, name: str, job: str, watch: Callable[[JobView], None] | None) -> JobView:
         said = self._client.now()
@@ -162,6 +162,17 @@ class Searches:
         """Raise AtollError when a program has ended."""
         if self._machines is not None:
             self._machines.check()
+
+
+def wait_until(
+    client: Client, is_so: Callable[[], bool], otherwise: str, limit_s: float, look_s: float = _LOOK_S
+) -> None:
+    """Look again and again whether something is so; raises UnreachableError with `otherwise` when it takes too long."""
+    end = client.now() + limit_s
+    while not is_so():
+        if client.now() > end:
+            raise UnreachableError(f"{otherwise} within {limit_s:.0f} s")
+        client.pause(look_s)
 
 
 VARIABLE: Final = Columns(

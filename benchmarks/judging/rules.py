@@ -7,7 +7,7 @@ SRBench's own; they need not agree on what is nearly right, and each published f
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 Kind = Literal["right", "near", "extra", "missing", "other", "none"]
 """The truth's form; the same with a constant beyond the tolerance; with needless terms; without some of its terms;
@@ -37,7 +37,7 @@ class Form:
         return self.kind == "right"
 
 
-NO_EQUATION = Form("none", reason="no equation was found")
+NO_EQUATION: Final = Form("none", reason="no equation was found")
 
 Rule = Callable[[str | None], Form]
 

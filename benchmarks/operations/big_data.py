@@ -20,11 +20,12 @@ import polars
 
 from atoll.client.client import Client
 from atoll.terminal.output import say, table
-from atoll_core.errors import AtollError, UnreachableError
+from atoll_core.errors import AtollError
+from atoll_core.wire.messages.views import FINAL_STATES
 from benchmarks.harness.accounts import status
 from benchmarks.harness.command_line import OUT, option, program, whole, workers
 from benchmarks.harness.record import Record, load
-from benchmarks.harness.service import COORDINATOR, Machines, running
+from benchmarks.harness.service import COORDINATOR, Machines, running, wait_until
 
 COLUMNS: Final = 5
 GOAL_BYTES: Final = 10**9
@@ -32,7 +33,6 @@ READY_LIMIT_S: Final = 600.0
 LOAD_LIMIT_S: Final = 300.0
 JOB: Final = "big"
 PEAK: Final = "VmHWM"
-_LOOK_S: Final = 0.2
 
 
 def write_data(file: Path, megabytes: int) -> int:
@@ -60,14 +60,16 @@ def submitted(machines: Machines, file: Path) -> int:
 
 def wait_for(client: Client, workers: int, states: Sequence[str], limit_s: float) -> None:
     """Wait until so many workers are in one of the states; raises UnreachableError."""
-    end = client.now() + limit_s
-    while sum(each.state in states for each in client.workers()) < workers:
-        view = client.status(JOB) if JOB in {each.job for each in client.jobs()} else None
-        if view is not None and view.state in ("failed", "cancelled", "done"):
+
+    def are_there() -> bool:
+        if sum(worker.state in states for worker in client.workers()) >= workers:
+            return True
+        view = client.status(JOB) if JOB in {view.job for view in client.jobs()} else None
+        if view is not None and view.state in FINAL_STATES:
             raise AtollError(f"the job is {view.state} before all workers had its data: {view.reason}")
-        if client.now() > end:
-            raise UnreachableError(f"{workers} workers were not {' or '.join(states)} within {limit_s:.0f} s")
-        client.pause(_LOOK_S)
+        return False
+
+    wait_until(client, are_there, f"{workers} workers were not {' or '.join(states)}", limit_s)
 
 
 def measured(megabytes: int, workers: int) -> tuple[dict[str, int], float]:

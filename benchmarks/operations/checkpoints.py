@@ -90,18 +90,18 @@ class Pair:
         return 1.0 - self.without_cpu / self.with_cpu
 
 
-def measured(its: Searches, options: Namespace, seed: int) -> Pair:
+def measured(searches: Searches, options: Namespace, seed: int) -> Pair:
     """Search for the same with checkpoints and without."""
     found: dict[bool, tuple[dict[str, Any], float]] = {}
     config = configured(seed, budget={**UNENDING, "max_epochs": options.epochs})
     for kept in (False, True) if seed % 2 else (True, False):
-        spent = Spent(its.pids)
+        spent = Spent(searches.pids)
         sampled = table_of(trajectories(options.system, seed=seed))
         prefix = "kept" if kept else PLAIN
-        result = its.solve(f"seed {seed}", sampled, config, spent.look, prefix)
+        result = searches.solve(f"seed {seed}", sampled, config, spent.look, prefix)
         found[kept] = (result, spent.seconds)
     (one, with_cpu), (other, without_cpu) = found[True], found[False]
-    sizes = committed(its.log, one["job"])
+    sizes = committed(searches.log, one["job"])
     pair = Pair(
         seed,
         with_cpu,
@@ -118,7 +118,7 @@ def measured(its: Searches, options: Namespace, seed: int) -> Pair:
 
 def committed(log: str, job: str) -> list[float]:
     """Return, for each checkpoint of a job that a coordinator's log mentions, the bytes of one island."""
-    return [int(size) / int(islands) for its, islands, size in _COMMITTED.findall(log) if its == job]
+    return [int(size) / int(islands) for name, islands, size in _COMMITTED.findall(log) if name == job]
 
 
 def pairs_table(pairs: Sequence[Pair]) -> str:
@@ -141,15 +141,15 @@ def pairs_table(pairs: Sequence[Pair]) -> str:
 def main(options: Namespace) -> int:
     """Measure and print; return 1 when a digest differs or the cost is above the goal, else 0."""
     pairs: list[Pair] = []
-    with searching(options.workers, program=PROGRAM) as its:
+    with searching(options.workers, program=PROGRAM) as searches:
         for seed in options.seeds:
-            pairs.append(measured(its, options, seed))
+            pairs.append(measured(searches, options, seed))
             figures = [{**asdict(pair), "cost": pair.cost} for pair in pairs]
             Record("checkpoints", options.words, options.out).write(pairs=figures)
     say(pairs_table(pairs))
-    cost = statistics.median(its.cost for its in pairs)
+    cost = statistics.median(pair.cost for pair in pairs)
     say(f"\ncost {cost:.1%} in the median, goal at most {GOAL:.0%}; load {load():.1f}")
-    return 0 if cost <= GOAL and all(its.is_same for its in pairs) else 1
+    return 0 if cost <= GOAL and all(pair.is_same for pair in pairs) else 1
 
 
 if __name__ == "__main__":

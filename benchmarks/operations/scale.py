@@ -27,7 +27,7 @@ from atoll_core.errors import AtollError, UnreachableError
 from benchmarks.harness.accounts import processor_seconds, status
 from benchmarks.harness.jobs import UNENDING, configured, table_of_columns
 from benchmarks.harness.record import Record, load
-from benchmarks.harness.service import COORDINATOR, Machines, running
+from benchmarks.harness.service import COORDINATOR, Machines, running, wait_until
 from benchmarks.harness.tables import Columns
 from benchmarks.operations.island_samples import Samples, sampled
 
@@ -43,8 +43,8 @@ ENDLESS: Final = {**UNENDING, "max_epochs": 1_000_000, "max_time": None}
 
 GOAL_ISLANDS: Final = 1000
 READY_LIMIT_S: Final = 180.0
+LOOK_S: Final = 0.5
 _ROWS: Final = 200
-_LOOK_S: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -151,12 +151,13 @@ def measured(islands: int, samples: Samples, period: float, seconds: float) -> L
     workers = max(2, islands // ISLANDS_EACH)
     with running(0) as (machines, client):
         hosts = pretending(machines, samples.save(machines.folder), workers, period)
-        _until(client, lambda: len(client.workers()) == workers, f"{workers} workers")
+        wait_until(client, lambda: _has(client, workers), f"{workers} workers were not there", READY_LIMIT_S, LOOK_S)
         names = [f"scale-{number}" for number in range(jobs)]
         digest = client.upload(signals(variables).to_bytes())
         for number, name in enumerate(names):
             client.submit(name, name, configured(number, budget=ENDLESS, islands=ISLANDS_EACH), digest)
-        _until(client, lambda: _is_under_way(client, names), f"all islands of {jobs} jobs in their third epoch")
+        late = f"all islands of {jobs} jobs in their third epoch were not there"
+        wait_until(client, lambda: _are_under_way(client, names), late, READY_LIMIT_S, LOOK_S)
         note(f"  {islands} islands are under way")
         before = Account.of(machines.pid(COORDINATOR))
         client.pause(seconds)
@@ -198,20 +199,17 @@ def load_of(
 _RATES: Final = ("epochs", "reports", "mails", "mail_bytes", "report_bytes")
 
 
-def _is_under_way(client: Client, names: Sequence[str]) -> bool:
-    views = [client.status(name) for name in names]
-    return all(view.variables and all(variable.epoch >= 2 for variable in view.variables) for view in views)
+def _has(client: Client, workers: int) -> bool:
+    with contextlib.suppress(UnreachableError):  # while it places everything at once, it may not answer in time
+        return len(client.workers()) == workers
+    return False
 
 
-def _until(client: Client, condition: Any, what: str) -> None:
-    end = client.now() + READY_LIMIT_S
-    while True:
-        with contextlib.suppress(UnreachableError):  # while it places everything at once, it may not answer in time
-            if condition():
-                return
-        if client.now() > end:
-            raise UnreachableError(f"{what} were not there within {READY_LIMIT_S:.0f} s")
-        client.pause(_LOOK_S)
+def _are_under_way(client: Client, names: Sequence[str]) -> bool:
+    with contextlib.suppress(UnreachableError):
+        views = [client.status(name) for name in names]
+        return all(view.variables and all(variable.epoch >= 2 for variable in view.variables) for view in views)
+    return False
 
 
 def loads_table(loads: Sequence[Load]) -> str:
@@ -229,10 +227,10 @@ def growth(loads: Sequence[Load]) -> float | None:
 
     The time is that for one epoch a second of every island. None with fewer than two numbers of islands.
     """
-    if len({its.islands for its in loads}) < 2:
+    if len({one.islands for one in loads}) < 2:
         return None
-    x = [math.log(its.islands) for its in loads]
-    y = [math.log(its.cores / its.epochs) for its in loads]
+    x = [math.log(one.islands) for one in loads]
+    y = [math.log(one.cores / one.epochs) for one in loads]
     mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
     steep = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True))
     return steep / sum((a - mean_x) ** 2 for a in x)
@@ -245,7 +243,7 @@ def measure_scale(islands: Sequence[int], options: Any, arguments: Sequence[str]
     loads: list[Load] = []
     for number in islands:
         loads.append(measured(number, samples, options.period, options.seconds))
-        figures = {"loads": [{**asdict(its), "microseconds": its.microseconds} for its in loads]}
+        figures = {"loads": [{**asdict(each), "microseconds": each.microseconds} for each in loads]}
         Record("scale", arguments, options.out).write(**figures, growth=growth(loads))
     say(loads_table(loads))
     power = growth(loads)
