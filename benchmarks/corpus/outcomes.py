@@ -109,8 +109,8 @@ def judge_job(
     judged = tuple(_equation(case, state, equations.get(state, {}), r2[state]) for state in truths)
     wall, cpu = ({}, {}) if stopwatch is None else (stopwatch.seconds, stopwatch.processor)
     excess = None
-    if config is not None and not all(its.is_right for its in judged):
-        excess = excess_of_truth(case.table, config, truths, [its.expression for its in judged])
+    if config is not None and not all(equation.is_right for equation in judged):
+        excess = excess_of_truth(case.table, config, truths, [equation.expression for equation in judged])
     return Outcome(
         key, case.system.name, judged, float(result.get("seconds") or 0.0), wall, cpu, result.get("digest"), failure,
         excess,
@@ -157,11 +157,12 @@ def fresh_r2(expressions: Sequence[str | None], case: Case) -> dict[str, float |
         field = field_of([text for text in expressions if text], states)
     except UsageError:
         return dict.fromkeys(states, -math.inf)
-    found = [simulated(field, path) if all(expressions) else None for path in case.fresh]
-    if any(each is None for each in found):
+    solutions = [simulated(field, path) if all(expressions) else None for path in case.fresh]
+    if any(solution is None for solution in solutions):
         return dict.fromkeys(states, -math.inf)
     true = [path.states for path in case.fresh]
-    mean = sum(each.sum(axis=0) for each in true) / sum(len(each) for each in true)
-    errors = sum(((each - its) ** 2).sum(axis=0) for each, its in zip(found, true, strict=True) if each is not None)
-    spread = sum(((its - mean) ** 2).sum(axis=0) for its in true)
+    mean = sum(rows.sum(axis=0) for rows in true) / sum(len(rows) for rows in true)
+    pairs = zip(solutions, true, strict=True)
+    errors = sum(((found - sought) ** 2).sum(axis=0) for found, sought in pairs if found is not None)
+    spread = sum(((rows - mean) ** 2).sum(axis=0) for rows in true)
     return {state: float(1.0 - errors[place] / max(float(spread[place]), 1e-300)) for place, state in enumerate(states)}

@@ -75,9 +75,9 @@ def judge(case: Case, result: Mapping[str, Any]) -> tuple[EquationOutcome, ...]:
     if case.is_long and not result:
         return tuple(_equation(case, state, {}, {}, {}) for state in case.laws)
     columns = (case.clean or case.make)()
-    found = {_plain(case, equation["variable"]): equation for equation in result.get("equations", ())}
+    shown = {_plain(case, equation["variable"]): equation for equation in result.get("equations", ())}
     return tuple(
-        _equation(case, state, found.get(state, {}), result.get("symbols", {}), columns) for state in case.laws
+        _equation(case, state, shown.get(state, {}), result.get("symbols", {}), columns) for state in case.laws
     )
 
 
@@ -102,9 +102,9 @@ def _equation(
         text = _over_plain_names(case, text, symbols)
         form = "other"
         if law is not None:
-            its = {name: values for name, values in columns.items() if name != "t"}
-            miss = _miss(text, law, its)
-            form = judge_form(text, law, its, with_extra=False).kind
+            variables = {name: values for name, values in columns.items() if name != "t"}
+            miss = _miss(text, law, variables)
+            form = judge_form(text, law, variables, with_extra=False).kind
             is_right = form == "right" or (case.is_bound and miss is not None and miss <= CLEAN + 0.1 * _slack(case))
             is_found = is_right and miss is not None and miss <= case.tolerance
     return EquationOutcome(

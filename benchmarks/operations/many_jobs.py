@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.client.client import Client, connected
-from atoll.terminal.output import note, say, table
+from atoll.terminal.output import note, say
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UnreachableError
@@ -23,6 +23,7 @@ from benchmarks.harness.command_line import OUT, option, program, whole, workers
 from benchmarks.harness.jobs import UNMET, configured, table_of_columns
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import CONNECT_LIMIT_S, Searches, searching
+from benchmarks.harness.tables import Columns
 
 LIMIT_S: Final = 600.0
 ROWS: Final = 200
@@ -38,6 +39,9 @@ class Ended:
     state: str
     seconds: float
     is_same: bool
+
+
+JOBS: Final = Columns("seed | state | ended after s={seconds:.1f} | digest={is_same:same}")
 
 
 def measurements() -> Table:
@@ -99,10 +103,9 @@ def main(options: Namespace) -> int:
         found = measured(searches, options.jobs)
     if not found:
         raise AtollError("no job was measured")
-    Record("many_jobs", options.words, options.out).write(jobs=[asdict(each) for each in found])
-    rows = [(str(e.seed), e.state, f"{e.seconds:.1f}", "same" if e.is_same else "DIFFERS") for e in found]
-    say(table(("seed", "state", "ended after s", "digest"), rows))
-    good = sum(each.state == "done" and each.is_same for each in found)
+    Record("many_jobs", options.words, options.out).write(jobs=[asdict(job) for job in found])
+    say(JOBS.table(found))
+    good = sum(job.state == "done" and job.is_same for job in found)
     say(f"\n{good} of {len(found)} jobs on {options.workers} workers done with the digest that they have alone; "
         f"{time.monotonic() - began:.0f} s in all, load {load():.1f}")  # fmt: skip
     return 0 if good == len(found) else 1

@@ -63,6 +63,11 @@ class Outcome:
     search_seconds: float
     seconds: float
 
+    @property
+    def is_on_front(self) -> bool:
+        """Whether the front has an equation that the strict rule credits."""
+        return self.on_front is not None
+
 
 def run(
     searches: Searches, options: Namespace, configs: Mapping[int, JobConfig], known: Mapping[str, str], records: Record
@@ -126,7 +131,7 @@ def rates(outcomes: Sequence[Outcome]) -> dict[str, float]:
     return {
         "srbench": whole * sum(each.srbench for each in outcomes),
         "strict": whole * sum(each.strict for each in outcomes),
-        "on_front": whole * sum(each.on_front is not None for each in outcomes),
+        "on_front": whole * sum(each.is_on_front for each in outcomes),
     }
 
 
@@ -136,12 +141,12 @@ def by_file(outcomes: Sequence[Outcome]) -> str:
     keys = dict.fromkeys((each.file, each.level) for each in outcomes)
     rows = []
     for file, level in sorted(keys, key=lambda key: key[1]):
-        its = [each for each in outcomes if (each.file, each.level) == (file, level)]
-        seconds = [each.seconds for each in its]
-        shares = ([each.srbench for each in its], [each.strict for each in its], [bool(each.on_front) for each in its])
-        numbers = (f"{sum(share)} of {len(its)}" for share in shares)
+        runs = [each for each in outcomes if (each.file, each.level) == (file, level)]
+        seconds = [each.seconds for each in runs]
+        counts = (sum(getattr(run, rule) for run in runs) for rule in ("srbench", "strict", "is_on_front"))
+        numbers = (f"{number} of {len(runs)}" for number in counts)
         times = (f"{statistics.median(seconds):.1f}", f"{max(seconds):.1f}")
-        evaluations = count(statistics.median(each.point_evaluations for each in its))
+        evaluations = count(statistics.median(each.point_evaluations for each in runs))
         rows.append((file, f"{level:g}", *numbers, *times, evaluations))
     return table(heads, rows)
 
@@ -161,11 +166,11 @@ def by_level(outcomes: Sequence[Outcome]) -> str:
     )
     rows = []
     for level in sorted({each.level for each in outcomes}):
-        its = [each for each in outcomes if each.level == level]
+        runs = [each for each in outcomes if each.level == level]
         best, _, coevolved, operon = PUBLISHED.get(level, ("-", 0.0, "-", "-"))
-        share = (f"{rate:.1f}" for rate in rates(its).values())
-        seconds = f"{statistics.median(each.seconds for each in its):.1f}"
-        rows.append((f"{level:g}", str(len(its)), *share, seconds, best, coevolved, operon))
+        share = (f"{rate:.1f}" for rate in rates(runs).values())
+        seconds = f"{statistics.median(each.seconds for each in runs):.1f}"
+        rows.append((f"{level:g}", str(len(runs)), *share, seconds, best, coevolved, operon))
     return table(heads, rows)
 
 
@@ -174,9 +179,8 @@ def _is_ahead(outcomes: Sequence[Outcome]) -> bool:
     return published is None or rates(outcomes)["srbench"] > published[1]
 
 
-def _line(title: str, its: Outcome) -> str:
-    marks = [
-        f"{rule} {'yes' if solved else 'no'}" for rule, solved in (("SRBench", its.srbench), ("strict", its.strict))
-    ]
-    front = "" if its.strict or its.on_front is None else f" (on the front at size {its.on_front})"
-    return f"{title}: {', '.join(marks)}{front} in {its.seconds:.1f} s: {its.expression}"
+def _line(title: str, searched: Outcome) -> str:
+    rules = {"SRBench": searched.srbench, "strict": searched.strict}
+    marks = [f"{rule} {'yes' if is_solved else 'no'}" for rule, is_solved in rules.items()]
+    front = "" if searched.strict or searched.on_front is None else f" (on the front at size {searched.on_front})"
+    return f"{title}: {', '.join(marks)}{front} in {searched.seconds:.1f} s: {searched.expression}"
