@@ -8,8 +8,8 @@ from benchmarks.dysts.judging import Outcome, outcome
 from benchmarks.dysts.making import POLYNOMIAL
 from benchmarks.dysts.tables import by_system, line, summary
 from benchmarks.harness.campaign import Service, attempt, journal_of, work_off
-from benchmarks.harness.jobs import configured
 from benchmarks.harness.command_line import plain_errors
+from benchmarks.harness.jobs import configured
 from benchmarks.harness.journal import read
 from benchmarks.harness.stopwatch import Stopwatch
 

@@ -29,6 +29,7 @@ from benchmarks.harness.service import searching
 from benchmarks.harness.systems import TABLE_III, trajectories, write_csv
 from benchmarks.harness.tables import Columns
 
+
 @dataclass(frozen=True)
 class Way:
     """One way to search: `islands` decides the group; `environment` is laid over this process's."""

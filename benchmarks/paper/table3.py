@@ -106,9 +106,7 @@ def with_slopes(system: str, sampled: Sampled) -> Table:
     return replace(plain, names=names, units=("",) * len(names), columns=columns)
 
 
-def configured(
-    options: Namespace, seed: int, equation: tuple[str, str], derivatives: Derivatives
-) -> JobConfig:
+def configured(options: Namespace, seed: int, equation: tuple[str, str], derivatives: Derivatives) -> JobConfig:
     """Return the configuration of the search for one equation."""
     system, variable = equation
     states = SYSTEMS[system].states

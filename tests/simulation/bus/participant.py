@@ -182,7 +182,7 @@ class SimulatedBus:
         return self._inbox.popleft()
 
     def deliver(self, event: Event) -> None:
-        """FaultInjector `event` to the participant, as soon as it can take it; nothing reaches a closed bus."""
+        """Deliver `event` to the participant, as soon as it can take it; nothing reaches a closed bus."""
         if self.closed:
             return
         if self.is_hung or self._backlog or self._busy_until > self._network.now:

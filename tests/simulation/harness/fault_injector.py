@@ -53,6 +53,11 @@ class FaultInjector:
     def _for_a_while(self, fault: Fault, end: Callable[[], object]) -> None:
         self._participants.at(self._participants.network.now + fault.for_s, end)
 
+    def _set(self, fault: Fault, thing: object, name: str, value: float, afterwards: float) -> None:
+        """Set an attribute for as long as the fault lasts."""
+        setattr(thing, name, value)
+        self._for_a_while(fault, lambda: setattr(thing, name, afterwards))
+
     def _strike_kill(self, fault: Fault) -> bool | None:
         if fault.who not in self._participants.workers:
             return False
@@ -87,21 +92,18 @@ class FaultInjector:
         compute = self._participants.computes.get(fault.who)
         if compute is None:
             return False
-        before = compute.slowness
-        compute.slowness = before * fault.strength
-
-        def end() -> None:
-            compute.slowness = before
-
-        self._for_a_while(fault, end)
+        self._set(fault, compute, "slowness", compute.slowness * fault.strength, compute.slowness)
         return None
 
     def _strike_cut(self, fault: Fault) -> bool | None:
         if fault.who not in self._participants.network.participants:
             return False
-        self._participants.network.disconnect(fault.who)
-        self._for_a_while(fault, lambda: self._participants.network.heal(fault.who))
+        self._cut(fault.who, fault)
         return None
+
+    def _cut(self, name: str, fault: Fault) -> None:
+        self._participants.network.disconnect(name)
+        self._for_a_while(fault, lambda: self._participants.network.heal(name))
 
     def _strike_join(self, fault: Fault) -> None:
         self._participants.start_worker(fault.who, fault.strength, lifetime_s=fault.for_s or None)
@@ -147,12 +149,10 @@ class FaultInjector:
         self._for_a_while(fault, self._participants.start_router)
 
     def _strike_cut_coordinator(self, fault: Fault) -> None:
-        self._participants.network.disconnect("coordinator")
-        self._for_a_while(fault, lambda: self._participants.network.heal("coordinator"))
+        self._cut("coordinator", fault)
 
     def _strike_cut_client(self, fault: Fault) -> None:
-        self._participants.network.disconnect("client")
-        self._for_a_while(fault, lambda: self._participants.network.heal("client"))
+        self._cut("client", fault)
 
     def _strike_storm(self, fault: Fault) -> None:
         self._storms.append(fault.strength)
@@ -173,28 +173,13 @@ class FaultInjector:
         )
 
     def _strike_slow_disk(self, fault: Fault) -> None:
-        self._participants.disk.slow_s = fault.strength
-
-        def end() -> None:
-            self._participants.disk.slow_s = 0.0
-
-        self._for_a_while(fault, end)
+        self._set(fault, self._participants.disk, "slow_s", fault.strength, 0.0)
 
     def _strike_slow_background(self, fault: Fault) -> None:
-        self._participants.background_s = fault.strength
-
-        def end() -> None:
-            self._participants.background_s = USUAL_BACKGROUND_S
-
-        self._for_a_while(fault, end)
+        self._set(fault, self._participants, "background_s", fault.strength, USUAL_BACKGROUND_S)
 
     def _strike_full_disk(self, fault: Fault) -> None:
-        self._participants.disk.is_full = True
-
-        def end() -> None:
-            self._participants.disk.is_full = False
-
-        self._for_a_while(fault, end)
+        self._set(fault, self._participants.disk, "is_full", True, False)
 
     def _strike_old_store(self, fault: Fault) -> bool | None:
         if self._participants.service is None:

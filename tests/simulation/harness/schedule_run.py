@@ -78,15 +78,9 @@ class ScheduleRun:
             self.participants.story.append("".join(traceback.format_exception(error)))
         finally:
             self.participants.disk.close()
-        history = self.participants.history.hexdigest()
-        return Outcome(
-            self.participants.schedule,
-            self.participants.wrong,
-            self.participants.story,
-            self._injector.struck,
-            self.participants.network.now,
-            history,
-        )
+        everybody, struck = self.participants, self._injector.struck
+        seconds, history = everybody.network.now, everybody.history.hexdigest()
+        return Outcome(everybody.schedule, everybody.wrong, everybody.story, struck, seconds, history)
 
     def result_of(self, job: JobPlan) -> dict[str, Any]:
         """Submit a job that nothing disturbs, and return its result."""
