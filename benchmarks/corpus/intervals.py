@@ -35,7 +35,7 @@ from benchmarks.harness.command_line import option, program, seeds_of, whole
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record
 from benchmarks.harness.systems import Sampled, table_of
-from benchmarks.harness.tables import markdown, share
+from benchmarks.harness.tables import grouped, markdown, share
 from benchmarks.judging.coverage import Covered, covered
 
 ROWS: Final = {1: 200, 4: 100}
@@ -123,9 +123,8 @@ def _concluded(system: CorpusSystem, table: Table) -> tuple[Refinement | None, S
 
 def table(estimated: Sequence[Estimated], by: Sequence[str]) -> str:
     """Return a row for each combination of the fields `by` of keys, as Markdown."""
-    groups: dict[tuple[str, ...], list[Estimated]] = {}
-    for each in sorted(estimated, key=lambda each: each.key):
-        groups.setdefault(tuple(str(getattr(each.key, field)) for field in by), []).append(each)
+    in_order = sorted(estimated, key=lambda each: each.key)
+    groups = grouped(in_order, lambda each: tuple(str(getattr(each.key, field)) for field in by))
     heads = (*by, "tables", "not fitted", "intervals that contain the truth", "error / standard error",
              "shown outside")  # fmt: skip
     return markdown(heads, [(*name, *_row(those)) for name, those in groups.items()])

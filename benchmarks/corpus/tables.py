@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 from benchmarks.corpus.outcomes import EquationOutcome, Outcome
-from benchmarks.harness.tables import Columns, markdown, share
+from benchmarks.harness import tables
+from benchmarks.harness.tables import Columns, grouped, markdown, share
 
-GRADES: Final = ("exact", "good", "doubtful", "no model", "-")
 LONGEST: Final = 110
 
 
@@ -18,10 +18,9 @@ def by_quality(outcomes: Sequence[Outcome]) -> str:
     ``truth elsewhere`` counts wrong equations whose form is on the front or among the candidates, ``truth shorter``
     those of jobs in which the truth is the shorter description.
     """
-    kinds = dict.fromkeys(map(_kind, outcomes))
-    rows = [_row(kind, [each for each in outcomes if _kind(each) == kind]) for kind in kinds]
-    methods = dict.fromkeys(outcome.key.method for outcome in outcomes)
-    rows += [_row((method, "all", ""), [its for its in outcomes if its.key.method == method]) for method in methods]
+    rows = [_row(kind, chosen) for kind, chosen in grouped(outcomes, _kind).items()]
+    methods = grouped(outcomes, lambda outcome: outcome.key.method)
+    rows += [_row((method, "all", ""), chosen) for method, chosen in methods.items()]
     return markdown(
         (
             "method", "quality", "states", "equations", "identifiable", "right, of these", "extra terms", "missing",
@@ -67,18 +66,10 @@ def by_grade(outcomes: Sequence[Outcome]) -> str:
     """Return the reliability table: for each verdict, how many equations are right, and how many foretell."""
     rows = []
     equations = [equation for outcome in outcomes for equation in outcome.equations]
-    for grade in GRADES:
-        its = [each for each in equations if (each.grade or "-") == grade]
-        if its:
-            judged = [each for each in its if each.is_foretold is not None]
-            rows.append(
-                (
-                    grade,
-                    str(len(its)),
-                    share(sum(each.is_right for each in its), len(its)),
-                    share(sum(bool(each.is_foretold) for each in judged), len(judged)),
-                )
-            )
+    for grade, graded in tables.by_grade(equations).items():
+        judged = [equation for equation in graded if equation.is_foretold is not None]
+        right, foretold = sum(each.is_right for each in graded), sum(bool(each.is_foretold) for each in judged)
+        rows.append((grade, str(len(graded)), share(right, len(graded)), share(foretold, len(judged))))
     return markdown(("verdict", "equations", "right in form", "R2 > 0.9 from fresh states"), rows)
 
 

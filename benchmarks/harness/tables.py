@@ -3,7 +3,7 @@
 import statistics
 import string
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Final
+from typing import Any, Final, Protocol, TypeVar
 
 from atoll.terminal.output import count, error_text, table
 
@@ -21,6 +21,37 @@ def share(part: int, whole: int) -> str:
 def median(values: Sequence[float]) -> float | None:
     """Return the median, None of nothing."""
     return statistics.median(values) if values else None
+
+
+Thing = TypeVar("Thing")
+Key = TypeVar("Key")
+
+
+def grouped(things: Iterable[Thing], key: Callable[[Thing], Key]) -> dict[Key, list[Thing]]:
+    """Return the things by their keys, both in the order in which they come."""
+    groups: dict[Key, list[Thing]] = {}
+    for thing in things:
+        groups.setdefault(key(thing), []).append(thing)
+    return groups
+
+
+class Graded(Protocol):
+    """What a verdict was given on."""
+
+    @property
+    def grade(self) -> str | None:
+        """The verdict."""
+        ...
+
+
+Verdict = TypeVar("Verdict", bound=Graded)
+GRADES: Final = ("exact", "good", "doubtful", "no model", "-")
+
+
+def by_grade(equations: Iterable[Verdict]) -> dict[str, list[Verdict]]:
+    """Return equations by their verdicts, the best verdict first, ``-`` for none."""
+    graded = grouped(equations, lambda equation: equation.grade or "-")
+    return {grade: graded[grade] for grade in GRADES if grade in graded}
 
 
 def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

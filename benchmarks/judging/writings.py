@@ -46,6 +46,7 @@ from benchmarks.harness.jobs import configured
 from benchmarks.harness.record import Record
 from benchmarks.harness.service import searching
 from benchmarks.harness.systems import TABLE_III, TRUTH, table_of
+from benchmarks.harness.tables import grouped
 from benchmarks.paper.seven import case
 
 _TOKEN: Final = re.compile(r"[^\W\d]\w*|\d+\.?\d*(?:[eE][-+]?\d+)?|\*\*|[-+*/()]")
@@ -238,19 +239,16 @@ def undressed(law: str, names: Sequence[str], seed: int, steps: int) -> Dressing
 
 
 def _show(writings: Sequence[Writing]) -> None:
-    groups: dict[tuple[str, str], list[Writing]] = {}
-    for writing in writings:
-        groups.setdefault((writing.system, writing.variable), []).append(writing)
     rows = [
         (
             system or "?",
             variable,
-            "-" if its[0].paper is None else str(its[0].paper),
-            "-".join(str(limit) for limit in sorted({min(e.nodes for e in its), max(e.nodes for e in its)})),
-            f"{sum(each.is_short for each in its)} of {len(its)}",
-            clipped(max(its, key=lambda each: each.nodes).expression, 80),
+            "-" if shown[0].paper is None else str(shown[0].paper),
+            "-".join(str(limit) for limit in sorted({min(e.nodes for e in shown), max(e.nodes for e in shown)})),
+            f"{sum(each.is_short for each in shown)} of {len(shown)}",
+            clipped(max(shown, key=lambda each: each.nodes).expression, 80),
         )
-        for (system, variable), its in groups.items()
+        for (system, variable), shown in grouped(writings, lambda each: (each.system, each.variable)).items()
     ]
     say(table(("system", "variable", "paper's nodes", "shown", "short", "the longest"), rows))
     judged = [each for each in writings if each.paper is not None]

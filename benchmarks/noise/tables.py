@@ -8,10 +8,9 @@ from typing import Final
 import numpy as np
 
 from atoll.terminal.output import clipped, error_text, shortened, table
-from benchmarks.harness.tables import Columns, median, percent
+from benchmarks.harness import tables
+from benchmarks.harness.tables import Columns, grouped, median, percent
 from benchmarks.noise.judging import BY_FUNCTION, EquationOutcome, Outcome
-
-GRADES: Final = ("exact", "good", "doubtful", "no model", "-")
 
 
 @dataclass(frozen=True)
@@ -58,11 +57,8 @@ class Summary:
 
 def summarized(outcomes: Sequence[Outcome]) -> list[Summary]:
     """Return a summary for each level, manner of sampling and method, by rising level."""
-    kinds = dict.fromkeys((outcome.key.level, outcome.key.variant, outcome.key.method) for outcome in outcomes)
-    return [
-        _summary([each for each in outcomes if (each.key.level, each.key.variant, each.key.method) == kind])
-        for kind in sorted(kinds, key=lambda kind: kind[0])
-    ]
+    kinds = grouped(outcomes, lambda outcome: (outcome.key.level, outcome.key.variant, outcome.key.method))
+    return [_summary(searched) for _, searched in sorted(kinds.items(), key=lambda item: item[0][0])]
 
 
 def _summary(outcomes: Sequence[Outcome]) -> Summary:
@@ -108,11 +104,8 @@ def _by_seed(outcomes: Sequence[Outcome], counts: Callable[[EquationOutcome], bo
 
 def _counts(outcomes: Sequence[Outcome], counts: Callable[[EquationOutcome], bool]) -> list[int]:
     """Return for each seed the number of equations that count."""
-    seeds = dict.fromkeys(outcome.key.seed for outcome in outcomes)
-    return [
-        sum(counts(equation) for each in outcomes if each.key.seed == seed for equation in each.equations)
-        for seed in seeds
-    ]
+    by_seed = grouped(outcomes, lambda outcome: outcome.key.seed).values()
+    return [sum(counts(equation) for each in searched for equation in each.equations) for searched in by_seed]
 
 
 LEVELS: Final = Columns(
@@ -130,11 +123,10 @@ def by_level(summaries: Sequence[Summary]) -> str:
 
 def by_equation(outcomes: Sequence[Outcome]) -> str:
     """Return a table with a row for each equation, and in how many searches it was found at each level."""
-    kinds = dict.fromkeys((outcome.key.method, outcome.key.variant) for outcome in outcomes)
+    kinds = grouped(outcomes, lambda outcome: (outcome.key.method, outcome.key.variant))
     levels = sorted({each.key.level for each in outcomes})
     rows = []
-    for method, variant in kinds:
-        chosen = [each for each in outcomes if (each.key.method, each.key.variant) == (method, variant)]
+    for (method, variant), chosen in kinds.items():
         names = dict.fromkeys((each.key.system, equation.variable) for each in chosen for equation in each.equations)
         for system, name in names:
             cells = [_share(chosen, system, name, level) for level in levels]
@@ -161,11 +153,9 @@ def by_grade(outcomes: Sequence[Outcome]) -> str:
     """Return a table that sets the verdicts of the results beside what is true."""
     rows = []
     equations = [equation for outcome in outcomes for equation in outcome.equations]
-    for grade in GRADES:
-        its = [each for each in equations if (each.grade or "-") == grade]
-        if its:
-            found, foretold = sum(each.found for each in its), sum(each.is_foretold for each in its)
-            rows.append((grade, str(len(its)), str(found), str(foretold)))
+    for grade, graded in tables.by_grade(equations).items():
+        found, foretold = sum(each.found for each in graded), sum(each.is_foretold for each in graded)
+        rows.append((grade, str(len(graded)), str(found), str(foretold)))
     return table(("verdict", "equations", "found", "foretold"), rows)
 
 

@@ -32,6 +32,7 @@ from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
 from benchmarks.harness.command_line import option, program
+from benchmarks.harness.tables import grouped
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 
@@ -211,9 +212,7 @@ def is_understood(message: Overheard, payload: bytes, score: Score) -> bool:
 
 def fuzz_decoder(messages: list[Overheard], number: int, mutator: Mutator, score: Score) -> None:
     """Decode so many mutated messages."""
-    by_kind: dict[str, list[Overheard]] = {}
-    for each in messages:
-        by_kind.setdefault(each.kind.__name__, []).append(each)
+    by_kind = grouped(messages, lambda message: str(message.kind.__name__))
     kinds = sorted(by_kind)
     for count in range(number):
         those = by_kind[kinds[count % len(kinds)]]

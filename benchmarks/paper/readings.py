@@ -26,6 +26,7 @@ from atoll.terminal.output import clipped, count, note, say, table
 from benchmarks.harness.command_line import option, positive, program, run_options, seeds
 from benchmarks.harness.journal import Journal
 from benchmarks.harness.parallel import in_parallel
+from benchmarks.harness.tables import grouped
 from benchmarks.paper.published import ROWS
 from benchmarks.paper.readings_runs import TABLE_III, Run, Task, run
 from benchmarks.paper.table1 import difference
@@ -89,8 +90,7 @@ def _told(its: Run) -> str:
 
 
 def _show(runs: Sequence[Run]) -> None:
-    for reading in dict.fromkeys(its.task.reading for its in runs):
-        group = [its for its in runs if its.task.reading == reading]
+    for reading, group in grouped(runs, lambda run: run.task.reading).items():
         say(f"\nreading {reading}")
         rows = list(equation_rows(group))
         if rows:
@@ -123,11 +123,10 @@ def _show_budget(name: str, runs: Sequence[Run]) -> None:
     if not runs:
         return
     budget, agreeing = best_budget(runs)
-    problems = list(dict.fromkeys(its.task.problem for its in runs))
+    problems = grouped(runs, lambda run: run.task.problem)
     say(f"{name}: {agreeing} of {len(problems)} rows agree at {count(budget)}")
     rows = []
-    for problem in problems:
-        group = [its for its in runs if its.task.problem == problem]
+    for problem, group in problems.items():
         first, last = agreement(group)
         at, end = share(group, budget), share(group, math.inf)
         paper = f"{ROWS[problem].paper:g}"

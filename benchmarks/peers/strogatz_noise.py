@@ -12,6 +12,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError
 from benchmarks.harness.record import Record
 from benchmarks.harness.service import Searches
+from benchmarks.harness.tables import grouped
 from benchmarks.judging.errors import finite
 from benchmarks.judging.rules import right_ones
 from benchmarks.peers.srbench import assess, compare_strictly
@@ -138,10 +139,9 @@ def rates(outcomes: Sequence[Outcome]) -> dict[str, float]:
 def by_file(outcomes: Sequence[Outcome]) -> str:
     """Return a table with a row for each file and level."""
     heads = ("file", "noise", "SRBench", "strict", "on front", "median s", "longest s", "evaluations")
-    keys = dict.fromkeys((each.file, each.level) for each in outcomes)
     rows = []
-    for file, level in sorted(keys, key=lambda key: key[1]):
-        runs = [each for each in outcomes if (each.file, each.level) == (file, level)]
+    searched = grouped(outcomes, lambda outcome: (outcome.file, outcome.level))
+    for (file, level), runs in sorted(searched.items(), key=lambda item: item[0][1]):
         seconds = [each.seconds for each in runs]
         counts = (sum(getattr(run, rule) for run in runs) for rule in ("srbench", "strict", "is_on_front"))
         numbers = (f"{number} of {len(runs)}" for number in counts)
@@ -165,8 +165,7 @@ def by_level(outcomes: Sequence[Outcome]) -> str:
         "Operon",
     )
     rows = []
-    for level in sorted({each.level for each in outcomes}):
-        runs = [each for each in outcomes if each.level == level]
+    for level, runs in sorted(grouped(outcomes, lambda outcome: outcome.level).items()):
         best, _, coevolved, operon = PUBLISHED.get(level, ("-", 0.0, "-", "-"))
         share = (f"{rate:.1f}" for rate in rates(runs).values())
         seconds = f"{statistics.median(each.seconds for each in runs):.1f}"

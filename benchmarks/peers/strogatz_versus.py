@@ -11,6 +11,7 @@ from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches
+from benchmarks.harness.tables import grouped
 from benchmarks.judging.errors import finite, values_on
 from benchmarks.judging.fractions import FloatArray
 from benchmarks.peers import operon
@@ -95,10 +96,9 @@ def by_file(races: Sequence[Race], limit: float) -> str:
     """Return a table with medians for each file; a run that missed the target counts as `limit` seconds."""
     heads = ("file", "median s", "longest s", "met", "Operon s", "longest s", "met", "ratio")
     rows = []
-    for file in dict.fromkeys(each.file for each in races):
-        its = [each for each in races if each.file == file]
-        ours, peers = _medians(its, limit)
-        cells = (*_cells([each.ours for each in its], limit), *_cells([each.peers for each in its], limit))
+    for file, chosen in grouped(races, lambda race: race.file).items():
+        ours, peers = _medians(chosen, limit)
+        cells = (*_cells([race.ours for race in chosen], limit), *_cells([race.peers for race in chosen], limit))
         rows.append((file, *cells, f"{ours / peers:.3f}"))
     return table(heads, rows)
 
@@ -122,10 +122,7 @@ def totals(races: Sequence[Race], limit: float) -> str:
 def summary(races: Sequence[Race], limit: float) -> dict[str, Any]:
     """Return the figures over all runs."""
     ours, peers = ([counted(get(each), limit) for each in races] for get in _SIDES)
-    by_files = [
-        _medians([each for each in races if each.file == file], limit)
-        for file in dict.fromkeys(each.file for each in races)
-    ]
+    by_files = [_medians(chosen, limit) for chosen in grouped(races, lambda race: race.file).values()]
     mean, peers_mean = statistics.geometric_mean(ours), statistics.geometric_mean(peers)
     return {
         "met": sum(each.ours is not None for each in races),

@@ -23,6 +23,7 @@ from atoll_core.data.dataset import FloatArray
 from benchmarks.harness.command_line import OUT, option, program, seeds_of
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching
+from benchmarks.harness.tables import grouped
 from benchmarks.stochastic.judging import Judged, judge
 from benchmarks.stochastic.peers import METHODS, Estimate, estimate
 from benchmarks.stochastic.processes import PROCESSES, SUBSTEPS, simulate
@@ -70,25 +71,24 @@ def _said(
 
 def _rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
-    for case, equation in dict.fromkeys((each.case, each.equation) for each in judged):
-        its = [each for each in judged if (each.case, each.equation) == (case, equation)]
-        intervals = [is_covered for each in its for is_covered in each.is_covered]
-        good = [each for each in its if each.verdict == "good"]
+    for (case, equation), found in grouped(judged, lambda each: (each.case, each.equation)).items():
+        intervals = [is_covered for each in found for is_covered in each.is_covered]
+        good = [each for each in found if each.verdict == "good"]
         wrong = sum(not each.is_right for each in good)
-        counts = (len(its), sum(each.is_right for each in its), len(good), wrong, sum(intervals), len(intervals))
-        error = float(np.median([each.error for each in its]))
+        counts = (len(found), sum(each.is_right for each in found), len(good), wrong, sum(intervals), len(intervals))
+        error = float(np.median([each.error for each in found]))
         rows.append((case, equation, *map(str, counts), f"{100.0 * error:.1f} %"))
     return rows
 
 
 def _peer_rows(estimates: Sequence[Estimate]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
-    for case, equation in dict.fromkeys((each.case, each.equation) for each in estimates):
+    for (case, equation), made in grouped(estimates, lambda each: (each.case, each.equation)).items():
         for method in METHODS:
-            its = [e for e in estimates if (e.case, e.equation, e.method) == (case, equation, method)]
-            right = "-" if any(each.is_right is None for each in its) else str(sum(bool(each.is_right) for each in its))
-            error = float(np.median([each.error for each in its]))
-            rows.append((case, equation, method, str(len(its)), right, f"{100.0 * error:.1f} %"))
+            own = [estimate for estimate in made if estimate.method == method]
+            right = "-" if any(each.is_right is None for each in own) else str(sum(bool(each.is_right) for each in own))
+            error = float(np.median([each.error for each in own]))
+            rows.append((case, equation, method, str(len(own)), right, f"{100.0 * error:.1f} %"))
     return rows
 
 
