@@ -39,7 +39,7 @@ from benchmarks.corpus.campaign import configuration
 from benchmarks.corpus.cases import Case, Key, make_case
 from benchmarks.corpus.outcomes import judge_job
 from benchmarks.corpus.systems import CorpusSystem
-from benchmarks.harness.command_line import option, program, whole
+from benchmarks.harness.command_line import option, program, workers
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.service import TIED_COORDINATOR, searching
 from benchmarks.noise import data as noise
@@ -292,7 +292,7 @@ def _read(path: Path) -> list[Replay]:
     option("--change", nargs="+", action="append", metavar="NAME=VALUE", help="see above; may be repeated"),
     option("--against", type=Path, metavar="FILE", help="outcomes to compare with, written by --out"),
     option("--out", type=Path, metavar="FILE", help="file for the outcomes of the last change"),
-    option("--workers", type=whole, default=1, help="processes (%(default)s)"),
+    workers(1, "processes"),
 )
 def main(options: Namespace) -> int:
     """Do what the options ask for."""

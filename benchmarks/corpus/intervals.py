@@ -31,7 +31,7 @@ from atoll_core.expression.writing.shortest import shortest
 from benchmarks.corpus.families import NAMED
 from benchmarks.corpus.qualities import measure, quality
 from benchmarks.corpus.systems import CorpusSystem, named_system, solution
-from benchmarks.harness.command_line import option, program, seeds_of, whole
+from benchmarks.harness.command_line import option, program, seeds_of, workers
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record
 from benchmarks.harness.systems import Sampled, table_of
@@ -157,7 +157,7 @@ def _half_widths(its: Covered) -> float:
     option("--qualities", nargs="+", default=QUALITIES, help=f"default: {' '.join(QUALITIES)}"),
     option("--trajectories", type=int, choices=ROWS, nargs="+", default=tuple(ROWS), help="default: 1 4"),
     seeds_of("0-9", "such as 1000-1024 (0-9)"),
-    option("--workers", type=whole, default=2, help="processes (%(default)s)"),
+    workers(what="processes"),
     option("--json", type=Path, metavar="FILE", help="file for all figures"),
     description=__doc__.split("?")[0],
 )

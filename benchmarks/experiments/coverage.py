@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from atoll.experiments.identifiability import identify
 from atoll_core.errors import AtollError
 from benchmarks.experiments.results import Course, FloatArray, result_of
-from benchmarks.harness.command_line import option, program
+from benchmarks.harness.command_line import option, program, seeds_of
 
 
 @dataclass(frozen=True)
@@ -135,13 +135,12 @@ def lines(numbers: Sequence[int], names: Sequence[str]) -> Iterator[str]:
 @program(
     "benchmarks.experiments.coverage",
     __doc__,
-    option("--seeds", default="0-199", metavar="A-B"),
+    seeds_of("0-199", "such as 0-9 (0-199)"),
     option("--case", action="append", choices=CASES),
 )
 def main(options: Namespace) -> None:
     """Print the table."""
-    first, last = map(int, options.seeds.split("-"))
-    for line in lines(range(first, last + 1), options.case or [*CASES]):
+    for line in lines(options.seeds, options.case or [*CASES]):
         print(line, flush=True)
 
 

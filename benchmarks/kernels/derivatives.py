@@ -14,7 +14,7 @@ import numpy as np
 from atoll_coordinator.data.prepare import prepare
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.dataset import Dataset
-from benchmarks.harness.command_line import option, program
+from benchmarks.harness.command_line import option, program, seeds_of
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, FloatArray, Sampled, table_of, trajectories
 
 SMALLEST = 1e-9
@@ -63,16 +63,11 @@ def _covered(system: str, sampled: Sampled, kept: FloatArray, variable: str) -> 
     return float((kept.max() - kept.min()) / (high - low))
 
 
-def _seeds(text: str) -> list[int]:
-    first, _, last = text.partition("-")
-    return list(range(int(first), int(last or first) + 1))
-
-
 @program(
     "benchmarks.kernels.derivatives",
     __doc__,
     option("--step", type=float, default=0.02),
-    option("--seeds", type=_seeds, default=_seeds("0-4"), help="one seed or a range such as 0-4"),
+    seeds_of("0-4", "one seed or a range such as 0-4"),
     option("--noise", type=float, default=0.0),
     option("--preset", choices=PRESETS, default="default"),
     option("--system", choices=SYSTEMS, action="append", help="repeat for several; default: Table III"),

@@ -31,7 +31,7 @@ from atoll_core.data.table import Table
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.search.pareto import FrontEntry
-from benchmarks.harness.command_line import option, program, seeds
+from benchmarks.harness.command_line import option, program, seeds_of, workers
 from benchmarks.harness.jobs import table_of_columns
 from benchmarks.harness.service import searching
 
@@ -208,9 +208,9 @@ def rows(solve: Solve, options: Namespace) -> list[str]:
 @program(
     "benchmarks.known",
     __doc__,
-    option("--seeds", type=seeds, default=seeds("10-19")),
+    seeds_of("10-19", "such as 0-9 (10-19)"),
     option("--noise", type=float, nargs="+", default=sorted(TOLERANCES)),
-    option("--workers", type=int, default=1),
+    workers(1),
     option("--laws", type=int, default=len(LAWS), help="so many of the laws, the first ones"),
     option("--without-search", action="store_true", help="refine in this process, seconds of its processor"),
     prog=None,

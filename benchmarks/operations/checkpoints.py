@@ -22,7 +22,7 @@ from typing import Any, Final
 from atoll.terminal.output import note, say
 from atoll_core.wire.messages.views import JobView
 from benchmarks.harness.accounts import PROCESSES, processor_seconds
-from benchmarks.harness.command_line import OUT, option, program, seeds, whole
+from benchmarks.harness.command_line import OUT, option, program, seeds_of, whole, workers
 from benchmarks.harness.jobs import NEVER, UNENDING, configured
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import TIED_COORDINATOR, Searches, searching
@@ -134,8 +134,8 @@ def pairs_table(pairs: Sequence[Pair]) -> str:
     __doc__,
     option("--system", choices=sorted(SYSTEMS), default="predator_prey", help="default: %(default)s"),
     option("--epochs", type=whole, default=60, help="of every search (default: %(default)s)"),
-    option("--workers", type=whole, default=2, help="of the service (default: %(default)s)"),
-    option("--seeds", type=seeds, default=range(6), help="such as 0-4 (default: 0-5)"),
+    workers(what="of the service"),
+    seeds_of("0-5", "such as 0-4 (default: 0-5)"),
     OUT,
 )
 def main(options: Namespace) -> int:

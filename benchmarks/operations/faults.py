@@ -27,7 +27,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
-from benchmarks.harness.command_line import OUT, option, program, whole
+from benchmarks.harness.command_line import OUT, option, program, whole, workers
 from benchmarks.harness.jobs import UNENDING, configured
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Machines, can_have_networks, running
@@ -229,7 +229,7 @@ def _kinds(options: Namespace) -> tuple[Kind, ...]:
     __doc__,
     option("--jobs", type=whole, default=4, help="how many (%(default)s)"),
     option("--strikes", type=whole, default=20, help="how many in all (%(default)s)"),
-    option("--workers", type=whole, default=2, help="processes (%(default)s)"),
+    workers(what="processes"),
     option("--kinds", metavar="LIST", help=f"of {', '.join(LASTING_S)} (all that can be)"),
     option("--own-router", action="store_true", help="a router of its own, between coordinator and workers"),
     option("--networks", action="store_true", help="give each worker a network that can be cut (root)"),
