@@ -77,7 +77,7 @@ def test_numbers_stand_behind_the_pictures(page: Reader) -> None:
 
 
 def test_fixed_points_are_listed_with_their_kinds(page: Reader) -> None:
-    assert {"(1, 1)", "saddle", "(3, 0)", "stable node"} <= set(page.texts)
+    assert {"(1, 1)", "saddle", "(3, 0)", "stable node, outside the box"} <= set(page.texts)
 
 
 def test_names_from_data_are_text_wherever_they_stand() -> None:
