@@ -73,7 +73,7 @@ _API: Final = (
     ("class", "atoll.api.discoverer.Discoverer"),
     ("class", "atoll.api.regressor.Regressor"),
     ("class", "atoll.model.model.Model"),
-    ("class", "atoll.export.methods.Exports"),
+    ("class", "atoll.model.shortcuts.Shortcuts"),
     ("class", "atoll.model.model.Equation"),
     ("class", "atoll.model.parameters.Parameter"),
     ("class", "atoll.model.simulation.Simulation"),

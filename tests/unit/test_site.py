@@ -2,6 +2,7 @@
 
 import importlib.util
 import posixpath
+import re
 from pathlib import Path
 from types import ModuleType
 
@@ -35,6 +36,15 @@ def test_links_lead_to_pages_and_images(pages: dict[str, str]) -> None:
         if posixpath.normpath(posixpath.join(posixpath.dirname(name), link)) not in known
     ]
     assert broken == []
+
+
+def test_what_the_reference_lists_is_there(site: ModuleType) -> None:
+    """By the text of the modules: some of them need libraries that are not installed everywhere."""
+    for kind, name in site._API:
+        module, _, what = name.rpartition(".")
+        text = (ROOT / "coordinator" / f"{module.replace('.', '/')}.py").read_text("utf-8")
+        word = {"function": "def", "class": "class"}[kind]
+        assert re.search(rf"^{word} {what}\b|^from .* import .*\b{what}\b", text, re.MULTILINE), name
 
 
 def test_every_page_is_in_the_contents(site: ModuleType, pages: dict[str, str]) -> None:
