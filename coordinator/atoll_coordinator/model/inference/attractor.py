@@ -46,13 +46,15 @@ def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos |
     if isinstance(simulated, str):
         return Chaos(1.0 / rate, False, None, is_unfinished=simulated == "out of steps")
     measured = [measurements.smoothed[:, measurements.owners_of_rows == owner] for owner in range(len(lengths))]
-    measured = measured if are_few else [each[:, each.shape[1] // 2 :] for each in measured]
+    measured = measured if are_few else [trajectory[:, trajectory.shape[1] // 2 :] for trajectory in measured]
     centre = np.concatenate(measured, axis=1).mean(axis=1, keepdims=True)
     probability = 1.0
     for power in (1, 2):
-        ours = _block_means((simulated - centre) ** power, block // stride)
-        theirs = np.concatenate([_block_means((each - centre) ** power, block) for each in measured], axis=1)
-        probability = min(probability, *_welch(ours, theirs))
+        simulated_means = _block_means((simulated - centre) ** power, block // stride)
+        measured_means = np.concatenate(
+            [_block_means((trajectory - centre) ** power, block) for trajectory in measured], axis=1
+        )
+        probability = min(probability, *_welch(simulated_means, measured_means))
     is_kept = probability >= SETTINGS.inference.improbable / (2.0 * len(centre))
     return Chaos(1.0 / rate, is_kept, probability)
 
@@ -95,18 +97,20 @@ def _block_means(values: FloatArray, block: int) -> FloatArray:
     return np.array([part.mean(axis=1) for part in np.array_split(values[:, : count * block], count, axis=1)]).T
 
 
-def _welch(ours: FloatArray, theirs: FloatArray) -> list[float]:
+def _welch(simulated_means: FloatArray, measured_means: FloatArray) -> list[float]:
     """Return for each state the probability of means as different as these (B. L. Welch 1947)."""
     from scipy import special
 
-    found = []
-    for one, other in zip(ours, theirs, strict=True):
-        shares = [each.var(ddof=1) / len(each) if len(each) > 1 else 0.0 for each in (one, other)]
+    probabilities = []
+    for simulated, measured in zip(simulated_means, measured_means, strict=True):
+        shares = [means.var(ddof=1) / len(means) if len(means) > 1 else 0.0 for means in (simulated, measured)]
         total = sum(shares)
         if not total > 0.0:
-            found.append(1.0)
+            probabilities.append(1.0)
             continue
-        parts = zip(shares, (one, other), strict=True)
-        degrees_of_freedom = total**2 / sum(share**2 / max(len(each) - 1, 1) for share, each in parts)
-        found.append(2.0 * float(special.stdtr(degrees_of_freedom, -abs(one.mean() - other.mean()) / math.sqrt(total))))
-    return found
+        parts = zip(shares, (simulated, measured), strict=True)
+        degrees_of_freedom = total**2 / sum(share**2 / max(len(means) - 1, 1) for share, means in parts)
+        probabilities.append(
+            2.0 * float(special.stdtr(degrees_of_freedom, -abs(simulated.mean() - measured.mean()) / math.sqrt(total)))
+        )
+    return probabilities

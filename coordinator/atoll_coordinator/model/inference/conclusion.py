@@ -142,7 +142,10 @@ class HeldOut:
 def summarize(selection: SelectedModel) -> Refinement | None:
     """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
     candidates = selection.task.candidates.values()
-    origins = tuple(each.origins(compared) for each, compared in zip(candidates, selection.lists, strict=True))
+    origins = tuple(
+        equation_candidates.origins(compared)
+        for equation_candidates, compared in zip(candidates, selection.lists, strict=True)
+    )
     final = _finalized(rank_alternatives(selection, selection.task.dataset.inputs), origins)
     if final is None:
         return None
@@ -150,7 +153,9 @@ def summarize(selection: SelectedModel) -> Refinement | None:
     errors = estimate_errors(final.comparison, final.free)
     of_constants = errors.of_constants(final.free.fit.system)
     described = describe_constants(final.comparison, final.explicit, final.shown, of_constants)
-    constants = [each.with_simple(its) for each, its in zip(described, final.equations.rounded.simple, strict=True)]
+    constants = [
+        known.with_simple(simple) for known, simple in zip(described, final.equations.rounded.simple, strict=True)
+    ]
     out = None if final.unseen is None else _held_out(final, final.unseen, final.shown, errors)
     chaos = _chaos(final)
     predictions = _predictions(final, errors, is_near=chaos is not None and chaos.is_kept)
@@ -203,10 +208,10 @@ def state_errors(final: Final) -> dict[str, StateErrors]:
         return {}  # those of the integration, of which nothing is to be said
     bounds = comparison.estimator.measurements.bounds
     rows = np.minimum(comparison.misfit.effective_rows(fit.squares), comparison.counts / fit.errors.lengths)
-    found = {}
+    errors_by_state = {}
     for index, name in enumerate(final.task.variables):
         share, decay = float(fit.errors.shares[index]), float(fit.errors.decays[index])
-        found[name] = StateErrors(
+        errors_by_state[name] = StateErrors(
             float(np.sqrt(fit.squares[index])),
             estimate_variance(final.task.recording, final.task.recording.states.index(name)).proportional,
             share,
@@ -215,7 +220,7 @@ def state_errors(final: Final) -> dict[str, StateErrors]:
             final.are_errors_summed,
             int((bounds[:, 1] - bounds[:, 0]).max()) if final.are_errors_summed else None,
         )
-    return found
+    return errors_by_state
 
 
 def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> Final | None:
@@ -235,9 +240,9 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> F
         if shown is None:
             continue
         written = _without_refuted(whole.task, comparison, shown)
-        other = None if written is None else _show(comparison, best, written)
-        if other is not None and other.fit.misfit <= shown.fit.misfit:
-            shown = other
+        with_factors = None if written is None else _show(comparison, best, written)
+        if with_factors is not None and with_factors.fit.misfit <= shown.fit.misfit:
+            shown = with_factors
         shown = _shortened(whole.task, comparison, best, shown)
         shown = _with_shared_terms(whole.task, comparison, shown)
         task, seen, fit = seen_in_whole(whole.task, comparison, shown)
@@ -252,23 +257,23 @@ def _shortened(task: ModellingTask, comparison: ModelComparison, near: FittedMod
     shorter = tuple(shortest_writing(task, comparison, equation, program) for equation, program in enumerate(programs))
     if sum(map(len, shorter)) >= sum(map(len, programs)):
         return shown
-    other = _show(comparison, near, shorter)
-    return shown if other is None or other.fit.nats > shown.fit.nats else other
+    shortened = _show(comparison, near, shorter)
+    return shown if shortened is None or shortened.fit.nats > shown.fit.nats else shortened
 
 
 def _with_shared_terms(task: ModellingTask, comparison: ModelComparison, shown: Shown) -> Shown:
     """Return what is shown with the terms that equations share fitted together, if the data allow it."""
-    found = fit_together(comparison, shown.free, shown.rounded.programs)
-    if found is None or not all(map(task.may_be_shown, found.model.programs)):
+    together = fit_together(comparison, shown.free, shown.rounded.programs)
+    if together is None or not all(map(task.may_be_shown, together.model.programs)):
         return shown
-    other = _show(comparison, found.model, found.model.programs, found.numbers)
-    if other is None:
+    refitted = _show(comparison, together.model, together.model.programs, together.numbers)
+    if refitted is None:
         return shown
     terms = tuple(
-        SharedTerm(each.shape, {task.variables[equation]: multiple for equation, multiple in each.multiples.items()})
-        for each in found.terms
+        SharedTerm(term.shape, {task.variables[equation]: multiple for equation, multiple in term.multiples.items()})
+        for term in together.terms
     )
-    return replace(other, shared_terms=terms)
+    return replace(refitted, shared_terms=terms)
 
 
 def seen_in_whole(
@@ -307,23 +312,25 @@ def _show(
         if is_exact:
             return frozenset()  # intervals are those of the integration's errors
         known = describe_constants(comparison, explicit, rounded.programs, errors)
-        sought = (each for equation, each in enumerate(known) if equation not in comparison.fixed)
-        written = (its for each in sought for its in each.written)
-        return frozenset(number for number, its in zip(numbers, written, strict=True) if not its.is_within)
+        sought = (constants for equation, constants in enumerate(known) if equation not in comparison.fixed)
+        written = (constant for constants in sought for constant in constants.written)
+        return frozenset(number for number, constant in zip(numbers, written, strict=True) if not constant.is_within)
 
-    found = _rounded(comparison, fitted, outside)
-    return None if found is None else Shown(*found, explicit, free)
+    rounded_fit = _rounded(comparison, fitted, outside)
+    return None if rounded_fit is None else Shown(*rounded_fit, explicit, free)
 
 
 def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: Shown) -> tuple[Program, ...] | None:
     """Return the programs with those factors of one written out that the data refute; None where there are none."""
     programs = shown.rounded.programs
     known = describe_constants(comparison, shown.explicit, programs, estimate_errors(comparison, shown.free))
-    if not any(its.refuted_factors for its in known):
+    if not any(constants.refuted_factors for constants in known):
         return None
     written = []
-    for each, fitted, its, program in zip(shown.explicit, shown.free.programs, known, programs, strict=True):
-        made = write_factors(each, fitted, its.refuted_factors) if its.refuted_factors else program
+    for coefficients, fitted, constants, program in zip(
+        shown.explicit, shown.free.programs, known, programs, strict=True
+    ):
+        made = write_factors(coefficients, fitted, constants.refuted_factors) if constants.refuted_factors else program
         written.append(made if task.may_be_shown(made) else program)
     return tuple(written)
 
@@ -388,7 +395,7 @@ def _freed(
         for equation, program in enumerate(shown)
     )
     free = comparison.fit_beside(
-        best, [each.program for each in explicit], shared=_in_explicit(explicit, shown, shared)
+        best, [coefficients.program for coefficients in explicit], shared=_in_explicit(explicit, shown, shared)
     )
     if free is not None:
         return explicit, comparison.fit_correlated(free) or free
@@ -400,9 +407,9 @@ def _in_explicit(
 ) -> list[SharedNumber]:
     """Return shared numbers by the nodes that their constants have in the explicit programs."""
     nodes = {}
-    for equation, (each, program) in enumerate(zip(explicit, shown, strict=True)):
+    for equation, (coefficients, program) in enumerate(zip(explicit, shown, strict=True)):
         before = constant_places(program)
-        for node, origin in zip(constant_places(each.program), each.origins, strict=True):
+        for node, origin in zip(constant_places(coefficients.program), coefficients.origins, strict=True):
             if origin is not None:
                 nodes[equation, before[origin]] = (equation, node)
     return [tuple((nodes[place], multiple) for place, multiple in number) for number in shared]
@@ -410,7 +417,7 @@ def _in_explicit(
 
 def unseen_comparison(task: ModellingTask) -> ModelComparison | None:
     """Return a comparison over the held-out trajectories; None when there are none."""
-    if not any(each.held_out for each in task.recording.trajectories):
+    if not any(trajectory.held_out for trajectory in task.recording.trajectories):
         return None
     return task.compare(task.measurements(task.variables, held_out=True), task.variables)
 
@@ -433,20 +440,20 @@ def _held_out(
     )
 
 
-def _carried_bands(final: Final, other: ModelComparison, fit: TrajectoryFit, errors: Errors) -> FloatArray | None:
+def _carried_bands(final: Final, comparison: ModelComparison, fit: TrajectoryFit, errors: Errors) -> FloatArray | None:
     """Return the standard errors (O, N) of trajectories that constants were not fitted to; None when they fail.
 
     One trajectory after another: of dozens of states the sensitivities of all would take more memory than there is.
     """
     free = final.free.fit
-    spread, found = scaled_covariance(free, errors), []
-    for owner in sorted(set(other.estimator.measurements.owners.tolist())):
-        estimator, starts = other.estimator.of_trajectory(owner, fit)
+    spread, trajectory_bands = scaled_covariance(free, errors), []
+    for owner in sorted(set(comparison.estimator.measurements.owners.tolist())):
+        estimator, starts = comparison.estimator.of_trajectory(owner, fit)
         near = estimator.fit(free.system, None, 0, starts, free.errors, is_stiff=fit.is_stiff)
         if near is None:
             return None
-        found.append(bands(estimator.measurements, near, *spread))
-    return np.concatenate(found, axis=1)
+        trajectory_bands.append(bands(estimator.measurements, near, *spread))
+    return np.concatenate(trajectory_bands, axis=1)
 
 
 def _chaos(final: Final) -> Chaos | None:
@@ -456,8 +463,8 @@ def _chaos(final: Final) -> Chaos | None:
     """
     fit, comparison = final.free.fit, final.comparison
     rate = growth_rate(fit)
-    for each in (rate, rate - speed_growth(fit)):
-        if predictable_rows(fit, comparison, each) >= longest(final.task):
+    for growth in (rate, rate - speed_growth(fit)):
+        if predictable_rows(fit, comparison, growth) >= longest(final.task):
             return None
     return look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
 
@@ -467,9 +474,9 @@ def _predictions(final: Final, errors: Errors, *, is_near: bool) -> list[Predict
     ranking = final.ranking
     least = ranking.selection.model.nats
     rivals = [
-        Rival(each.model.fit.system, equation, math.exp(-max(each.model.nats - least, 0.0)))
+        Rival(alternative.model.fit.system, equation, math.exp(-max(alternative.model.nats - least, 0.0)))
         for equation, alternatives in enumerate(ranking.alternatives)
-        for each in alternatives
+        for alternative in alternatives
     ]
     rivals += draws(final.free.fit.system, scaled_covariance(final.free.fit, errors)[0], len(final.shown))
     seen = final.seen.estimator
@@ -483,7 +490,7 @@ def refined_equation(
     task = final.task
     name, program = task.variables[index], final.shown[index]
     problem = task.dataset.problem(name)
-    programs = [its[index] for its in final.by_group] or [program]
+    programs = [group_programs[index] for group_programs in final.by_group] or [program]
     error, mse = grouped_errors_on(problem, programs, task.config.evolution.loss)
     alternatives = _reported_alternatives(final, index, held_out_r2)
     nearest = _no_elaborations(final.ranking.selection.model.programs[index], alternatives)
@@ -506,10 +513,10 @@ def refined_equation(
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,
         constants=known.written,
-        unit_coefficients=[each.constant for each in known.unit_coefficients],
+        unit_coefficients=[coefficient.constant for coefficient in known.unit_coefficients],
         prediction=prediction,
         chaos=chaos,
-        alternative=min((each.nats for each in nearest), default=None),
+        alternative=min((alternative.nats for alternative in nearest), default=None),
         passes_pole=_passes_pole(final, program),
         distinct_rows=_distinct_rows(measurements),
     )
@@ -557,7 +564,11 @@ def _no_elaborations(program: Program, alternatives: Sequence[Alternative]) -> l
     More constants always describe about as well; that is no reason to doubt the equation with fewer.
     """
     most = len(constant_places(program))
-    return [each for each in alternatives if not each.is_shown and len(constant_places(each.program)) <= most]
+    return [
+        alternative
+        for alternative in alternatives
+        if not alternative.is_shown and len(constant_places(alternative.program)) <= most
+    ]
 
 
 def _residuals(measurements: Measurements, fit: TrajectoryFit, index: int) -> list[FloatArray]:
@@ -580,8 +591,8 @@ def _standard_deviation(measurements: Measurements, index: int) -> float:
 
 def _prediction_r2(final: Final, out: HeldOut | None, index: int) -> float | None:
     """Return R2 of a state along trajectories that were held out, or else left out one at a time, if any were."""
-    its = out if out is not None else final.ranking.validated
-    return None if its is None else its.r2[index]
+    validation = out if out is not None else final.ranking.validated
+    return None if validation is None else validation.r2[index]
 
 
 def _reported_alternatives(final: Final, index: int, held_out_r2: float | None) -> tuple[Alternative, ...]:
@@ -591,7 +602,7 @@ def _reported_alternatives(final: Final, index: int, held_out_r2: float | None) 
     r2 = r2_of(final.seen.estimator.measurements, final.seen_fit, slice(None))[index]
     origin = final.origin(index, best.programs[index])
     is_crossed = final.unseen is None and ranking.validated is not None
-    found = [Alternative(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
+    alternatives = [Alternative(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
     for alternative in ranking.alternatives[index]:
         program, nats = alternative.model.programs[index], alternative.model.nats - best.nats
         r2 = r2_of(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
@@ -599,5 +610,7 @@ def _reported_alternatives(final: Final, index: int, held_out_r2: float | None) 
         if nats <= SETTINGS.inference.distinct_nats and final.unseen is not None and not final.by_group:
             held_out_r2 = _held_out(final, final.unseen, alternative.model.programs).r2[index]
         is_crossed = alternative.validated is not None
-        found.append(Alternative(program, nats, r2, held_out_r2, False, is_crossed, final.origin(index, program)))
-    return tuple(found)
+        alternatives.append(
+            Alternative(program, nats, r2, held_out_r2, False, is_crossed, final.origin(index, program))
+        )
+    return tuple(alternatives)

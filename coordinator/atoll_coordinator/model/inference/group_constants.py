@@ -102,7 +102,10 @@ def summarize_groups(selection: SelectedModel) -> Refinement | None:
     final = Final(
         whole.task,
         ranking,
-        tuple(its.origins(compared) for its, compared in zip(candidates, selection.lists, strict=True)),
+        tuple(
+            equation_candidates.origins(compared)
+            for equation_candidates, compared in zip(candidates, selection.lists, strict=True)
+        ),
         unseen_comparison(whole.task),
         comparison,
         shown,
@@ -204,8 +207,8 @@ def _written(whole: SelectedModel, begun: SharedModel) -> SharedModel:
             kept = frozenset(place for place in best.shared if place[0] != equation)
             fitted = comparison.fit_beside(best.model, programs, shared=_numbers(kept))
             if fitted is not None:
-                found = _with_shared(comparison, SharedModel(fitted, kept))
-                best = min(best, found, key=lambda each: each.model.nats)
+                trial = _with_shared(comparison, SharedModel(fitted, kept))
+                best = min(best, trial, key=lambda shared_model: shared_model.model.nats)
     return best
 
 
@@ -215,10 +218,10 @@ def _writings(whole: SelectedModel, equation: int, program: Program) -> Iterator
     seen = {structure(program)}
     is_free = comparison.restrictions(equation).bounds is None
     others = [shortest_writing(whole.task, comparison, equation, program)]
-    for other in (*others, *(factored_forms(program) if is_free else ())):
-        if structure(other) not in seen and whole.task.may_be_shown(other):
-            seen.add(structure(other))
-            yield other
+    for writing in (*others, *(factored_forms(program) if is_free else ())):
+        if structure(writing) not in seen and whole.task.may_be_shown(writing):
+            seen.add(structure(writing))
+            yield writing
 
 
 def _shown_values(comparison: ModelComparison, model: FittedModel) -> FloatArray:
@@ -249,14 +252,14 @@ class _Described:
 
     def _described(self, number: int, value: float) -> Constant:
         """Return one of the Q numbers with its errors."""
-        its = self._errors
-        error, fitted = float(np.sqrt(max(its.covariance[number, number], 0.0))), float(its.values[number])
-        reach = student_95(its.degrees_of_freedom) * error
+        errors = self._errors
+        error, fitted = float(np.sqrt(max(errors.covariance[number, number], 0.0))), float(errors.values[number])
+        reach = student_95(errors.degrees_of_freedom) * error
         interval = (fitted - reach, fitted + reach) if np.isfinite(error) else None
         made = Constant(value, fitted, error, interval, reach < abs(fitted))
-        if its.lower is None or its.upper is None:
+        if errors.lower is None or errors.upper is None:
             return made
-        return within_bounds(made, float(its.lower[number]), float(its.upper[number]), its.reaches.get(number))
+        return within_bounds(made, float(errors.lower[number]), float(errors.upper[number]), errors.reaches.get(number))
 
     def _of(self, equation: int, group: int) -> Mapping[int, Constant]:
         """Return the fitted constants of an equation in one group, by node."""
@@ -274,7 +277,7 @@ class _Described:
             GroupEquation(
                 name,
                 self._final.by_group[group][equation],
-                tuple(its for _, its in sorted(self._of(equation, group).items(), key=lambda item: item[0])),
+                tuple(constant for _, constant in sorted(self._of(equation, group).items(), key=lambda item: item[0])),
             )
             for group, name in enumerate(self._groups)
         )
@@ -282,19 +285,19 @@ class _Described:
     def means(self, equation: int, shared: frozenset[Place]) -> tuple[Constant, ...]:
         """Return shared constants with their errors, and the means of the others without."""
         program = self._final.shown[equation]
-        its = [self._of(equation, group) for group in range(len(self._groups))]
-        found = []
+        constants_by_group = [self._of(equation, group) for group in range(len(self._groups))]
+        constants = []
         for node in constant_places(program):
             value = float(program.constants[node])
-            if node not in its[0]:
-                found.append(Constant(value))  # of a given equation
+            if node not in constants_by_group[0]:
+                constants.append(Constant(value))  # of a given equation
             elif (equation, node) in shared:
-                found.append(its[0][node])
+                constants.append(constants_by_group[0][node])
             else:
-                fitted = [constant.fitted or 0.0 for each in its if (constant := each[node])]
-                is_known = all(each[node].identifiable for each in its)
-                found.append(Constant(value, float(np.mean(fitted)), identifiable=is_known))
-        return tuple(found)
+                fitted = [constant.fitted or 0.0 for by_node in constants_by_group if (constant := by_node[node])]
+                is_known = all(by_node[node].identifiable for by_node in constants_by_group)
+                constants.append(Constant(value, float(np.mean(fitted)), identifiable=is_known))
+        return tuple(constants)
 
     def covariances(self) -> tuple[GroupCovariance, ...]:
         """Return the joint covariance of the constants of each group."""

@@ -56,7 +56,7 @@ def foretell(
     elsewhere = _Elsewhere(measurements, tolerance, is_near=is_near)
     own = elsewhere.own_courses(model)
     followed = [place for place, course in enumerate(own) if not isinstance(course, str)]
-    unfinished = sum(isinstance(its, str) and its == "out of steps" for its in own)
+    unfinished = sum(isinstance(course, str) and course == "out of steps" for course in own)
     states = range(len(measurements.observed))
     if not followed:
         return [Prediction(len(own), 0, 0.0, math.inf, unfinished=unfinished) for _ in states]
@@ -64,10 +64,10 @@ def foretell(
     courses = [course[:, :horizon] for course in own if not isinstance(course, str)]
     misses = _Misses(courses, len(states))
     for rival in rivals:
-        theirs = elsewhere.courses(rival.system, followed)
-        misses.add(rival, [its if isinstance(its, str) else its[:, :horizon] for its in theirs])
+        rival_courses = elsewhere.courses(rival.system, followed)
+        misses.add(rival, [course if isinstance(course, str) else course[:, :horizon] for course in rival_courses])
     distances = elsewhere.distances(courses)
-    farthest = int(np.argmax([its.max() for its in distances]))
+    farthest = int(np.argmax([course_distances.max() for course_distances in distances]))
     novelty = float(np.median(np.concatenate(distances)))
 
     def predicted(state: int) -> Prediction:
@@ -127,19 +127,21 @@ class _Elsewhere:
         count = SETTINGS.effort.beam
         known = self._measurements.smoothed.T[thinned_places(self._measurements.rows, _MOST_ROWS)]
         outer = known[_far_apart(known / self._width, 2 * count)]
-        one, other, share = _latin_hypercube(count, 3).T
-        first, second = (outer[(each * len(outer)).astype(int)] for each in (one, other))
+        first_coordinates, second_coordinates, share = _latin_hypercube(count, 3).T
+        first, second = (
+            outer[(coordinates * len(outer)).astype(int)] for coordinates in (first_coordinates, second_coordinates)
+        )
         return np.asarray(first + share[:, None] * (second - first))
 
     def own_courses(self, model: System) -> list[Course]:
         """Return the model's courses from all initial states; from now on all are followed for as long as these."""
-        found = []
+        courses = []
         for place, start in enumerate(self.starts):
             simulated, why = self._estimator.simulate_as_far(model, start)
             if why == "ran away" and self._leaves_as_measured(simulated[:, np.isfinite(simulated).all(axis=0)]):
                 self._rows[place] = self._rows_measured_from(start)
-            found.append(self._followed(simulated, why, self._rows.get(place)))
-        return found
+            courses.append(self._followed(simulated, why, self._rows.get(place)))
+        return courses
 
     def courses(self, system: System, places: Sequence[int]) -> list[Course]:
         """Return the courses from these of the initial states."""
@@ -148,12 +150,18 @@ class _Elsewhere:
     def horizon(self, model: System, own: Sequence[Course]) -> int:
         """Return for how many rows slightly different initial states lead to about the same course: chaos ends it."""
         moved = self.starts + SETTINGS.common.negligible * self._measurements.scales
-        whole = [place for place, one in enumerate(own) if not isinstance(one, str) and place not in self._rows]
+        whole = [place for place, course in enumerate(own) if not isinstance(course, str) and place not in self._rows]
         others = ((own[place], self._course(model, moved[place])) for place in whole)
-        pairs = [(one, other) for one, other in others if not isinstance(one, str) and not isinstance(other, str)]
+        pairs = [
+            (own_course, moved_course)
+            for own_course, moved_course in others
+            if not isinstance(own_course, str) and not isinstance(moved_course, str)
+        ]
         rows = SETTINGS.shooting.lengths[-1]
         least = 1.0 - SETTINGS.inference.part
-        while rows > 8 and not all((_r2([one[:, :rows]], [other[:, :rows]]) > least).all() for one, other in pairs):
+        while rows > 8 and not all(
+            (_r2([own_course[:, :rows]], [moved_course[:, :rows]]) > least).all() for own_course, moved_course in pairs
+        ):
             rows //= 2
         return rows
 
@@ -207,10 +215,10 @@ class _Elsewhere:
 
     def _rows_measured_from(self, start: FloatArray) -> int:
         """Return for how many rows the trajectory was measured that has the state nearest to this one."""
-        its = self._measurements
-        nearest = int(np.argmin(np.abs((its.smoothed.T - start) / self._width).max(axis=1)))
+        measurements = self._measurements
+        nearest = int(np.argmin(np.abs((measurements.smoothed.T - start) / self._width).max(axis=1)))
         last = self._last_rows[np.searchsorted(self._last_rows, nearest)]
-        left = float(its.times[last] - its.times[nearest])
+        left = float(measurements.times[last] - measurements.times[nearest])
         return int(np.searchsorted(self._times, left, side="right"))
 
     @cached_property
@@ -235,11 +243,13 @@ class _Misses:
         One that runs away foretells otherwise; where it takes too many steps, it is not known what it foretells.
         """
         states = len(self._unlike)
-        pairs = [(its, own) for its, own in zip(courses, self._courses, strict=True) if not isinstance(its, str)]
-        if any(isinstance(its, str) and its == "ran away" for its in courses):
+        pairs = [
+            (course, own) for course, own in zip(courses, self._courses, strict=True) if not isinstance(course, str)
+        ]
+        if any(isinstance(course, str) and course == "ran away" for course in courses):
             agrees = np.zeros(states, np.bool_)
         elif pairs:
-            agrees = _r2([its for its, _ in pairs], [own for _, own in pairs]) > 1.0 - SETTINGS.inference.part
+            agrees = _r2([course for course, _ in pairs], [own for _, own in pairs]) > 1.0 - SETTINGS.inference.part
         else:
             return
         self._odds[rival.group] = self._odds.get(rival.group, 0.0) + rival.odds
@@ -265,10 +275,10 @@ class _Misses:
         return place if place >= 0 else None
 
 
-def _r2(found: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArray:
+def _r2(predicted: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArray:
     """Return R2 (O,) of courses (O, N), all together."""
-    found_rows, true_rows = np.concatenate(found, axis=1), np.concatenate(true, axis=1)
-    errors = ((found_rows - true_rows) ** 2).sum(axis=1)
+    predicted_rows, true_rows = np.concatenate(predicted, axis=1), np.concatenate(true, axis=1)
+    errors = ((predicted_rows - true_rows) ** 2).sum(axis=1)
     spread = ((true_rows - true_rows.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
     return np.asarray(1.0 - errors / np.maximum(spread, 1e-300))
 
@@ -299,14 +309,14 @@ def _far_apart(points: FloatArray, count: int) -> list[int]:
 
     However long a process rests, the way there counts as much.
     """
-    found, nearest = [0], np.full(len(points), math.inf)
+    places, nearest = [0], np.full(len(points), math.inf)
     for _ in range(1, count):
-        nearest = np.minimum(nearest, ((points - points[found[-1]]) ** 2).sum(axis=1))
+        nearest = np.minimum(nearest, ((points - points[places[-1]]) ** 2).sum(axis=1))
         farthest = int(np.argmax(nearest))
         if not nearest[farthest] > 0.0:
             break
-        found.append(farthest)
-    return found
+        places.append(farthest)
+    return places
 
 
 def _latin_hypercube(count: int, dimensions: int) -> FloatArray:

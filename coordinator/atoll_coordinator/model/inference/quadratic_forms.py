@@ -88,8 +88,8 @@ def _residual_eigenvalues(lengths: tuple[int, ...], span: int, degree: int) -> t
     values, counts = [], []
     for group in np.array_split(np.array(lengths), min(len(lengths), _REPRESENTED)):
         rows = int(group[len(group) // 2])
-        one, times = _eigenvalues(rows, span, degree)
-        values.append(one)
+        eigenvalues, times = _eigenvalues(rows, span, degree)
+        values.append(eigenvalues)
         counts.append(times * (float(group.sum()) / rows))
     joined, numbers = np.concatenate(values), np.concatenate(counts)
     order = np.argsort(joined, kind="stable")

@@ -42,16 +42,18 @@ def _residuals(
     recording: Recording, simulation: Simulation | None, index: int
 ) -> tuple[list[FloatArray], list[FloatArray]]:
     """Return measured values of a state along each trajectory, and what the simulation leaves of them."""
-    measured = [each.measured[index] for each in recording.trajectories if not each.held_out]
+    measured = [trajectory.measured[index] for trajectory in recording.trajectories if not trajectory.held_out]
     if simulation is None:
         return measured, measured
     place = simulation.states.index(recording.states[index]) if recording.states[index] in simulation.states else None
-    simulated = [each.values for each in simulation.trajectories if not each.held_out]
+    simulated = [trajectory.values for trajectory in simulation.trajectories if not trajectory.held_out]
     if place is None or len(simulated) != len(measured):
         return measured, []
     pairs = zip(measured, simulated, strict=True)
     return measured, [
-        its - values[place] for its, values in pairs if values is not None and len(values[place]) == len(its)
+        measured_values - values[place]
+        for measured_values, values in pairs
+        if values is not None and len(values[place]) == len(measured_values)
     ]
 
 
@@ -70,7 +72,9 @@ def _walks(measured: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> b
 
 def _mean_square(residuals: Sequence[FloatArray], lag: int) -> float:
     """Return the mean square of second differences of rows so far apart, over that of one walk; NaN left out."""
-    parts = [each[2 * lag :] - 2.0 * each[lag:-lag] + each[: -2 * lag] for each in residuals if len(each) > 2 * lag]
+    parts = [
+        series[2 * lag :] - 2.0 * series[lag:-lag] + series[: -2 * lag] for series in residuals if len(series) > 2 * lag
+    ]
     differences = np.concatenate(parts) / math.sqrt(2.0)
     known = differences[np.isfinite(differences)]
     return float(np.mean(known * known)) if len(known) else math.nan

@@ -58,10 +58,10 @@ def check(
     """
     from scipy import special
 
-    rows = sum(len(each) for each in residuals)
+    rows = sum(len(series) for series in residuals)
     free = max(rows - parameters, 1.0)
     errors = _clip_outliers(residuals) if is_robust else residuals
-    square = float(sum(each @ each for each in errors))
+    square = float(sum(series @ series for series in errors))
     standard_deviation = math.sqrt(square / free)
     ratio = standard_deviation / noise if noise > 0.0 else math.inf
     if square == 0.0:
@@ -88,7 +88,7 @@ def _too_large(
         return float(special.chdtrc(free, free * variance / noise**2)) if noise > 0.0 else 0.0
     if not reference.noise > 0.0:
         return 0.0
-    lengths = [len(each) for each in errors]
+    lengths = [len(series) for series in errors]
     return variance_ratio_tail(variance / reference.noise**2, lengths, parameters, reference.span, reference.degree)
 
 
@@ -99,12 +99,12 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
     H_(i,i+k) over n_k pairs; that is about - sigma^2 p n_k/n, since what they do is smooth. The variance is that of
     Ljung & Box (1978), n_k/(n (n + 2)).
     """
-    rows = sum(len(each) for each in errors)
+    rows = sum(len(series) for series in errors)
     correlations, variances = [], []
     for lag in range(1, SETTINGS.inference.lags + 1):
-        pairs = sum(max(len(each) - lag, 0) for each in errors)
+        pairs = sum(max(len(series) - lag, 0) for series in errors)
         if pairs:
-            product = float(sum(each[:-lag] @ each[lag:] for each in errors if len(each) > lag))
+            product = float(sum(series[:-lag] @ series[lag:] for series in errors if len(series) > lag))
             correlations.append(product / square + parameters * pairs / rows**2)
             variances.append(pairs / (rows * (rows + 2)))
     return correlations, variances
@@ -113,4 +113,4 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
 def _clip_outliers(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     """Return the residuals with those far out, by the median of their size, brought in."""
     limit = SETTINGS.robustness.reach * float(np.median(np.abs(np.concatenate(list(residuals)))))
-    return [np.clip(each, -limit, limit) for each in residuals]
+    return [np.clip(series, -limit, limit) for series in residuals]

@@ -71,21 +71,25 @@ def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence
     Equations that are given or have bounds are left as they are.
     """
     sums = _sums(comparison, shown)
-    expansions = [None if its is None else write_expansion(its) for its in sums]
+    expansions = [None if summands is None else write_expansion(summands) for summands in sums]
     common = _common(expansions)
     if not common:
         return None
-    programs = [its.program if its is not None else shown[equation] for equation, its in enumerate(expansions)]
+    programs = [
+        expansion.program if expansion is not None else shown[equation] for equation, expansion in enumerate(expansions)
+    ]
     free, apart = comparison.fit_beside(near, programs), comparison.fit_beside(near, shown)
     if free is None or apart is None:
         return None
     savings = {shape: _saving(shape, sums) for shape in common}
-    costs = [structure_length(made) - structure_length(its) for made, its in zip(programs, shown, strict=True)]
+    costs = [structure_length(made) - structure_length(program) for made, program in zip(programs, shown, strict=True)]
     terms = _worthwhile(_found(comparison, free, common, savings), costs)
     if not terms:
         return None
     touched = {equation for term in terms for equation in term.multiples}
-    chosen = [free.programs[each] if each in touched else apart.programs[each] for each in range(len(shown))]
+    chosen = [
+        free.programs[equation] if equation in touched else apart.programs[equation] for equation in range(len(shown))
+    ]
     numbers = [number for term in terms for number in term.numbers]
     together = comparison.fit_beside(free, chosen, shared=numbers)
     if together is None or together.nats - sum(term.saving for term in terms) >= apart.nats:
@@ -116,10 +120,12 @@ def _sums(comparison: ModelComparison, shown: Sequence[Program]) -> list[Sum | N
     Where another equation has n*u/(c + u), this one has it in place of n/(c + u).
     """
     sums = [_terms(comparison, equation, program) for equation, program in enumerate(shown)]
-    shapes = [{shape_of(monomial) for monomial, _ in its or ()} for its in sums]
-    for equation, its in enumerate(sums):
+    shapes = [{shape_of(monomial) for monomial, _ in summands or ()} for summands in sums]
+    for equation, summands in enumerate(sums):
         others = set().union(*shapes[:equation], *shapes[equation + 1 :])
-        sums[equation] = next((other for shape, other in raised_quotients(its or ()) if shape in others), its)
+        sums[equation] = next(
+            (raised_sum for shape, raised_sum in raised_quotients(summands or ()) if shape in others), summands
+        )
     return sums
 
 
@@ -128,7 +134,7 @@ def _saving(shape: Shape, sums: Sequence[Sum | None]) -> float:
 
     A part that a program uses again costs as little within one equation.
     """
-    monomials = (monomial for its in sums for monomial, _ in its or () if shape_of(monomial) == shape)
+    monomials = (monomial for summands in sums for monomial, _ in summands or () if shape_of(monomial) == shape)
     made = write_expansion(((next(monomials), 1.0),))
     return 0.0 if made is None else structure_length(made.program) - SETTINGS.criterion.common
 
@@ -145,14 +151,14 @@ def _terms(comparison: ModelComparison, equation: int, program: Program) -> Sum 
 
 def _common(expansions: Sequence[Expansion | None]) -> dict[Shape, list[_Occurrence]]:
     """Return the terms that two equations or more have, by shape; those are left out that one has several times."""
-    found: dict[Shape, list[_Occurrence]] = {}
-    for equation, its in enumerate(expansions):
-        for shape, occurrence in _occurrences(equation, its) if its is not None else ():
-            found.setdefault(shape, []).append(occurrence)
+    occurrences: dict[Shape, list[_Occurrence]] = {}
+    for equation, expansion in enumerate(expansions):
+        for shape, occurrence in _occurrences(equation, expansion) if expansion is not None else ():
+            occurrences.setdefault(shape, []).append(occurrence)
     return {
         shape: those
-        for shape, those in found.items()
-        if len(those) > 1 and len({each.equation for each in those}) == len(those)
+        for shape, those in occurrences.items()
+        if len(those) > 1 and len({occurrence.equation for occurrence in those}) == len(those)
     }
 
 
@@ -162,9 +168,9 @@ def _occurrences(equation: int, expansion: Expansion) -> Iterator[tuple[Shape, _
     by_shape: dict[Shape, list[tuple[Role, Place]]] = {}
     for place, role in zip(places, expansion.roles, strict=True):
         by_shape.setdefault(role.shape, []).append((role, place))
-    for shape, its in by_shape.items():
-        factors = [(place, role.sign) for role, place in its if not role.is_inner]
-        inside = sorted(((role.path, place, role.sign) for role, place in its if role.is_inner))
+    for shape, roles in by_shape.items():
+        factors = [(place, role.sign) for role, place in roles if not role.is_inner]
+        inside = sorted(((role.path, place, role.sign) for role, place in roles if role.is_inner))
         paths = tuple(path for path, _, _ in inside)
         units = frozenset((role.path, role.sign) for role in expansion.units if role.shape == shape)
         if shape and len(factors) < 2 and len({*paths}) == len(paths):
@@ -189,10 +195,10 @@ class _Estimates:
 
     def row(self, *parts: tuple[tuple[Place, float], float]) -> FloatArray:
         """Return the coefficients (P,) of a sum of constants, each with its sign, times a factor."""
-        found = np.zeros(len(self.values))
+        coefficients = np.zeros(len(self.values))
         for (place, sign), factor in parts:
-            found[self.index[place]] += sign * factor
-        return found
+            coefficients[self.index[place]] += sign * factor
+        return coefficients
 
     def variance(self, row: FloatArray) -> float:
         """Return the variance of a sum of constants, that of arithmetic at least."""
@@ -231,14 +237,14 @@ def _found(
     system = free.fit.system
     index = {place: number for number, place in enumerate(comparison.places(system))}
     estimates = _Estimates(index, system.values, comparison.inflation(free) * bounded_covariance(free.fit))
-    found = []
+    stoichiometries = []
     for shape, those in common.items():
         estimates, fluxes = _alike(estimates, those, comparison.constant_nats, savings[shape])
         for flux in fluxes:
             estimates = _with_multiples(estimates, flux, comparison.constant_nats)
             term = _stoichiometry(shape, flux)
-            found += [term] if term is not None else []
-    return found
+            stoichiometries += [term] if term is not None else []
+    return stoichiometries
 
 
 def _alike(
@@ -251,8 +257,8 @@ def _alike(
             trial, nats = estimates, saving if term.inner else 0.0
             if flux.terms[0].layout != term.layout:
                 continue
-            for one, other in zip(flux.terms[0].inner, term.inner, strict=True):
-                trial, grown = trial.decided(trial.row((one, 1.0), (other, -1.0)))
+            for reference, constant in zip(flux.terms[0].inner, term.inner, strict=True):
+                trial, grown = trial.decided(trial.row((reference, 1.0), (constant, -1.0)))
                 nats += constant_nats - grown
             if nats > 0.0 or not term.inner:
                 estimates, flux.nats = trial, flux.nats + nats
@@ -282,16 +288,20 @@ def _with_multiples(estimates: _Estimates, flux: _Flux, constant_nats: float) ->
     return estimates
 
 
-def _simple_ratio(estimates: _Estimates, one: tuple[Place, float], other: tuple[Place, float]) -> float | None:
-    """Return the fraction that the data single out as the factor `other` over `one`, None where there is none."""
-    below, above = (sign * estimates.value(place) for place, sign in (one, other))
+def _simple_ratio(estimates: _Estimates, base: tuple[Place, float], constant: tuple[Place, float]) -> float | None:
+    """Return the fraction that the data single out as the factor `constant` over `base`, None where there is none."""
+    below, above = (sign * estimates.value(place) for place, sign in (base, constant))
     if below == 0.0:
         return None
     ratio = above / below
-    variance = estimates.variance(estimates.row((other, 1.0 / below), (one, -ratio / below)))
+    variance = estimates.variance(estimates.row((constant, 1.0 / below), (base, -ratio / below)))
     number = find_simple(np.array([ratio]), np.array([[variance]])).get(0)
     denominators = SETTINGS.regression.denominators
-    return number if number is not None and any((number * each).is_integer() for each in denominators) else None
+    return (
+        number
+        if number is not None and any((number * denominator).is_integer() for denominator in denominators)
+        else None
+    )
 
 
 def _stoichiometry(shape: Shape, flux: _Flux) -> Stoichiometry | None:
@@ -306,7 +316,7 @@ def _stoichiometry(shape: Shape, flux: _Flux) -> Stoichiometry | None:
     if flux.reference is not None and flux.ratios:
         sign = flux.reference[1]
         factors = [(term.factor, flux.ratios[term.equation]) for term in terms if term.equation in flux.ratios]
-        numbers.append(tuple((its[0], its[1] * sign * ratio) for its, ratio in factors if its is not None))
+        numbers.append(tuple((factor[0], factor[1] * sign * ratio) for factor, ratio in factors if factor is not None))
     multiples = {
         term.equation: flux.ratios[term.equation] * flux.direction if term.equation in flux.ratios else None
         for term in terms

@@ -80,11 +80,11 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
     fitted = fit.system.count + fit.starts.size
     left = max(counts - fitted, 1.0)
     certain = float(comparison.counts @ fit.errors.degrees_of_freedom) / counts
-    found, scale = covariance(fit), counts / left
-    widening = _widening(comparison, model, np.diag(found))
+    covariances, scale = covariance(fit), counts / left
+    widening = _widening(comparison, model, np.diag(covariances))
     return Errors(
-        fit.system.values, found * scale * np.outer(widening, widening), max(left * certain, 1.0), scale, widening,
-        fit.system.lower, fit.system.upper,
+        fit.system.values, covariances * scale * np.outer(widening, widening), max(left * certain, 1.0), scale,
+        widening, fit.system.lower, fit.system.upper,
         one_sided_reaches(
             fit.reduced / scale, None if fit.gradient is None else fit.gradient / scale, fit.system.on_bounds
         ),
@@ -93,11 +93,11 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
 
 def _widening(comparison: ModelComparison, model: FittedModel, variances: FloatArray) -> FloatArray:
     """Return by how many times (P,) what the equations leave out makes standard errors larger than the fit's."""
-    its = model.fit
+    fit = model.fit
     alike = None
-    if np.any(its.errors.shares > 0.0):
-        independent = ErrorModel.independent(np.sqrt(its.squares))
-        alike = its.estimator.fit(its.system, None, 0, its.starts, independent, is_stiff=its.is_stiff)
+    if np.any(fit.errors.shares > 0.0):
+        independent = ErrorModel.independent(np.sqrt(fit.squares))
+        alike = fit.estimator.fit(fit.system, None, 0, fit.starts, independent, is_stiff=fit.is_stiff)
     if alike is None:
         return np.ones(len(variances))
     with np.errstate(all="ignore"):
@@ -119,17 +119,17 @@ def describe_constants(
     quantile = student_95(errors.degrees_of_freedom)
     spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 0.0)).tolist()
     fitted = errors.values.tolist()
-    found: list[Known] = []
-    for equation, (each, program) in enumerate(zip(explicit, shown, strict=True)):
+    constants: list[Known] = []
+    for equation, (coefficients, program) in enumerate(zip(explicit, shown, strict=True)):
         if equation in comparison.fixed:
             values = program.constants[constant_places(program)].tolist()
-            found.append(Known(tuple(map(Constant, values)), ()))
+            constants.append(Known(tuple(map(Constant, values)), ()))
             continue
-        count = len(each.origins)
-        known = describe(each, program, fitted[:count], spreads[:count], quantile)
-        found.append(_bounded(known, each, errors, len(errors.values) - len(fitted)))
+        count = len(coefficients.origins)
+        known = describe(coefficients, program, fitted[:count], spreads[:count], quantile)
+        constants.append(_bounded(known, coefficients, errors, len(errors.values) - len(fitted)))
         fitted, spreads = fitted[count:], spreads[count:]
-    return found
+    return constants
 
 
 def _bounded(known: Known, explicit: ExplicitCoefficients, errors: Errors, first: int) -> Known:
@@ -153,9 +153,9 @@ def find_correlations(
     with np.errstate(invalid="ignore"):  # infinite variances
         unit = errors.covariance / np.outer(spreads, spreads)
     pairs = [
-        Correlation((one, first_number), (other, second_number), float(unit[first, second]))
-        for second, (other, second_number) in enumerate(names)
-        for first, (one, first_number) in enumerate(names[:second])
+        Correlation((first_variable, first_number), (second_variable, second_number), float(unit[first, second]))
+        for second, (second_variable, second_number) in enumerate(names)
+        for first, (first_variable, first_number) in enumerate(names[:second])
         if first_number is not None and second_number is not None
         if errors.columns is None or errors.columns[first] != errors.columns[second]
         if _HIGH_CORRELATION <= abs(unit[first, second]) <= 1.0 + 1e-6
@@ -177,7 +177,7 @@ def _fitted_constants(
     """Return variable and place of each fitted constant, None for a factor of one, in the order of the fit."""
     return [
         (variable, origin)
-        for equation, (variable, its) in enumerate(zip(variables, explicit, strict=True))
+        for equation, (variable, coefficients) in enumerate(zip(variables, explicit, strict=True))
         if equation not in comparison.fixed
-        for origin in its.origins
+        for origin in coefficients.origins
     ]

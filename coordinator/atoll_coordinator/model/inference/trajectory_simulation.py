@@ -77,17 +77,17 @@ def _measured(measurements: Measurements) -> FloatArray:
 
 def _rows_of(measurements: Measurements) -> list[tuple[str, FloatArray]]:
     ranges = [np.arange(*bound) for bound in measurements.bounds.tolist()]
-    found = []
+    named_rows = []
     for index, name in enumerate(measurements.names):
         own = [rows for rows, owner in zip(ranges, measurements.owners.tolist(), strict=True) if owner == index]
         if own:
-            found.append((name, np.concatenate(own)))
-    return found
+            named_rows.append((name, np.concatenate(own)))
+    return named_rows
 
 
 def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: FloatArray | slice) -> list[float | None]:
     """Return for each measured state the share of its variance along these rows that the simulation explains."""
-    found: list[float | None] = []
+    shares: list[float | None] = []
     for state in range(len(measurements.observed)):
         weights = measurements.weights[state, rows]
         left = weights * fit.residuals[state, rows] ** 2
@@ -99,8 +99,8 @@ def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: FloatArray | sli
         )
         mean = float((inverse_variances * values).sum() / inverse_variances.sum()) if len(values) else 0.0
         spread = float((inverse_variances * (values - mean) ** 2).sum())
-        found.append(1.0 - float(left.sum()) / spread if spread > 0.0 else None)
-    return found
+        shares.append(1.0 - float(left.sum()) / spread if spread > 0.0 else None)
+    return shares
 
 
 def scaled_covariance(fit: TrajectoryFit, errors: Errors) -> tuple[FloatArray, float]:
@@ -123,7 +123,7 @@ def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, sc
         scale: what variances that follow from normal equations are multiplied by.
     """
     fitted = fit.system.count
-    found = np.zeros((len(measurements.observed), measurements.rows))
+    standard_errors = np.zeros((len(measurements.observed), measurements.rows))
     sensitivities = fit.integrated_sensitivities()
     for group, (first, end) in enumerate(fit.segments.tolist()):
         own = np.linalg.pinv(fit.own[group], hermitian=True)
@@ -134,5 +134,5 @@ def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, sc
             constants = gradients[:, :fitted] - starts @ carried
             variance = ((constants @ spread) * constants).sum(axis=1)
             variance += scale * ((starts @ own) * starts).sum(axis=1)
-            found[state, first:end] = np.sqrt(np.maximum(variance, 0.0))
-    return found
+            standard_errors[state, first:end] = np.sqrt(np.maximum(variance, 0.0))
+    return standard_errors

@@ -117,9 +117,12 @@ def _loosest(evidence: Evidence) -> str | None:
     Factors of one of which some stand for others, as those of x*y in x*y - x*(y - x), have no errors and do not count.
     """
     known = [
-        (each.std_error / max(abs(each.value if each.fitted is None else each.fitted), 1e-300), each.value)
-        for each in (*evidence.constants, *evidence.unit_coefficients)
-        if each.std_error is not None and math.isfinite(each.std_error)
+        (
+            constant.std_error / max(abs(constant.value if constant.fitted is None else constant.fitted), 1e-300),
+            constant.value,
+        )
+        for constant in (*evidence.constants, *evidence.unit_coefficients)
+        if constant.std_error is not None and math.isfinite(constant.std_error)
     ]
     share, value = max(known, default=(0.0, 0.0))
     if share <= SETTINGS.common.negligible:
