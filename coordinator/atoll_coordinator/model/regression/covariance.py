@@ -39,15 +39,19 @@ class Known:
     @property
     def refuted_factors(self) -> list[int]:
         """The factors of one, by number, that the data refute: their intervals do not hold one."""
-        intervals = [each.constant.interval for each in self.unit_coefficients]
-        return [number for number, its in enumerate(intervals) if its is not None and not its[0] <= ONE <= its[1]]
+        intervals = [coefficient.constant.interval for coefficient in self.unit_coefficients]
+        return [
+            number
+            for number, interval in enumerate(intervals)
+            if interval is not None and not interval[0] <= ONE <= interval[1]
+        ]
 
     def with_simple(self, simple: Sequence[SimpleNumber | None]) -> "Known":
         """Return the same with the simple numbers near the constants that are written; none for a given equation."""
         if not simple:
             return self
         pairs = zip(self.written, simple, strict=True)
-        return replace(self, written=tuple(replace(each, simple=its) for each, its in pairs))
+        return replace(self, written=tuple(replace(constant, simple=number) for constant, number in pairs))
 
 
 def covariance_of(fitted: Fitted, criterion: RegressionCriterion) -> FloatArray:
@@ -143,10 +147,10 @@ def _bounded(
     likelier = None if fitted.gradient is None else -fitted.gradient / variance
     reaches = one_sided_reaches(fitted.normal / variance, likelier, _on_bounds(values.tolist(), ranges))
     written = [
-        within_bounds(each, float(low), float(high), reaches.get(number))
+        within_bounds(constant, float(low), float(high), reaches.get(number))
         if math.isfinite(low) or math.isfinite(high)
-        else each
-        for number, (each, low, high) in enumerate(zip(known.written, lower, upper, strict=True))
+        else constant
+        for number, (constant, low, high) in enumerate(zip(known.written, lower, upper, strict=True))
     ]
     return Known(tuple(written), known.unit_coefficients)
 

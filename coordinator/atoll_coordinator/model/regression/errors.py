@@ -35,8 +35,8 @@ def grouped_errors_on(problem: Problem, programs: Sequence[Program], loss: Loss)
     if len(programs) == 1:
         return errors_on(problem, programs[0], loss)
     parts = [problem.of_group(group) for group in range(len(programs))]
-    found = [errors_on(part, program, loss) for part, program in zip(parts, programs, strict=True)]
+    part_errors = [errors_on(part, program, loss) for part, program in zip(parts, programs, strict=True)]
     shares = [len(part.target.values) / len(problem.target.values) for part in parts]
-    mse = sum(share * each for share, (_, each) in zip(shares, found, strict=True))
-    error = sum(share * each for share, (each, _) in zip(shares, found, strict=True))
+    mse = sum(share * part_mse for share, (_, part_mse) in zip(shares, part_errors, strict=True))
+    error = sum(share * part_error for share, (part_error, _) in zip(shares, part_errors, strict=True))
     return (error if loss == "mae" else math.sqrt(mse)), mse

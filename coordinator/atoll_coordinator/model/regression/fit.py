@@ -106,11 +106,11 @@ class LeastSquares:
     def _ranges(self, program: Program, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Return the least and largest values (K,) of the constants at these nodes."""
         bounds = self.restrictions.bounds
-        found = None if bounds is None else bounds.ranges(program)
-        if found is None:
+        ranges = None if bounds is None else bounds.ranges(program)
+        if ranges is None:
             return np.full(len(places), -np.inf), np.full(len(places), np.inf)
         chosen = [place in places for place in constant_places(program)]
-        return found[0][chosen], found[1][chosen]
+        return ranges[0][chosen], ranges[1][chosen]
 
     def _equations(self, program: Program, places: list[int], limit: float) -> tuple[float, FloatArray, FloatArray]:
         """Return mean squared error, gradient (K,) and normal matrix (K, K); the latter two empty beyond `limit`."""

@@ -81,15 +81,15 @@ class Rounding:
         Of those that the data single out together the most, else of those that are likelier than everything else.
         Places in it are those in `constants`.
         """
-        its = dict.fromkeys(tuple(number for number in each.numbers if number[0] in constants)
-                            for each in self.considered)  # fmt: skip
+        combinations = dict.fromkeys(tuple(number for number in decision.numbers if number[0] in constants)
+                                     for decision in self.considered)  # fmt: skip
         odds = {
-            key: _odds(self.considered, [{*key} <= {*each.numbers} for each in self.considered])
-            for key in its
+            key: _odds(self.considered, [{*key} <= {*decision.numbers} for decision in self.considered])
+            for key in combinations
             if len(key) > 1
         }
         for least in (math.exp(SETTINGS.inference.distinct_nats), 1.0):
-            likely = [key for key, its_odds in odds.items() if its_odds >= least]
+            likely = [key for key, key_odds in odds.items() if key_odds >= least]
             if likely:
                 best = max(likely, key=lambda key: (len(key), odds[key]))
                 return self._together(constants, dict(best), odds[best])
@@ -130,7 +130,9 @@ def round_estimates(
         number = _rounded(float(decision.means[0]), math.sqrt(float(decision.covariance[0, 0])), digits)
         decision = _decided(decision, 0, number, 0.0)
     values = np.array([value for _, value in decision.numbers])
-    remarks = [_simple_number(*each, odds) for each in zip(range(len(means)), means, np.diag(covariance), strict=True)]
+    remarks = [
+        _simple_number(*estimate, odds) for estimate in zip(range(len(means)), means, np.diag(covariance), strict=True)
+    ]
     return Rounding(values, tuple(remarks), means, start.covariance, considered)
 
 
@@ -148,8 +150,8 @@ def round_constants(fitted: Fitted, criterion: RegressionCriterion, least_square
     places = constant_places(fitted.program)
     if not 0 < len(places) <= SETTINGS.effort.beam or not math.isfinite(best.length):
         return best
-    found = decisions(fitted.program.constants[places], covariance_of(fitted, criterion))
-    probable = sorted((each for each in found if each.numbers), key=lambda each: -each.nats)
+    candidates = decisions(fitted.program.constants[places], covariance_of(fitted, criterion))
+    probable = sorted((decision for decision in candidates if decision.numbers), key=lambda decision: -decision.nats)
     for decision in probable[: SETTINGS.effort.beam]:
         model = _measured(fitted.program, places, dict(decision.numbers), criterion, least_squares)
         if model.length <= best.length:
@@ -168,25 +170,25 @@ def quadratic_form(away: FloatArray, covariance: FloatArray) -> float:
 def _singled_out(odds: Mapping[tuple[int, float], float]) -> dict[int, float]:
     """Return the simple numbers whose odds suffice, by constant."""
     least = math.exp(SETTINGS.inference.distinct_nats)
-    return {index: value for (index, value), its in odds.items() if its >= least}
+    return {index: value for (index, value), value_odds in odds.items() if value_odds >= least}
 
 
 def _marginal_odds(considered: Sequence[Decision]) -> dict[tuple[int, float], float]:
     """Return the odds of each number of each constant against all decisions without it."""
-    numbers = dict.fromkeys(number for each in considered for number in each.numbers)
+    numbers = dict.fromkeys(number for decision in considered for number in decision.numbers)
     held: dict[tuple[int, float], list[bool]] = {number: [] for number in numbers}
-    for each in considered:
-        its = {*each.numbers}
+    for decision in considered:
+        decided_numbers = {*decision.numbers}
         for number, places in held.items():
-            places.append(number in its)
+            places.append(number in decided_numbers)
     return {number: _odds(considered, places) for number, places in held.items()}
 
 
 def _odds(considered: Sequence[Decision], held: Sequence[bool]) -> float:
     """Return the odds of what is held by some decisions against all others."""
-    most = max(each.nats for each in considered)
-    weights = [math.exp(each.nats - most) for each in considered]
-    share = math.fsum(weight for weight, its in zip(weights, held, strict=True) if its)
+    most = max(decision.nats for decision in considered)
+    weights = [math.exp(decision.nats - most) for decision in considered]
+    share = math.fsum(weight for weight, is_held in zip(weights, held, strict=True) if is_held)
     return share / max(math.fsum(weights) - share, 1e-300)
 
 
@@ -195,16 +197,19 @@ def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool =
 
     With `has_products` a constant may also be what makes its product with one that is decided a simple number.
     """
-    found = beam = [_start(means, covariance)]
+    all_decisions = beam = [_start(means, covariance)]
     while beam:
         following: dict[tuple[tuple[int, float], ...], Decision] = {}
-        for each in (each for decision in beam for each in _next(decision, has_products=has_products)):
-            known = following.get(each.numbers)
-            if known is None or each.nats > known.nats:
-                following[each.numbers] = each
-        beam = sorted(following.values(), key=lambda each: -each.nats)[: SETTINGS.effort.beam]
-        found = [*found, *beam]
-    return [replace(each, nats=each.nats + _of_share(len(each.numbers), len(means))) for each in found]
+        for successor in (successor for decision in beam for successor in _next(decision, has_products=has_products)):
+            known = following.get(successor.numbers)
+            if known is None or successor.nats > known.nats:
+                following[successor.numbers] = successor
+        beam = sorted(following.values(), key=lambda decision: -decision.nats)[: SETTINGS.effort.beam]
+        all_decisions = [*all_decisions, *beam]
+    return [
+        replace(decision, nats=decision.nats + _of_share(len(decision.numbers), len(means)))
+        for decision in all_decisions
+    ]
 
 
 def _of_share(simple: int, constants: int) -> float:
@@ -227,7 +232,7 @@ def _next(decision: Decision, *, has_products: bool) -> Iterator[Decision]:
     others = [number for _, number in decision.numbers] if has_products else []
     for k in range(len(decision.open)):
         gains = _gains(float(decision.means[k]), math.sqrt(float(decision.covariance[k, k])), others)
-        best = sorted(gains, key=lambda each: -gains[each])[: SETTINGS.effort.beam]
+        best = sorted(gains, key=lambda number: -gains[number])[: SETTINGS.effort.beam]
         yield from _all_decided(decision, k, {number: gains[number] for number in best})
 
 
@@ -241,24 +246,24 @@ def _gains(value: float, error: float, others: Sequence[float] = ()) -> dict[flo
         return {}
     least = math.log(error * math.sqrt(2.0 * math.pi)) + math.log(continuum_density(value))
     own = _priced(simple_numbers(value, error), value, error, least)
-    factors = {abs(other) for other in others}
+    factors = {abs(number) for number in others}
     if not factors:
         return own
     of_both = math.log(1.5)
-    found = {number: nats - of_both for number, nats in own.items()}
+    gains = {number: nats - of_both for number, nats in own.items()}
     if max(own.values(), default=0.0) > 0.0:
-        return found
+        return gains
     for factor in factors:
         numbers = simple_numbers(value * factor, error * factor)
         price = least + of_both + math.log(2.0 * len(factors))
         for product, nats in _priced(numbers, value * factor, error * factor, price).items():
-            found[product / factor] = max(nats, found.get(product / factor, -math.inf))
-    return found
+            gains[product / factor] = max(nats, gains.get(product / factor, -math.inf))
+    return gains
 
 
 def _priced(numbers: Mapping[float, float], value: float, error: float, least: float) -> dict[float, float]:
     """Return the nats of simple numbers of known lengths near an estimate, beyond `least`."""
-    return {number: -its - 0.5 * ((number - value) / error) ** 2 - least for number, its in numbers.items()}
+    return {number: -length - 0.5 * ((number - value) / error) ** 2 - least for number, length in numbers.items()}
 
 
 def _decided(decision: Decision, k: int, number: float, nats: float) -> Decision:
@@ -298,7 +303,7 @@ def _simple_number(
     index: int, mean: float, variance: float, odds: Mapping[tuple[int, float], float]
 ) -> SimpleNumber | None:
     """Return the most probable simple number near a constant; None when none was considered."""
-    near = {number: its for (constant, number), its in odds.items() if constant == index}
+    near = {number: number_odds for (constant, number), number_odds in odds.items() if constant == index}
     if not near:
         return None
     number = max(near, key=near.__getitem__)

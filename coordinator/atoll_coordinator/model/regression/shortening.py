@@ -77,23 +77,23 @@ class Shortening:
 
         Without `looks_around`, programs beside the members are not tried.
         """
-        found: dict[bytes, Candidate] = {}
+        candidates: dict[bytes, Candidate] = {}
         for member, fitted in self._members(front):
-            self._take_in(found, member, (fitted, self._reduced(fitted)))
-        if not found or not looks_around:
-            return sorted(found.values(), key=lambda each: each.rank)
-        best = min(found.values(), key=lambda each: each.rank)
-        simple = min(found.values(), key=lambda each: self._simplicity(each, best))
+            self._take_in(candidates, member, (fitted, self._reduced(fitted)))
+        if not candidates or not looks_around:
+            return sorted(candidates.values(), key=lambda candidate: candidate.rank)
+        best = min(candidates.values(), key=lambda candidate: candidate.rank)
+        simple = min(candidates.values(), key=lambda candidate: self._simplicity(candidate, best))
         if simple is not best and not self._is_exact(best):
-            self._take_in(found, simple.member, self._around(simple))
-            best = min(found.values(), key=lambda each: each.rank)
+            self._take_in(candidates, simple.member, self._around(simple))
+            best = min(candidates.values(), key=lambda candidate: candidate.rank)
         while not self._is_exact(best) and not self._is_exhausted():
-            self._take_in(found, best.member, self._around(best))
-            following = min(found.values(), key=lambda each: each.rank)
+            self._take_in(candidates, best.member, self._around(best))
+            following = min(candidates.values(), key=lambda candidate: candidate.rank)
             if following is best:
                 break
             best = following
-        return sorted(found.values(), key=lambda each: each.rank)
+        return sorted(candidates.values(), key=lambda candidate: candidate.rank)
 
     def _is_exact(self, candidate: Candidate) -> bool:
         return candidate.fitted.mse <= self.criterion.least_variance
@@ -109,15 +109,15 @@ class Shortening:
         polished = [(index, self._fitted(program)) for index, program in fits.values()]
         priced = sorted(
             ((description_length(fitted, self.criterion), index, fitted) for index, fitted in polished),
-            key=lambda each: each[:2],
+            key=lambda priced_fit: priced_fit[:2],
         )
         return [(index, fitted) for _, index, fitted in priced[: SETTINGS.effort.beam]]
 
-    def _take_in(self, found: dict[bytes, Candidate], member: int, fits: Sequence[Fitted]) -> None:
+    def _take_in(self, candidates: dict[bytes, Candidate], member: int, fits: Sequence[Fitted]) -> None:
         for fitted in fits:
             key = structure(fitted.program)
-            if key not in found:
-                found[key] = Candidate(member, fitted, self._model(fitted))
+            if key not in candidates:
+                candidates[key] = Candidate(member, fitted, self._model(fitted))
 
     def _model(self, fitted: Fitted) -> Model:
         if self._has_simple_numbers:
@@ -172,7 +172,7 @@ class Shortening:
         same as `best`, the shortest for each collection of operators, since their constants may be simpler.
         """
         most = description_length(best.fitted, self.criterion) + _MARGIN
-        found: dict[tuple[str, bytes], tuple[float, Fitted]] = {}
+        fits: dict[tuple[str, bytes], tuple[float, Fitted]] = {}
         for program in neighbours(best.fitted.program, self._variables, self._operators):
             if self._is_exhausted():
                 break
@@ -180,10 +180,10 @@ class Shortening:
             meaning = (f"{fitted.mse:.6g}", b"")
             if meaning[0] == f"{best.fitted.mse:.6g}":
                 meaning = (meaning[0], np.sort(fitted.program.operators).tobytes())
-            if length < most and (meaning not in found or length < found[meaning][0]):
-                found[meaning] = (length, fitted)
-        nearest = sorted(found.values(), key=lambda each: (each[0], structure(each[1].program)))[: SETTINGS.effort.beam]
-        return [fitted for _, one in nearest for fitted in (one, self._reduced(one))]
+            if length < most and (meaning not in fits or length < fits[meaning][0]):
+                fits[meaning] = (length, fitted)
+        nearest = sorted(fits.values(), key=lambda pair: (pair[0], structure(pair[1].program)))[: SETTINGS.effort.beam]
+        return [fitted for _, neighbour in nearest for fitted in (neighbour, self._reduced(neighbour))]
 
     def _is_exhausted(self) -> bool:
         return self._deadline.is_over or self.least_squares.evaluations > SETTINGS.regression.most_evaluations

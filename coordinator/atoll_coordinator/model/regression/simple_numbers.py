@@ -52,14 +52,18 @@ def simple_numbers(value: float, error: float) -> dict[float, float]:
     if value != 0.0 and not 1.0 / _LARGE < abs(value) < _LARGE:
         scale = _LARGE**0.5 if abs(value) < 1.0 else _LARGE**-0.5
         near = simple_numbers(value * scale, error * scale).items()
-        return {its: length for number, length in near if (its := number / scale) != 0.0 and math.isfinite(its)}
-    found: dict[float, float] = {}
+        return {
+            quotient: length
+            for number, length in near
+            if (quotient := number / scale) != 0.0 and math.isfinite(quotient)
+        }
+    lengths: dict[float, float] = {}
     for unit, digits, price in ((1.0, sys.float_info.dig, 0.0), (math.pi, _DIGITS_OF_PI, SETTINGS.regression.pi_nats)):
         for denominator in SETTINGS.regression.denominators:
             for number, numerator in _near(value, error, denominator, unit, digits):
                 length = number_length(numerator, denominator) + price
-                found[number] = min(length, found.get(number, math.inf))
-    return found
+                lengths[number] = min(length, lengths.get(number, math.inf))
+    return lengths
 
 
 def continuum_density(value: float) -> float:
@@ -82,10 +86,10 @@ def _probability_of_decade() -> float:
                 digits = f"{numerator / denominator:.12e}".split("e")[0]
                 lengths[digits] = min(number_length(numerator, denominator), lengths.get(digits, math.inf))
         recurs = 10 * denominator
-        share = sum(each % 10 > 0 and math.gcd(each, denominator) == 1 for each in range(recurs)) / recurs
+        share = sum(residue % 10 > 0 and math.gcd(residue, denominator) == 1 for residue in range(recurs)) / recurs
         of_digits = share * math.log(10.0) * math.exp(number_length(0) - number_length(0, denominator))
         rest += sum(of_digits * math.exp(-_DIGIT * more) for more in range(_SHORT, sys.float_info.dig))
-    return rest + sum(math.exp(-each) for each in lengths.values())
+    return rest + sum(math.exp(-length) for length in lengths.values())
 
 
 def _near(value: float, error: float, denominator: int, unit: float, digits: int) -> Iterator[tuple[float, int]]:

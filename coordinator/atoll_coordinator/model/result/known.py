@@ -18,11 +18,11 @@ def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:
 
     Its errors are those on all rows, infinite where it is not finite on all of them; it was found nowhere.
     """
-    found = {}
+    entries = {}
     for name, program in known_programs(dataset, config).items():
         error, mse = errors_on(dataset.problem(name), program, config.evolution.loss)
-        found[name] = FrontEntry(len(program), error, mse, 0, 0, 0, program.to_bytes())
-    return found
+        entries[name] = FrontEntry(len(program), error, mse, 0, 0, 0, program.to_bytes())
+    return entries
 
 
 def with_remarks(preparation: Preparation, config: JobConfig) -> Preparation:

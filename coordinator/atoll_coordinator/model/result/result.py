@@ -167,13 +167,13 @@ def _shared_terms(
 
 def versions() -> dict[str, str | int]:
     """Return the versions of everything that can matter to a result."""
-    found: dict[str, str | int] = {
+    version_by_name: dict[str, str | int] = {
         "atoll": VERSION,
         "engine": ENGINE_REVISION,
         "protocol": PROTOCOL_VERSION,
         "python": platform.python_version(),
     }
-    return found | {package: _version(package) for package in _PACKAGES}
+    return version_by_name | {package: _version(package) for package in _PACKAGES}
 
 
 @cache
@@ -273,13 +273,13 @@ def _written_front(
     for index, entry in enumerate(outcome.front):
         if _is_printable(entry, dataset):
             program = _written(entry, outcome, dataset)
-            its = best.get(structure(program), (entry, program, False))
-            nearer = (entry, program) if entry.error < its[0].error else its[:2]
-            best[structure(program)] = (*nearer, its[2] or index == selected)
+            member = best.get(structure(program), (entry, program, False))
+            nearer = (entry, program) if entry.error < member[0].error else member[:2]
+            best[structure(program)] = (*nearer, member[2] or index == selected)
     members: list[tuple[FrontEntry, Program, bool]] = []
-    for its in sorted(best.values(), key=lambda each: (len(each[1]), each[0].error)):
-        if its[2] or all(its[0].error < other[0].error for other in members):
-            members.append(its)
+    for member in sorted(best.values(), key=lambda candidate: (len(candidate[1]), candidate[0].error)):
+        if member[2] or all(member[0].error < predecessor[0].error for predecessor in members):
+            members.append(member)
     return members
 
 
@@ -419,8 +419,12 @@ def _bounds(shown: Refined | None, dataset: Dataset, config: JobConfig, variable
     if shown is None or bounds is None:
         return ()
     return tuple(
-        parts.Bound(bound=one.bound.text, values=tuple(map(finite, one.values)), active=one.is_active)
-        for one in bounds.governed(shown.program)
+        parts.Bound(
+            bound=governed_bound.bound.text,
+            values=tuple(map(finite, governed_bound.values)),
+            active=governed_bound.is_active,
+        )
+        for governed_bound in bounds.governed(shown.program)
     )
 
 

@@ -37,15 +37,15 @@ def shared_terms(
         names: of all variables.
         together: the terms that were fitted together.
     """
-    found: list[tuple[Monomial, Refined, dict[str, float]]] = []
-    for variable, its in equations.items():
-        for monomial, factor in _terms(its):
-            for other, owner, factors in found:
-                if variable not in factors and _are_one(other, owner, monomial, its):
+    terms: list[tuple[Monomial, Refined, dict[str, float]]] = []
+    for variable, equation in equations.items():
+        for monomial, factor in _terms(equation):
+            for known_monomial, owner, factors in terms:
+                if variable not in factors and _are_one(known_monomial, owner, monomial, equation):
                     factors[variable] = factor
                     break
             else:
-                found.append((monomial, its, {variable: factor}))
+                terms.append((monomial, equation, {variable: factor}))
     return tuple(
         SharedTerm(
             term=_text(monomial, names),
@@ -53,7 +53,7 @@ def shared_terms(
             factors={variable: finite(factor) for variable, factor in factors.items()},
             multiples=_multiples(monomial, factors, together),
         )
-        for monomial, _, factors in found
+        for monomial, _, factors in terms
         if len(factors) > 1 and not (_is_variable(monomial) and _multiples(monomial, factors, together) is None)
     )
 
@@ -64,15 +64,15 @@ def _multiples(
     """Return how many times the flux stands in each equation, None of a term that was not fitted together."""
     shape = shape_of(monomial)
     return next(
-        (dict(each.multiples) for each in together if each.shape == shape and factors.keys() >= each.multiples.keys()),
+        (dict(term.multiples) for term in together if term.shape == shape and factors.keys() >= term.multiples.keys()),
         None,
     )
 
 
-def _terms(its: Refined) -> list[tuple[Monomial, float]]:
+def _terms(equation: Refined) -> list[tuple[Monomial, float]]:
     """Return the terms of an equation with their factors; none where it has too many."""
     try:
-        terms = terms_of(its.program)
+        terms = terms_of(equation.program)
     except UndefinedError:
         return []
     return [(monomial, factor) for monomial, factor in terms if monomial != ONE]
@@ -82,21 +82,22 @@ def _is_variable(monomial: Monomial) -> bool:
     return len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == VARIABLE
 
 
-def _are_one(one: Monomial, its: Refined, other: Monomial, theirs: Refined) -> bool:
-    if shape_of(one) != shape_of(other):
+def _are_one(left: Monomial, left_equation: Refined, right: Monomial, right_equation: Refined) -> bool:
+    if shape_of(left) != shape_of(right):
         return False
-    numbers = [inner_numbers(((monomial, 1.0),)) for monomial in (one, other)]
+    numbers = [inner_numbers(((monomial, 1.0),)) for monomial in (left, right)]
     if len(numbers[0]) != len(numbers[1]):
         return False
-    pairs = zip(*(sorted(each, key=abs) for each in numbers), strict=True)
+    pairs = zip(*(sorted(term_numbers, key=abs) for term_numbers in numbers), strict=True)
     return all(
-        abs(first - second) <= 2.0 * math.hypot(_error(first, its), _error(second, theirs)) for first, second in pairs
+        abs(first - second) <= 2.0 * math.hypot(_error(first, left_equation), _error(second, right_equation))
+        for first, second in pairs
     )
 
 
-def _error(number: float, its: Refined) -> float:
+def _error(number: float, equation: Refined) -> float:
     """Return the standard error of a number in a term, a thousandth of it where none is known."""
-    for constant in its.constants:
+    for constant in equation.constants:
         if constant.std_error is not None and abs(constant.value - number) <= _SAME_NUMBER * abs(number):
             return constant.std_error
     return SETTINGS.common.negligible * abs(number)

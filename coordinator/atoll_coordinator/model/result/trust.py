@@ -93,20 +93,20 @@ def chaos(known: refinement.Chaos | None) -> Chaos | None:
 
 def candidates(alternatives: Sequence[Alternative], dataset: Dataset) -> tuple[Candidate, ...]:
     """Return the equations that were compared with the one shown, itself first, then the best."""
-    printable = [other for other in alternatives if tree_size(other.program) <= PRINTABLE_SIZE]
-    ordered = sorted(printable, key=lambda other: (not other.is_shown, other.nats))
+    printable = [alternative for alternative in alternatives if tree_size(alternative.program) <= PRINTABLE_SIZE]
+    ordered = sorted(printable, key=lambda alternative: (not alternative.is_shown, alternative.nats))
     return tuple(
         Candidate(
-            expression=to_infix(other.program, dataset.names),
-            complexity=len(other.program),
-            nats=finite(other.nats),
-            r2=finite(other.r2),
-            held_out_r2=finite(other.held_out_r2),
-            cross_validated=other.is_cross_validated,
-            origin=other.origin,
-            selected=other.is_shown,
+            expression=to_infix(alternative.program, dataset.names),
+            complexity=len(alternative.program),
+            nats=finite(alternative.nats),
+            r2=finite(alternative.r2),
+            held_out_r2=finite(alternative.held_out_r2),
+            cross_validated=alternative.is_cross_validated,
+            origin=alternative.origin,
+            selected=alternative.is_shown,
         )
-        for other in ordered[:MOST_CANDIDATES]
+        for alternative in ordered[:MOST_CANDIDATES]
     )
 
 

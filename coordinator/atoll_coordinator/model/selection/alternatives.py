@@ -50,19 +50,19 @@ def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
     simplest = _simplest_on_rows(selection, inputs)
     if simplest is not selection:
         selection, alternatives = simplest, _all_alternatives(simplest, inputs)
-    is_held_out = any(each.held_out for each in selection.task.recording.trajectories)
+    is_held_out = any(trajectory.held_out for trajectory in selection.task.recording.trajectories)
     validation = Validation(selection.comparison)
     if is_held_out or not validation.is_possible:
-        return Ranking(selection, None, tuple(tuple(map(RankedAlternative, its)) for its in alternatives))
+        return Ranking(selection, None, tuple(tuple(map(RankedAlternative, models)) for models in alternatives))
     own = validation.of(selection.model)
     if own is None:
-        return Ranking(selection, None, tuple(tuple(map(RankedAlternative, its)) for its in alternatives))
-    validated = [_validated(validation, its, selection.model) for its in alternatives]
+        return Ranking(selection, None, tuple(tuple(map(RankedAlternative, models)) for models in alternatives))
+    validated = [_validated(validation, models, selection.model) for models in alternatives]
     winner = _winner(selection.model, own, validated)
     if winner is not None:
         selection = replace(selection, model=winner.model)
         own = winner.validated or own
-        validated = [_validated(validation, its, selection.model) for its in _all_alternatives(selection, inputs)]
+        validated = [_validated(validation, models, selection.model) for models in _all_alternatives(selection, inputs)]
     return Ranking(selection, own, tuple(map(tuple, validated)))
 
 
@@ -71,7 +71,9 @@ def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedMod
     while True:
         alternatives = _all_alternatives(selection, inputs)
         best = min(
-            (each for its in alternatives for each in its[:1]), key=lambda model: model.nats, default=selection.model
+            (model for models in alternatives for model in models[:1]),
+            key=lambda model: model.nats,
+            default=selection.model,
         )
         if best.nats > selection.model.nats - SETTINGS.selection.least_gain:
             return selection, alternatives
@@ -91,14 +93,18 @@ def _simplest_on_rows(selection: SelectedModel, inputs: FloatArray) -> SelectedM
         if equation in comparison.fixed:
             continue
         values, longest = values_of(own, inputs), comparison.length(own) - SETTINGS.selection.least_gain
-        tried = [each.programs[equation] for (its, _), each in comparison.tried.items() if its == equation]
+        tried = [
+            model.programs[equation]
+            for (tried_equation, _), model in comparison.tried.items()
+            if tried_equation == equation
+        ]
         tried += selection.lists[equation] if selection.lists else []
-        for each in sorted({structure(its): its for its in tried}.values(), key=comparison.length):
-            if comparison.length(each) >= longest:
+        for program in sorted({structure(program): program for program in tried}.values(), key=comparison.length):
+            if comparison.length(program) >= longest:
                 break
-            if _is_multiple(values_of(each, inputs), values):
-                found = comparison.fit_exchanged(selection.model, equation, each, SETTINGS.effort.steps)
-                selection = selection if found is None else replace(selection, model=found)
+            if _is_multiple(values_of(program, inputs), values):
+                model = comparison.fit_exchanged(selection.model, equation, program, SETTINGS.effort.steps)
+                selection = selection if model is None else replace(selection, model=model)
                 break
     return selection
 
@@ -119,10 +125,12 @@ def _without_unearned_poles(
         if index in selection.comparison.fixed or not find_poles(own, inputs):
             continue
         limit = selection.model.nats + SETTINGS.inference.distinct_nats
-        near = (each for each in alternatives[index] if each.nats <= limit)
-        other = next((each for each in near if not find_poles(each.programs[index], inputs)), None)
-        if other is not None:
-            selection = replace(selection, model=other)
+        near = (alternative for alternative in alternatives[index] if alternative.nats <= limit)
+        replacement = next(
+            (alternative for alternative in near if not find_poles(alternative.programs[index], inputs)), None
+        )
+        if replacement is not None:
+            selection = replace(selection, model=replacement)
             alternatives = _all_alternatives(selection, inputs)
     return selection, alternatives
 
@@ -135,14 +143,14 @@ def _winner(
     Those with more constants are left out: what these gain on few trajectories is chance as often as not.
     """
     best, winner = validated_length(own.misfit, model.programs) - SETTINGS.inference.distinct_nats, None
-    for each in (alternative for its in alternatives for alternative in its):
-        if each.validated is None or each.model.nats > model.nats + SETTINGS.inference.distinct_nats:
+    for alternative in (alternative for equation_alternatives in alternatives for alternative in equation_alternatives):
+        if alternative.validated is None or alternative.model.nats > model.nats + SETTINGS.inference.distinct_nats:
             continue
-        if each.model.fit.system.count > model.fit.system.count:
+        if alternative.model.fit.system.count > model.fit.system.count:
             continue
-        nats = validated_length(each.validated.misfit, each.model.programs)
+        nats = validated_length(alternative.validated.misfit, alternative.model.programs)
         if nats < best:
-            best, winner = nats, each
+            best, winner = nats, alternative
     return winner
 
 
@@ -151,10 +159,10 @@ def _validated(
 ) -> list[RankedAlternative]:
     return [
         RankedAlternative(
-            each,
-            validation.of(each) if each.nats <= best.nats + SETTINGS.inference.distinct_nats else None,
+            model,
+            validation.of(model) if model.nats <= best.nats + SETTINGS.inference.distinct_nats else None,
         )
-        for each in alternatives
+        for model in alternatives
     ]
 
 
@@ -169,9 +177,9 @@ def _all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list
 def _alternatives(comparison: ModelComparison, best: FittedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
     """Return what came closest with another equation for one variable, distinct in function, the closest first."""
     tried = sorted(
-        (each for (equation, _), each in comparison.tried.items() if equation == index), key=lambda model: model.nats
+        (model for (equation, _), model in comparison.tried.items() if equation == index), key=lambda model: model.nats
     )
-    programs: dict[bytes, Program] = {structure(each.programs[index]): each.programs[index] for each in tried}
+    programs: dict[bytes, Program] = {structure(model.programs[index]): model.programs[index] for model in tried}
     near = comparison.narrow_down(
         best,
         index,
@@ -179,13 +187,13 @@ def _alternatives(comparison: ModelComparison, best: FittedModel, index: int, in
         ((SETTINGS.effort.steps, SETTINGS.effort.kept),),
     )
     functions = [values_of(best.programs[index], inputs)]
-    found: list[FittedModel] = []
-    for each in near:
-        values = values_of(each.programs[index], inputs)
-        if all(_differ(values, other) for other in functions):
+    distinct_models: list[FittedModel] = []
+    for model in near:
+        values = values_of(model.programs[index], inputs)
+        if all(_differ(values, function) for function in functions):
             functions.append(values)
-            found.append(each)
-    return found[: SETTINGS.effort.beam]
+            distinct_models.append(model)
+    return distinct_models[: SETTINGS.effort.beam]
 
 
 def _differ(first: FloatArray, second: FloatArray) -> bool:

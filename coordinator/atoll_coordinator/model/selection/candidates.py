@@ -106,23 +106,23 @@ def ranked(
         libraries: terms that are left out one after another.
     """
     least_squares = LeastSquares(problem, restrictions=comparison.restrictions(0))
-    unique = {structure(program): program for program in reversed([shortest(each) for each in programs])}
+    unique = {structure(program): program for program in reversed([shortest(candidate) for candidate in programs])}
     deadline = comparison.estimator.deadline
     is_pooled = comparison.groups is None  # else constants are fitted group by group
     polished = [
         least_squares.fit(program, steps=SETTINGS.effort.steps if is_pooled and not deadline.is_over else 0)
         for program in reversed(unique.values())
     ]
-    started = [each.program for each in polished if np.isfinite(each.mse)]
+    started = [fitted.program for fitted in polished if np.isfinite(fitted.mse)]
     steps, (short, longer, _) = SETTINGS.effort.brief_steps, SETTINGS.shooting.lengths
-    found = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (short,)), started)
-    found = found[: SETTINGS.effort.kept]
+    models = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (short,)), started)
+    models = models[: SETTINGS.effort.kept]
     for terms in libraries:
         if comparison.estimator.work < SETTINGS.effort.work:
-            found += eliminated(comparison, problem, terms)
-    chosen = {structure(each.programs[0]): each.programs[0] for each in found}
+            models += eliminated(comparison, problem, terms)
+    chosen = {structure(model.programs[0]): model.programs[0] for model in models}
     refitted = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (longer,)), chosen.values())
-    best = [each.programs[0] for each in distinct(refitted)]
+    best = [model.programs[0] for model in distinct(refitted)]
     first = SETTINGS.effort.kept
     best = [*map(shortest, best[:first]), *best[first:]]
     known = {structure(program) for program in best}

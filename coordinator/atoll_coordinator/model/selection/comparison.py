@@ -102,19 +102,19 @@ class ModelComparison:
         def in_time(item: Item) -> FittedModel | None:
             return None if self.estimator.deadline.is_over else work(item)
 
-        done = [its for its in self._map(in_time, items) if its is not None and math.isfinite(its.nats)]
+        done = [model for model in self._map(in_time, items) if model is not None and math.isfinite(model.nats)]
         return sorted(done, key=lambda model: model.nats)
 
     def _bounded(
         self, work: Callable[[Item], FittedModel | None], items: Sequence[Item], until: float
     ) -> list[FittedModel]:
         """Return what `map` does, of the first items as far as the estimator's work is less than `until`."""
-        found: list[FittedModel] = []
+        models: list[FittedModel] = []
         for first in range(0, len(items), SETTINGS.effort.kept):
             if first and self.estimator.work >= until:
                 break
-            found += self.fit_all(work, items[first : first + SETTINGS.effort.kept])
-        return sorted(found, key=lambda model: model.nats)
+            models += self.fit_all(work, items[first : first + SETTINGS.effort.kept])
+        return sorted(models, key=lambda model: model.nats)
 
     def restrictions(self, equation: int) -> Restrictions:
         """Return what an equation must keep to; a given one to nothing."""
@@ -124,8 +124,12 @@ class ModelComparison:
         """Return `programs` as they may be fitted; None when one of them may not stand for its equation."""
         if not self._restrictions:
             return list(programs)
-        found = [self.restrictions(index).admitted(program) for index, program in enumerate(programs)]
-        return None if any(program is None for program in found) else [each for each in found if each is not None]
+        admissible_programs = [self.restrictions(index).admitted(program) for index, program in enumerate(programs)]
+        return (
+            None
+            if any(program is None for program in admissible_programs)
+            else [program for program in admissible_programs if program is not None]
+        )
 
     def system(
         self, programs: Sequence[Program], fixed_nodes: Sequence[Iterable[int]] = (), near: System | None = None,
@@ -173,11 +177,11 @@ class ModelComparison:
         upper: list[float] = []
         for index, (program, held) in enumerate(zip(programs, fixed, strict=True)):
             bounds, places = self.restrictions(index).bounds, constant_places(program)
-            found = None if bounds is None else bounds.ranges(program)
-            its = found or (np.full(len(places), -np.inf), np.full(len(places), np.inf))
+            bounded_ranges = None if bounds is None else bounds.ranges(program)
+            ranges = bounded_ranges or (np.full(len(places), -np.inf), np.full(len(places), np.inf))
             is_free = [place not in held for place in places]
-            lower += its[0][is_free].tolist()
-            upper += its[1][is_free].tolist()
+            lower += ranges[0][is_free].tolist()
+            upper += ranges[1][is_free].tolist()
         return np.array(lower, dtype=np.float64), np.array(upper, dtype=np.float64)
 
     def fit_model(
@@ -204,8 +208,8 @@ class ModelComparison:
         admitted = self.admitted(programs)
         if admitted is None:
             return None
-        its, system = near.fit, self.system(admitted, fixed_nodes, near.fit.system, shared)
-        fit = self.estimator.fit(system, None, steps, its.starts, its.errors, is_stiff=its.is_stiff)
+        near_fit, system = near.fit, self.system(admitted, fixed_nodes, near.fit.system, shared)
+        fit = self.estimator.fit(system, None, steps, near_fit.starts, near_fit.errors, is_stiff=near_fit.is_stiff)
         return None if fit is None else self.measure(fit)
 
     def fit_correlated(self, model: FittedModel) -> FittedModel | None:
@@ -214,9 +218,11 @@ class ModelComparison:
         None where the constants differ by more than chance from those fitted to independent errors: then what the
         residuals have in common is not errors, but what the equations miss (Hausman 1978, Econometrica 46:1251).
         """
-        its = model.fit
-        errors = replace(its.errors, is_correlation_sought=True)
-        fit = self.estimator.fit(its.system, None, SETTINGS.effort.steps, its.starts, errors, is_stiff=its.is_stiff)
+        model_fit = model.fit
+        errors = replace(model_fit.errors, is_correlation_sought=True)
+        fit = self.estimator.fit(
+            model_fit.system, None, SETTINGS.effort.steps, model_fit.starts, errors, is_stiff=model_fit.is_stiff
+        )
         return None if fit is None or self._is_refuted(model, fit) else self.measure(fit)
 
     def _is_refuted(self, model: FittedModel, fit: TrajectoryFit) -> bool:
@@ -246,25 +252,25 @@ class ModelComparison:
         in other words, the one of shortest description stays. Once the estimator's work is `until`, no more are taken
         in than the next few.
         """
-        found: list[FittedModel] = []
+        models: list[FittedModel] = []
         waiting = list(programs)
         for steps, kept in rounds:
 
             def fitted(program: Program, steps: int = steps) -> FittedModel | None:
                 return self.fit_exchanged(near, equation, program, steps)
 
-            found = distinct(self._bounded(fitted, waiting, until))[:kept]
-            waiting = [its.programs[equation] for its in found]
-        for its in found:
-            self._remember(equation, its)
-        return found
+            models = distinct(self._bounded(fitted, waiting, until))[:kept]
+            waiting = [model.programs[equation] for model in models]
+        for model in models:
+            self._remember(equation, model)
+        return models
 
     def measure(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model that a fit of one of this comparison's systems gives."""
         programs = fit.system.programs[len(self.leading) :]
-        its = self.misfit.total(fit.squares) + self._drift(fit)
-        nats = system_length(its, programs, 1, self._constants_length(fit.system))
-        return FittedModel(programs, fit, its, nats)
+        misfit = self.misfit.total(fit.squares) + self._drift(fit)
+        nats = system_length(misfit, programs, 1, self._constants_length(fit.system))
+        return FittedModel(programs, fit, misfit, nats)
 
     def _constants_length(self, system: System) -> float:
         """Return the nats of all fitted numbers: those of one group are known from its rows alone."""
@@ -273,10 +279,13 @@ class ModelComparison:
 
     def _drift(self, fit: TrajectoryFit) -> float:
         """Return the misfit of states that rest at 0, n/2 ln(s / least^2): only integration may err there."""
-        its = self.estimator.measurements
+        measurements = self.estimator.measurements
         total = 0.0
         for resting, state, least in zip(
-            its.resting if its.resting is not None else (), its.observed.tolist(), self.least_errors, strict=False
+            measurements.resting if measurements.resting is not None else (),
+            measurements.observed.tolist(),
+            self.least_errors,
+            strict=False,
         ):
             if resting.any():
                 square = float(np.mean(fit.simulated[state, resting] ** 2))
@@ -374,11 +383,11 @@ def distinct(models: Iterable[FittedModel]) -> list[FittedModel]:
     """Return the models, sorted by nats, without those whose misfit is that of one before."""
     kept: list[FittedModel] = []
     misfits: list[float] = []
-    for each in models:
-        its = each.misfit
-        reach = 2.0 * _REPEATED * (1.0 + abs(its))  # no other one can be near enough
-        near = misfits[bisect_left(misfits, its - reach) : bisect_right(misfits, its + reach)]
-        if all(abs(its - other) > _REPEATED * (1.0 + abs(other)) for other in near):
-            kept.append(each)
-            insort(misfits, its)
+    for model in models:
+        misfit = model.misfit
+        reach = 2.0 * _REPEATED * (1.0 + abs(misfit))  # no other one can be near enough
+        near = misfits[bisect_left(misfits, misfit - reach) : bisect_right(misfits, misfit + reach)]
+        if all(abs(misfit - near_misfit) > _REPEATED * (1.0 + abs(near_misfit)) for near_misfit in near):
+            kept.append(model)
+            insort(misfits, misfit)
     return kept

@@ -24,7 +24,7 @@ def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term])
 
     Nothing where a term has no value somewhere.
     """
-    found: list[FittedModel] = []
+    models: list[FittedModel] = []
     while terms and not comparison.estimator.deadline.is_over:
         columns = np.array([column_of(term, problem.inputs) for term in terms])
         if not np.isfinite(columns).all():
@@ -34,10 +34,10 @@ def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term])
         program = sum_of(terms, coefficients)
         model = comparison.fit_model([program], SETTINGS.effort.brief_steps, SETTINGS.shooting.lengths[:1])
         if model is not None:
-            found.append(model)
+            models.append(model)
         index = _least(model, columns, coefficients)
         terms = _moved([*terms[:index], *terms[index + 1 :]], model)
-    return found
+    return models
 
 
 def _moved(terms: list[Term], model: FittedModel | None) -> list[Term]:
@@ -58,15 +58,15 @@ def _moved(terms: list[Term], model: FittedModel | None) -> list[Term]:
 
 def _below(program: Program) -> set[int]:
     """Return the nodes of the constants that denominators are made of."""
-    found: set[int] = set()
+    nodes: set[int] = set()
     for index in range(len(program) - 1, -1, -1):
         code = int(program.operators[index])
         arguments = [int(program.left[index]), int(program.right[index])][: ARITY[code]]
-        if index in found:
-            found |= set(arguments)
+        if index in nodes:
+            nodes |= set(arguments)
         elif code == DIVIDE:
-            found.add(arguments[1])
-    return {index for index in found if program.operators[index] == CONSTANT}
+            nodes.add(arguments[1])
+    return {index for index in nodes if program.operators[index] == CONSTANT}
 
 
 def _fitted(columns: FloatArray, scales: Sequence[float], target: FloatArray) -> list[float]:
@@ -82,10 +82,10 @@ def _least(model: FittedModel | None, columns: FloatArray, coefficients: Sequenc
     by_size = int(np.argmin(np.abs(coefficients) * columns.std(axis=1)))
     if model is None:
         return by_size
-    its = model.fit.system
-    is_factor = ~np.isin(its.places, sorted(_below(model.programs[0])))
+    system = model.fit.system
+    is_factor = ~np.isin(system.places, sorted(_below(model.programs[0])))
     if int(is_factor.sum()) != len(coefficients):
         return by_size
-    variances = its.by_place(np.diag(covariance(model.fit)), 2)[:, is_factor]
-    squares = its.by_place(its.values)[:, is_factor] ** 2
+    variances = system.by_place(np.diag(covariance(model.fit)), 2)[:, is_factor]
+    squares = system.by_place(system.values)[:, is_factor] ** 2
     return int(np.argmin(np.sqrt((squares / np.maximum(variances, 1e-300)).sum(axis=0))))

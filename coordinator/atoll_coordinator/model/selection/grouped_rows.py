@@ -30,9 +30,9 @@ class GroupedRows:
         `restrictions` are those of the equations, by index.
         """
         self.count: Final = count
-        its = restrictions or {}
+        by_equation = restrictions or {}
         self._fits = [
-            [LeastSquares(problem, restrictions=its.get(index, NONE)) for problem in those]
+            [LeastSquares(problem, restrictions=by_equation.get(index, NONE)) for problem in those]
             for index, those in enumerate(problems)
         ]
         self._known: dict[tuple[int, bytes], FloatArray] = {}
@@ -59,11 +59,11 @@ class GroupedRows:
             before = near.equations[index + leading]
             if structure(before) == structure(program):
                 first = int(near.outputs[index + leading]) + 1 - len(before)
-                found = near.sharing.constants[:, first : first + len(before)].copy()
+                constants = near.sharing.constants[:, first : first + len(before)].copy()
                 for node in fixed:
                     if program.constants[node] != near.constants[first + node]:
-                        found[:, node] = program.constants[node]
-                return found
+                        constants[:, node] = program.constants[node]
+                return constants
         return self._fitted(index, program, fixed)
 
     def _fitted(self, index: int, program: Program, fixed: Collection[int]) -> FloatArray:
@@ -75,8 +75,8 @@ class GroupedRows:
         known = self._known.get(key)
         if known is None:
             fits = [
-                each.fit(program, sorted(fixed), steps=SETTINGS.effort.brief_steps).program.constants
-                for each in self._fits[index]
+                least_squares.fit(program, sorted(fixed), steps=SETTINGS.effort.brief_steps).program.constants
+                for least_squares in self._fits[index]
             ]
             known = self._known[key] = np.array(fits)
         return known

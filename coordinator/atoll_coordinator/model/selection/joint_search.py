@@ -79,12 +79,16 @@ class ModellingTask:
     @cached_property
     def known(self) -> dict[str, Program]:
         """The equations that are given."""
-        return {name: each.known for name, each in self.candidates.items() if each.known is not None}
+        return {
+            name: equation_candidates.known
+            for name, equation_candidates in self.candidates.items()
+            if equation_candidates.known is not None
+        }
 
     @property
     def is_nearly_clean(self) -> bool:
         """Whether the independent errors of all states are too small to hide a term of a law."""
-        return all(each.relative_noise < SETTINGS.selection.least_noise for each in self.recording.smoothing)
+        return all(smoothing.relative_noise < SETTINGS.selection.least_noise for smoothing in self.recording.smoothing)
 
     def may_be_shown(self, program: Program) -> bool:
         """Tell whether the job's equations may be as large as `program`."""
@@ -104,9 +108,9 @@ class ModellingTask:
             return self.known[name]
         target = self.dataset.problem(name).target
         if name in self.settled and not target.is_noisy and not self.recording.groups:
-            its = self.settled[name]
-            if its.error <= target.convergence_error(self.config.budget.target_error):
-                return shortest(its.program)
+            refined = self.settled[name]
+            if refined.error <= target.convergence_error(self.config.budget.target_error):
+                return shortest(refined.program)
         return None
 
     def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> Measurements:
@@ -116,8 +120,8 @@ class ModellingTask:
 
     def compared_measurements(self) -> Measurements:
         """Return the measurements of all variables on as many rows as systems of so many are compared on."""
-        its = SETTINGS.selection
-        rows = min(its.compared_rows, its.compared_numbers // max(len(self.variables), 1))
+        settings = SETTINGS.selection
+        rows = min(settings.compared_rows, settings.compared_numbers // max(len(self.variables), 1))
         return self.measurements(self.variables).thinned(rows)
 
     def compare(
@@ -141,7 +145,7 @@ class ModellingTask:
         tolerance = max(error, SETTINGS.selection.tolerated_noise * SETTINGS.shooting.exact)
         fixed = [index for index, name in enumerate(variables) if name in self.known]
         restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
-        restrictions = {index: its for index, its in restrictions.items() if not its.are_none}
+        restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
         return ModelComparison(
             MultipleShooting(measurements, tolerance, self.deadline), self.dataset.names, fixed,
             self.leading(variables), self.executor, Constraints(restrictions, self.grouped_rows(variables)),
@@ -182,9 +186,9 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
     """
     converged = [task.converged(name) for name in task.variables]
     laws = [next((law.program for law in task.laws.get(name, ())), None) for name in task.variables]
-    found = [its or law for its, law in zip(converged, laws, strict=True)]
-    whole = [program for program in found if program is not None]
-    if any(converged) and len(whole) == len(found) and _is_exact(task, whole):
+    programs = [program or law for program, law in zip(converged, laws, strict=True)]
+    whole = [program for program in programs if program is not None]
+    if any(converged) and len(whole) == len(programs) and _is_exact(task, whole):
         return [[program] for program in whole]
     settled = _settled(task)
     sums = {name: _pursued(task, name) for name in task.variables if name not in {*task.known, *settled}}
@@ -203,12 +207,12 @@ def _settled(task: ModellingTask) -> dict[str, list[Program]]:
 
     None where all have: together they have not held, and one of them is wrong.
     """
-    found = {
+    law_programs = {
         name: [law.program for law in laws if task.may_be_shown(law.program)]
         for name, laws in task.laws.items()
         if laws and laws[0].is_of_rates and laws[0].excess <= SETTINGS.inference.excess
     }
-    return found if len(found) < len(task.variables) - len(task.known) else {}
+    return law_programs if len(law_programs) < len(task.variables) - len(task.known) else {}
 
 
 def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> tuple[ModelComparison, FittedModel | None]:
@@ -282,8 +286,8 @@ def _without_noise(
     if task.is_nearly_clean or np.any(best.fit.squares > limit[observed] ** 2):
         return comparison, best
     precise = task.compare(comparison.estimator.measurements, task.variables, has_noise=False)
-    found = precise.fit_beside(best, best.programs)
-    return (comparison, best) if found is None else (precise, found)
+    model = precise.fit_beside(best, best.programs)
+    return (comparison, best) if model is None else (precise, model)
 
 
 def _compared(
@@ -310,8 +314,8 @@ def _compared(
 def _is_exact(task: ModellingTask, programs: Sequence[Program]) -> bool:
     """Tell whether these equations give the trajectories up to errors of integration."""
     comparison = task.compare(task.compared_measurements(), task.variables, has_noise=False)
-    found = comparison.fit_model(programs)
-    return found is not None and comparison.is_exact(found)
+    model = comparison.fit_model(programs)
+    return model is not None and comparison.is_exact(model)
 
 
 def _libraries(task: ModellingTask, name: str, measurements: Measurements) -> Iterator[list[Term]]:
@@ -323,15 +327,18 @@ def _libraries(task: ModellingTask, name: str, measurements: Measurements) -> It
 
 def _combined(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -> FittedModel | None:
     """Return the best of a few systems to begin with: the best of each list, one variable's next ones at a time."""
-    first = [its[0] for its in lists]
+    first = [programs[0] for programs in lists]
     systems = [first] + [
         [*first[:index], program, *first[index + 1 :]]
-        for index, its in enumerate(lists)
-        for program in its[1 : SETTINGS.effort.rounds[1][1] + 1]
+        for index, programs in enumerate(lists)
+        for program in programs[1 : SETTINGS.effort.rounds[1][1] + 1]
     ]
-    systems += [[its[min(rank, len(its) - 1)] for its in lists] for rank in range(1, SETTINGS.effort.rounds[1][1] + 1)]
-    found = comparison.fit_all(comparison.fit_model, systems)
-    return found[0] if found else None
+    systems += [
+        [programs[min(rank, len(programs) - 1)] for programs in lists]
+        for rank in range(1, SETTINGS.effort.rounds[1][1] + 1)
+    ]
+    models = comparison.fit_all(comparison.fit_model, systems)
+    return models[0] if models else None
 
 
 def exchange(comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]) -> FittedModel:
@@ -341,9 +348,9 @@ def exchange(comparison: ModelComparison, best: FittedModel, lists: Sequence[Seq
         before = best.nats
         for equation, programs in enumerate(tried):
             if len(programs) > 1:
-                found = comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, SETTINGS.effort.work)
-                if found and found[0].nats < best.nats - SETTINGS.selection.least_gain:
-                    best = found[0]
+                models = comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, SETTINGS.effort.work)
+                if models and models[0].nats < best.nats - SETTINGS.selection.least_gain:
+                    best = models[0]
         if best.nats > before - SETTINGS.selection.least_gain or comparison.estimator.work >= SETTINGS.effort.work:
             return best
         tried = [programs[: SETTINGS.effort.kept] for programs in lists]
@@ -372,10 +379,12 @@ def _search_locally(
 
     def promising(program: Program, others: Iterable[Program]) -> Iterator[Program]:
         most = comparison.length(program) + room
-        return (each for each in others if comparison.length(each) < most and task.may_be_shown(each))
+        return (
+            candidate for candidate in others if comparison.length(candidate) < most and task.may_be_shown(candidate)
+        )
 
     descent = LocalSearch(comparison, around, comparison.estimator.work + SETTINGS.effort.work, beyond)
-    equations = [index for index, its in enumerate(lists) if index not in comparison.fixed]
+    equations = [index for index, _ in enumerate(lists) if index not in comparison.fixed]
     best = descent.improve(best, equations)
     for equation in equations if has_room else ():
         best = _restarted(comparison, descent, best, equation, lists[equation])
@@ -399,13 +408,15 @@ def _restarted(
     effort = SETTINGS.effort
     rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
     others = comparison.narrow_down(best, equation, programs, rounds, effort.work)
-    by_kind = {_kind(other.programs[equation]): other for other in reversed(others)}
-    for other in sorted(by_kind.values(), key=lambda model: model.nats):
+    by_kind = {_kind(model.programs[equation]): model for model in reversed(others)}
+    for start in sorted(by_kind.values(), key=lambda model: model.nats):
         if descent.is_exhausted:
             break
-        end = descent.improve(other, [equation])
+        end = descent.improve(start, [equation])
         if end.nats < best.nats - SETTINGS.selection.least_gain:
-            best = descent.improve(end, [*(each for each in range(len(best.programs)) if each not in comparison.fixed)])
+            best = descent.improve(
+                end, [*(index for index in range(len(best.programs)) if index not in comparison.fixed)]
+            )
     return best
 
 

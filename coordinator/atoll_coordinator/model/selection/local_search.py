@@ -47,7 +47,7 @@ class LocalSearch:
             equation = waiting.pop(0)
             following = self._improved(model, equation)
             if following is not model:
-                waiting = [*(other for other in equations if other != equation), equation]
+                waiting = [*(index for index in equations if index != equation), equation]
                 model = following
         return model
 
@@ -56,10 +56,10 @@ class LocalSearch:
         while not self.is_exhausted:
             model = self.prune(model, equation)
             programs = reductions(model.programs[equation])
-            found = self._comparison.narrow_down(model, equation, programs, SETTINGS.effort.rounds, self._until)
-            if not found or found[0].nats > model.nats - SETTINGS.selection.least_gain:
+            models = self._comparison.narrow_down(model, equation, programs, SETTINGS.effort.rounds, self._until)
+            if not models or models[0].nats > model.nats - SETTINGS.selection.least_gain:
                 break
-            model = found[0]
+            model = models[0]
         return model
 
     def prune(self, model: FittedModel, equation: int) -> FittedModel:
@@ -99,21 +99,25 @@ class LocalSearch:
                 away = values[:, number] - neutral
                 nats = float((0.5 * away**2 / np.maximum(variances[:, number], 1e-300)).sum())
                 priced.append((nats, float(np.abs(away).max()), place, neutral))
-        length, found = self._comparison.length(program), []
+        length, programs = self._comparison.length(program), []
         for nats, _, place, neutral in sorted(priced):
             shorter = collected(with_constants(program, {place: neutral}))
             if nats < length - self._comparison.length(shorter):
-                found.append(shorter)
-        return found
+                programs.append(shorter)
+        return programs
 
     def _improved(self, model: FittedModel, equation: int) -> FittedModel:
         best = self.reduce(model, equation)
         programs = self._around(equation, best.programs[equation])
-        found = self._comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, self._until)
-        near = [each for each in found if each.nats < best.nats + least_term_length(self._comparison.constant_nats)]
+        models = self._comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, self._until)
+        near = [
+            neighbour
+            for neighbour in models
+            if neighbour.nats < best.nats + least_term_length(self._comparison.constant_nats)
+        ]
         leaps = self._leaps(equation, best.programs[equation])
         near += self._comparison.narrow_down(best, equation, leaps, SETTINGS.effort.rounds[1:], self._until)
         return min(
-            [best, *(self.reduce(each, equation) for each in near)],
+            [best, *(self.reduce(neighbour, equation) for neighbour in near)],
             key=lambda model: model.nats + SETTINGS.selection.least_gain * (model is not best),
         )

@@ -33,13 +33,13 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     if not all(lists):
         return None
     if task.is_nearly_clean:
-        return search_jointly(in_stretches(task, [its[0] for its in lists]), lists)
-    found: list[SelectedModel] = []
+        return search_jointly(in_stretches(task, [programs[0] for programs in lists]), lists)
+    selections: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
-        found.append(selection)
+        selections.append(selection)
         if selection.comparison.excess(selection.model) <= SETTINGS.inference.excess:
             return _lengthened(task, selection, lists)
-    return found[0] if found else None
+    return selections[0] if selections else None
 
 
 def in_whole(task: ModellingTask) -> ModellingTask:
@@ -82,14 +82,14 @@ def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
         if model is None:
             return selection
         return replace(selection, comparison=comparison, model=comparison.calibrate(model))
-    found: list[SelectedModel] = []
+    selections: list[SelectedModel] = []
     for here in _tasks(task):
         fitted = _fitted(here, selection.model.programs, measurements.rows, is_precise=True)
         if fitted is not None:
-            found.append(fitted)
+            selections.append(fitted)
             if fitted.comparison.excess(fitted.model) <= SETTINGS.inference.excess:
                 return fitted
-    return found[0] if found else None
+    return selections[0] if selections else None
 
 
 def remarks(task: ModellingTask) -> Iterator[str]:

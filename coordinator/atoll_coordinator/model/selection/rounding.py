@@ -79,18 +79,18 @@ def round_shown(
     return RoundedSystem(
         tuple(programs),
         tuple(tuple(next(simple) for _ in range(count)) for count in counts),
-        tuple(_in_one_equation(system, rounding, *its) for its in pairwise(ends)),
+        tuple(_in_one_equation(system, rounding, *span) for span in pairwise(ends)),
     )
 
 
 def _in_one_equation(system: System, rounding: Rounding, first: int, last: int) -> SimpleTogether | None:
     """Return what is known of the simple numbers together of the constants from `first` until before `last`."""
-    found = rounding.together(system.columns[0, first:last].tolist())
-    if found is None or system.sharing is None:
-        return found
+    simple_together = rounding.together(system.columns[0, first:last].tolist())
+    if simple_together is None or system.sharing is None:
+        return simple_together
     multiples = system.sharing.multiples[first:last]
-    pairs = zip(found.constants, found.values, strict=True)
-    return replace(found, values=tuple(value * float(multiples[place]) for place, value in pairs))
+    pairs = zip(simple_together.constants, simple_together.values, strict=True)
+    return replace(simple_together, values=tuple(value * float(multiples[place]) for place, value in pairs))
 
 
 def _tidied(values: FloatArray) -> list[float]:
@@ -101,8 +101,8 @@ def _tidied(values: FloatArray) -> list[float]:
 def _multiplied(system: System, simple: Sequence[SimpleNumber | None]) -> Iterator[SimpleNumber | None]:
     """Yield the simple number near each constant, given those near the numbers (Q,) that they are multiples of."""
     for place, number in enumerate(system.columns[0].tolist()):
-        its, multiple = simple[number], 1.0 if system.sharing is None else float(system.sharing.multiples[place])
-        yield None if its is None else replace(its, value=its.value * multiple)
+        remark, multiple = simple[number], 1.0 if system.sharing is None else float(system.sharing.multiples[place])
+        yield None if remark is None else replace(remark, value=remark.value * multiple)
 
 
 def _rounding(comparison: ModelComparison, model: FittedModel, digits: int, estimates: Collection[int]) -> Rounding:

@@ -34,8 +34,8 @@ def with_laws(task: ModellingTask) -> ModellingTask:
     """Return the task with the laws of sparse regression of each variable that is sought."""
     others = {name: task.candidates[name].programs for name in task.variables}
     preparation = Preparation(task.dataset, task.recording)
-    found = find_all_laws(preparation, task.config, others, task.among_many)
-    return replace(task, laws={name: laws for name, laws in found.items() if name in task.variables})
+    laws_by_name = find_all_laws(preparation, task.config, others, task.among_many)
+    return replace(task, laws={name: laws for name, laws in laws_by_name.items() if name in task.variables})
 
 
 def select_by_laws(task: ModellingTask) -> SelectedModel | None:
@@ -45,12 +45,12 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     lists = [_programs(task, name) for name in task.variables]
     if not all(lists) or not task.laws:
         return None
-    found = _fitted_together(task, lists)
-    if found is None:
+    selection = _fitted_together(task, lists)
+    if selection is None:
         return None
     if all(task.laws.values()):
-        return found if _is_like_noise(found) else None
-    return found if found.comparison.is_exact(found.model) else None
+        return selection if _is_like_noise(selection) else None
+    return selection if selection.comparison.is_exact(selection.model) else None
 
 
 def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
@@ -63,9 +63,9 @@ def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
     names = [name for name, laws in task.laws.items() if laws and laws[0].is_of_rates]
     if task.recording.groups or len(names) < len(task.variables) or len(names) < 2:
         return None
-    found = {name: _excess_without(task, name) for name in names}
-    wrong = min(found, key=lambda name: found[name])
-    if not found[wrong] <= SETTINGS.inference.excess:
+    excesses = {name: _excess_without(task, name) for name in names}
+    wrong = min(excesses, key=lambda name: excesses[name])
+    if not excesses[wrong] <= SETTINGS.inference.excess:
         return None
     others = select_by_laws(without(task, wrong))
     if others is None:
@@ -77,20 +77,22 @@ def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
 
 def without(task: ModellingTask, name: str) -> ModellingTask:
     """Return the task without the equation of one variable, whose state is an input as smoothed."""
-    candidates = {each: those for each, those in task.candidates.items() if each != name}
-    return replace(task, candidates=candidates, laws={each: task.laws[each] for each in task.laws if each != name})
+    candidates = {variable: those for variable, those in task.candidates.items() if variable != name}
+    return replace(
+        task, candidates=candidates, laws={variable: task.laws[variable] for variable in task.laws if variable != name}
+    )
 
 
 def _excess_without(task: ModellingTask, name: str) -> float:
     """Return the excess that the laws of the others leave; infinite where they cannot be simulated."""
     others = without(replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1])), name)
-    lists = [_programs(others, each) for each in others.variables]
+    lists = [_programs(others, variable) for variable in others.variables]
     begun = _begun(others, lists) if all(lists) else None
     return math.inf if begun is None else begun.comparison.excess(begun.model)
 
 
-def _is_like_noise(its: SelectedModel) -> bool:
-    return its.comparison.excess(its.model) <= SETTINGS.inference.excess
+def _is_like_noise(selection: SelectedModel) -> bool:
+    return selection.comparison.excess(selection.model) <= SETTINGS.inference.excess
 
 
 def _fitted_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
@@ -155,7 +157,7 @@ def _programs(task: ModellingTask, name: str) -> list[Program]:
 
 def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
     comparison = _comparison(task)
-    model = comparison.fit_model([its[0] for its in lists])
+    model = comparison.fit_model([programs[0] for programs in lists])
     return None if model is None else SelectedModel(task, comparison, model)
 
 
@@ -166,8 +168,8 @@ def _comparison(task: ModellingTask) -> ModelComparison:
 
 def longest(task: ModellingTask) -> int:
     """Return the rows of the longest trajectory that is not held out."""
-    return max(len(each.times) for each in task.recording.trajectories if not each.held_out)
+    return max(len(trajectory.times) for trajectory in task.recording.trajectories if not trajectory.held_out)
 
 
 def _rows(task: ModellingTask) -> int:
-    return sum(len(each.times) for each in task.recording.trajectories if not each.held_out)
+    return sum(len(trajectory.times) for trajectory in task.recording.trajectories if not trajectory.held_out)
