@@ -61,7 +61,7 @@ def refine_all(
     made = _with_units(_refined(preparation, config, pools, deadline, laws), preparation, config)
     if not deadline.has_cut_short:
         return made
-    warnings = tuple(each for each in made.warnings if each != NOT_SIMULATED)
+    warnings = tuple(warning for warning in made.warnings if warning != NOT_SIMULATED)
     return replace(made, warnings=(*warnings, OUT_OF_TIME), end="max-time")
 
 
@@ -71,8 +71,8 @@ def _with_units(made: Refinement, preparation: Preparation, config: JobConfig) -
         return made
     dataset = preparation.dataset
     equations = {
-        name: replace(its, units=equation_units(dataset, config, name, its.program))
-        for name, its in made.equations.items()
+        name: replace(equation, units=equation_units(dataset, config, name, equation.program))
+        for name, equation in made.equations.items()
     }
     return replace(made, equations=equations)
 
@@ -110,14 +110,14 @@ def _refined(
     return Refinement({**settled, **rest}, warnings=warnings)
 
 
-def _has_converged(preparation: Preparation, config: JobConfig, name: str, its: CandidateSet) -> bool:
+def _has_converged(preparation: Preparation, config: JobConfig, name: str, candidates: CandidateSet) -> bool:
     """Tell whether the search of a target without noise has met the error at which an equation counts as found."""
     problem = preparation.dataset.problem(name)
     if problem.groups is not None:
         return False  # it converged on the rows of one group
     target = problem.target
     limit = target.convergence_error(config.budget.target_error)
-    return not target.is_noisy and any(member.error <= limit for member in its.front)
+    return not target.is_noisy and any(member.error <= limit for member in candidates.front)
 
 
 def _by_regression(
@@ -132,9 +132,9 @@ def _by_regression(
     weights = preparation.weights if is_given else None
     equations = {
         name: fit_equation(
-            preparation.dataset.problem(name), config, each.front, weights, deadline, has_intervals=is_given
+            preparation.dataset.problem(name), config, candidate_set.front, weights, deadline, has_intervals=is_given
         )
-        for name, each in candidates.items()
-        if each.known is None
+        for name, candidate_set in candidates.items()
+        if candidate_set.known is None
     }
     return {name: equation for name, equation in equations.items() if equation is not None}

@@ -77,7 +77,7 @@ class Member:
 
 def decode_members(entries: Sequence[FrontEntry], inputs: int) -> tuple[Member, ...]:
     """Return the members of a front; `inputs` is how many variables there are."""
-    return tuple(Member(Program.from_bytes(each.program, inputs), each.error, each.mse) for each in entries)
+    return tuple(Member(Program.from_bytes(entry.program, inputs), entry.error, entry.mse) for entry in entries)
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,9 @@ def covariance(fit: TrajectoryFit) -> FloatArray:
 
     The variance is infinite of a constant that the others, or the initial states, can stand in for.
     """
-    found, is_open = _spread(fit)
-    found[np.diag_indices_from(found)] = np.where(is_open, math.inf, np.diag(found))
-    return found
+    covariances, is_open = _spread(fit)
+    covariances[np.diag_indices_from(covariances)] = np.where(is_open, math.inf, np.diag(covariances))
+    return covariances
 
 
 def bounded_covariance(fit: TrajectoryFit) -> FloatArray:
@@ -44,13 +44,13 @@ def _spread(fit: TrajectoryFit) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     if not held.any():
         return _inverse(np.diag(fit.normal), fit.reduced)
     free, count = np.flatnonzero(~held), len(held)
-    found, is_open = np.zeros((count, count)), np.zeros(count, np.bool_)
+    covariances, is_open = np.zeros((count, count)), np.zeros(count, np.bool_)
     if len(free):
         normal, reduced = np.diag(fit.normal)[free], fit.reduced[np.ix_(free, free)]
-        found[np.ix_(free, free)], is_open[free] = _inverse(normal, reduced)
+        covariances[np.ix_(free, free)], is_open[free] = _inverse(normal, reduced)
     values = np.abs(fit.system.values[held])
-    found[held, held] = (_HELD * np.maximum(values, _HELD)) ** 2
-    return found, is_open
+    covariances[held, held] = (_HELD * np.maximum(values, _HELD)) ** 2
+    return covariances, is_open
 
 
 def _inverse(normal: FloatArray, reduced: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
@@ -65,5 +65,5 @@ def _inverse(normal: FloatArray, reduced: FloatArray) -> tuple[FloatArray, npt.N
         values, vectors = np.zeros(len(scale)), np.eye(len(scale))
     is_open = (vectors[:, values < _LEAST_EIGENVALUE] ** 2 > _OPEN_LOADING).any(axis=1)
     with np.errstate(all="ignore"):
-        found = (vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale)
-    return np.asarray(found), np.asarray(is_open)
+        inverse = (vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale)
+    return np.asarray(inverse), np.asarray(is_open)

@@ -22,7 +22,7 @@ def key_of(system: System, starts: FloatArray | None, errors: ErrorModel | None,
     """Return what a fit is known by: all that decides what comes of it, to the bit."""
     arrays = (*system.arrays(), starts)
     known = None if errors is None else errors.to_bytes()
-    return (*(None if each is None else each.tobytes() for each in arrays), known, *rest)
+    return (*(None if array is None else array.tobytes() for array in arrays), known, *rest)
 
 
 class FitCache(Generic[Fit]):

@@ -25,7 +25,7 @@ def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
 
     What varies slowly along the rows leaves nearly nothing in these.
     """
-    found = np.zeros(len(residuals))
+    deviations = np.zeros(len(residuals))
     for state, (values, weights) in enumerate(zip(residuals, measurements.weights, strict=True)):
         squares, count = 0.0, 0
         for first, end in measurements.bounds.tolist():
@@ -34,8 +34,8 @@ def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
             differences = scaled[2:] - 2.0 * scaled[1:-1] + scaled[:-2]
             squares += float(differences @ differences)
             count += len(differences)
-        found[state] = np.sqrt(squares / 6.0 / max(count, 1))
-    return found
+        deviations[state] = np.sqrt(squares / 6.0 / max(count, 1))
+    return deviations
 
 
 def slow_shares(measurements: Measurements, residuals: FloatArray, pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -69,13 +69,13 @@ def count_pieces(measurements: Measurements) -> FloatArray:
     Rows over their correlation length, the lag at which the autocorrelation of the smoothed states' differences falls
     below 1/e; at most all rows.
     """
-    found = np.zeros(len(measurements.observed))
+    counts = np.zeros(len(measurements.observed))
     pieces = list(_stretches(measurements))
     for place, state in enumerate(measurements.observed.tolist()):
         parts = [np.diff(measurements.smoothed[state, rows]) for rows in pieces]
         rows = float((measurements.weights[place] > 0.0).sum())
-        found[place] = max(rows / _correlation_length(parts), 1.0)
-    return found
+        counts[place] = max(rows / _correlation_length(parts), 1.0)
+    return counts
 
 
 def _correlation_length(parts: Sequence[FloatArray]) -> int:

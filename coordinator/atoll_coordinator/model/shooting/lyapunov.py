@@ -63,10 +63,10 @@ def _growths(matrices: FloatArray) -> list[float]:
     if len(matrices) == 1:
         return [math.log(max(float(np.linalg.norm(matrices[0], 2)), 1e-300))]
     error = np.linalg.svd(matrices[0])[0][:, 0]
-    found = []
+    growths = []
     for matrix in matrices[1:]:
         error = matrix @ error
         size = max(float(np.linalg.norm(error)), 1e-300)
         error = error / size
-        found.append(math.log(size))
-    return found
+        growths.append(math.log(size))
+    return growths

@@ -162,7 +162,7 @@ def measurements_of(
     Raises:
         ValueError: there are no such trajectories.
     """
-    parts = [each for each in recording.trajectories if each.held_out == held_out]
+    parts = [trajectory for trajectory in recording.trajectories if trajectory.held_out == held_out]
     others = [index for index in range(len(recording.states)) if index not in modelled]
     chosen = list(modelled)
     measured = _stacked(part.measured[chosen] for part in parts)
@@ -180,7 +180,7 @@ def measurements_of(
     inverse = _inverse_variances(parts, chosen, variances)
     weights = _stacked(_robustness_weights(part, chosen) for part in parts)
     noise = np.array(
-        [recording.smoothing[index].noise * its.scale for index, its in zip(chosen, variances, strict=True)]
+        [recording.smoothing[index].noise * variance.scale for index, variance in zip(chosen, variances, strict=True)]
     )
     bounds, owners = _pieces([len(part.times) for part in parts], piece)
     resting = np.concatenate([_resting(part, chosen, recording.order) for part in parts], axis=1)
@@ -231,7 +231,7 @@ def _where_inputs_are_known(whole: Measurements, parts: Sequence[Trajectory], ot
     for (first, end), owner in zip(whole.bounds.tolist(), whole.owners.tolist(), strict=True):
         changes = np.flatnonzero(np.diff(np.concatenate([[False], is_known[first:end], [False]]).astype(np.int8)))
         kept += [(first + start, first + stop, owner) for start, stop in changes.reshape(-1, 2).tolist()]
-    kept = [each for each in kept if each[1] - each[0] > 1]
+    kept = [stretch for stretch in kept if stretch[1] - stretch[0] > 1]
     return whole.pieces(kept) if kept else whole
 
 
@@ -288,14 +288,15 @@ def _inverse_variances(
     parts: Sequence[Trajectory], chosen: list[int], variances: Sequence[VarianceModel]
 ) -> FloatArray | None:
     """Return the inverse variances (O, N): weights that were given, or what smoothing shows; None where all are 1."""
-    if all(part.weights is None for part in parts) and not any(its.proportional for its in variances):
+    if all(part.weights is None for part in parts) and not any(variance.proportional for variance in variances):
         return None
     by_value = (
-        [its.weights(part.smoothed[index]) for index, its in zip(chosen, variances, strict=True)] for part in parts
+        [variance.weights(part.smoothed[index]) for index, variance in zip(chosen, variances, strict=True)]
+        for part in parts
     )
     return _stacked(
-        np.array(its) if part.weights is None else np.array(its) * part.weights
-        for part, its in zip(parts, by_value, strict=True)
+        np.array(weights) if part.weights is None else np.array(weights) * part.weights
+        for part, weights in zip(parts, by_value, strict=True)
     )
 
 
@@ -309,9 +310,9 @@ def _pieces(lengths: Sequence[int], most: int) -> tuple[Ints, Ints]:
     owners: list[int] = []
     start = 0
     for owner, length in enumerate(lengths):
-        its = _cut(start, start + length, -(-length // most))
-        ranges += its
-        owners += [owner] * len(its)
+        pieces = _cut(start, start + length, -(-length // most))
+        ranges += pieces
+        owners += [owner] * len(pieces)
         start += length
     return np.array(ranges, dtype=np.int64), np.array(owners, dtype=np.int64)
 
@@ -334,7 +335,7 @@ def _spread(owners: Sequence[int], count: int) -> list[int]:
     for place, owner in enumerate(owners):
         left.setdefault(owner, []).append(place)
     ranges = {owner: (places[0], len(places)) for owner, places in left.items()}
-    found = []
+    selection = []
     for index in range(count):
         owner = owners[(2 * index + 1) * len(owners) // (2 * count)]
         first, size = ranges[owner]
@@ -342,8 +343,8 @@ def _spread(owners: Sequence[int], count: int) -> list[int]:
         free = left[owner]
         after = bisect(free, wanted)
         near = range(max(after - 1, 0), min(after + 1, len(free)))
-        found.append(free.pop(min(near, key=lambda place: abs(free[place] - wanted))))
-    return sorted(found)
+        selection.append(free.pop(min(near, key=lambda place: abs(free[place] - wanted))))
+    return sorted(selection)
 
 
 def _gradients(part: Trajectory, states: list[int]) -> FloatArray:

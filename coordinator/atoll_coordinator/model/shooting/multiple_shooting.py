@@ -157,9 +157,9 @@ class MultipleShooting:
 
     def of_trajectory(self, owner: int, fit: TrajectoryFit) -> tuple["MultipleShooting", FloatArray]:
         """Return an estimator over one trajectory (an index of `names`), and the initial states there of a `fit`."""
-        its = self.measurements
-        is_own = its.owners_of_rows[fit.segments[:, 0]] == owner
-        return MultipleShooting(its.part([owner]), self.tolerance, self.deadline), fit.starts[is_own]
+        measurements = self.measurements
+        is_own = measurements.owners_of_rows[fit.segments[:, 0]] == owner
+        return MultipleShooting(measurements.part([owner]), self.tolerance, self.deadline), fit.starts[is_own]
 
     def cost(self, fit: TrajectoryFit) -> float:
         """Return the sum of squared residuals of a fit of whole trajectories, over the variances of its errors."""
@@ -170,15 +170,17 @@ class MultipleShooting:
         *, is_stiff: bool,
     ) -> TrajectoryFit | None:  # fmt: skip
         """Return what `fit` does, and add what it takes to the work of this thread."""
-        its = self.measurements
+        measurements = self.measurements
         layout = self._layout(length)
         segments = layout.segments
         if starts is None:
-            starts = np.ascontiguousarray(its.smoothed[:, segments[:, 0]].T)
+            starts = np.ascontiguousarray(measurements.smoothed[:, segments[:, 0]].T)
         starts = self._at_rest(self._with_offsets(starts, len(system.outputs), in_whole=length is None), segments)
         system = system.with_values(system.values)  # within their bounds
         if errors is None:
-            errors = ErrorModel.independent(np.maximum(its.noise, 1e-4 * its.scales[its.observed]))
+            errors = ErrorModel.independent(
+                np.maximum(measurements.noise, 1e-4 * measurements.scales[measurements.observed])
+            )
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
         here, method = self._begun(system, layout, starts, errors, may_be_stiff=may_be_stiff)
         if here is None:
@@ -219,11 +221,11 @@ class MultipleShooting:
 
     def _at_rest(self, starts: FloatArray, segments: Ints) -> FloatArray:
         """Return initial states, 0 of the states that rest."""
-        its = self.measurements
-        if its.resting is None:
+        measurements = self.measurements
+        if measurements.resting is None:
             return starts
         starts = starts.copy()
-        for resting, state in zip(its.resting, its.observed.tolist(), strict=True):
+        for resting, state in zip(measurements.resting, measurements.observed.tolist(), strict=True):
             starts[resting[segments[:, 0]], state] = 0.0
         return starts
 
@@ -273,9 +275,9 @@ class MultipleShooting:
         That is the one for stiff systems if the other took too many steps.
         """
         explicit, implicit = self._methods
-        found, is_stiff = self._equations(explicit, system, layout, starts, errors)
+        equations, is_stiff = self._equations(explicit, system, layout, starts, errors)
         if not is_stiff or not may_be_stiff:
-            return found, explicit
+            return equations, explicit
         return self._equations(implicit, system, layout, starts, errors)[0], implicit
 
     def _equations(
@@ -287,7 +289,7 @@ class MultipleShooting:
         None where it cannot be integrated or the cost is not below `below`.
         """
         segments, states, fitted, local = layout.segments, len(system.outputs), system.count, starts.shape[1]
-        numbers, found = _OVERHEAD_NUMBERS + states * (1 + fitted + local), None
+        numbers, equations = _OVERHEAD_NUMBERS + states * (1 + fitted + local), None
         is_tried = below < math.inf and _OVERHEAD_NUMBERS + states < _REJECTED * numbers
         for is_trial in (True, False) if is_tried else (False,):
             done, taken, simulated, gradients = self._integrated(
@@ -299,9 +301,9 @@ class MultipleShooting:
             if not _cost(layout, residuals, errors) < below:
                 break
         else:
-            found = self._weighed(simulated, gradients, residuals, layout, errors, fitted)
+            equations = self._weighed(simulated, gradients, residuals, layout, errors, fitted)
         self._own.work += method.work(taken, self.measurements.rows) * numbers
-        return found, done < 0
+        return equations, done < 0
 
     def _steepest(self, gradients: FloatArray, system: System) -> float:
         """Return the largest of sensitivities (N, D, P + L), of states in their scales to constants in their sizes."""
@@ -313,9 +315,9 @@ class MultipleShooting:
 
     def _residuals(self, simulated: FloatArray, starts: FloatArray, segments: Ints) -> FloatArray:
         """Return what simulated states, and the offsets behind initial states, leave of what was measured (O, N)."""
-        its, states = self.measurements, len(simulated)
-        residuals = np.asarray(self._measured - simulated[its.observed])
-        for place, state in enumerate(its.offset.tolist() if starts.shape[1] > states else []):
+        measurements, states = self.measurements, len(simulated)
+        residuals = np.asarray(self._measured - simulated[measurements.observed])
+        for place, state in enumerate(measurements.offset.tolist() if starts.shape[1] > states else []):
             residuals[state] -= np.repeat(starts[:, states + place], segments[:, 1] - segments[:, 0])
         return residuals
 
@@ -351,19 +353,23 @@ class MultipleShooting:
 
         Of these there are no rows unless it `has_sensitivities`.
         """
-        its = self.measurements
+        measurements = self.measurements
         states, fitted, local = len(system.outputs), system.count, starts.shape[1]
-        simulated = np.full((states, its.rows), np.nan)
-        gradients = np.zeros((its.rows if has_sensitivities else 0, states, fitted + local))
+        simulated = np.full((states, measurements.rows), np.nan)
+        gradients = np.zeros((measurements.rows if has_sensitivities else 0, states, fitted + local))
         if system.sharing is None:
             done, taken = self._integrate(method, system, segments, starts, simulated, gradients)
         else:
             done, taken = self._integrate_shared(method, system, segments, starts, simulated, gradients)
         if not has_sensitivities:
             return done, taken, simulated, gradients
-        for place, state in enumerate(its.offset.tolist() if local > states else []):
-            gradients[:, its.observed[state], fitted + states + place] = 1.0
-        for resting, state in zip(its.resting if its.resting is not None else (), its.observed.tolist(), strict=False):
+        for place, state in enumerate(measurements.offset.tolist() if local > states else []):
+            gradients[:, measurements.observed[state], fitted + states + place] = 1.0
+        for resting, state in zip(
+            measurements.resting if measurements.resting is not None else (),
+            measurements.observed.tolist(),
+            strict=False,
+        ):
             gradients[resting, :, fitted + state] = 0.0
         return done, taken, simulated, gradients
 
@@ -372,12 +378,13 @@ class MultipleShooting:
         gradients: FloatArray,
     ) -> tuple[int, int]:  # fmt: skip
         """Write states and sensitivities of these segments; return what `integrate_segments` does, and the steps."""
-        its, taken = self.measurements, np.zeros(1, dtype=np.int64)
+        measurements, taken = self.measurements, np.zeros(1, dtype=np.int64)
         rows = self._rows_in_row * int((segments[:, 1] - segments[:, 0]).sum())
         budget = 200 + int(method.steps * rows)
         done = integrate_segments(
-            method.table, system.tape, system.owners, (its.times, its.inputs, its.input_slopes), segments, starts,
-            method.tolerance, its.limits, budget, len(gradients) > 0, simulated, gradients, taken,
+            method.table, system.tape, system.owners,
+            (measurements.times, measurements.inputs, measurements.input_slopes), segments, starts,
+            method.tolerance, measurements.limits, budget, len(gradients) > 0, simulated, gradients, taken,
         )  # fmt: skip
         return done, int(taken[0])
 
@@ -489,12 +496,12 @@ def fit_in_stages(
     return fit
 
 
-def _gradual(lengths: Sequence[int | None], its: Measurements) -> Iterator[int | None]:
+def _gradual(lengths: Sequence[int | None], measurements: Measurements) -> Iterator[int | None]:
     """Yield `lengths`, and between any two those that it takes for none to be too many times as long as the one before.
 
     Errors may grow so much along a trajectory that a fit of short segments is no beginning for one of long ones.
     """
-    longest = int((its.bounds[:, 1] - its.bounds[:, 0]).max())
+    longest = int((measurements.bounds[:, 1] - measurements.bounds[:, 0]).max())
     before: int | None = None
     for length in lengths:
         rows = longest if length is None else length

@@ -130,19 +130,19 @@ class System:
         fitted = {node: place for place, node in enumerate(self.places.tolist())}
         together: dict[int, tuple[list[int], list[float]]] = {}
         for number in shared:
-            its = [fitted[starts[equation] + node] for (equation, node), _ in number]
-            together |= dict.fromkeys(its, (its, [multiple for _, multiple in number]))
+            places = [fitted[starts[equation] + node] for (equation, node), _ in number]
+            together |= dict.fromkeys(places, (places, [multiple for _, multiple in number]))
         groups, own = len(constants), constants.copy()
         columns = np.full((groups, len(self.places)), -1, np.int64)
         multiples, count = np.ones(len(self.places)), 0
         for place in range(len(self.places)):
             if columns[0, place] >= 0:
                 continue
-            its, multiples[its] = together.get(place, ([place], [1.0]))
+            places, multiples[places] = together.get(place, ([place], [1.0]))
             if place in together:
-                nodes = self.places[its]
-                own[:, nodes] = (own[:, nodes] / multiples[its]).mean() * multiples[its]
-            columns[:, its] = count if place in together else count + np.arange(groups)[:, None]
+                nodes = self.places[places]
+                own[:, nodes] = (own[:, nodes] / multiples[places]).mean() * multiples[places]
+            columns[:, places] = count if place in together else count + np.arange(groups)[:, None]
             count += 1 if place in together else groups
         made = replace(self, sharing=Sharing(own, columns, multiples, count))
         return made.with_values(made.values)
@@ -206,7 +206,7 @@ class System:
         """The equations with the constants of the system."""
         ends = self.outputs + 1
         parts = np.split(self.constants, ends[:-1])
-        return tuple(replace(each, constants=part) for each, part in zip(self.equations, parts, strict=True))
+        return tuple(replace(equation, constants=part) for equation, part in zip(self.equations, parts, strict=True))
 
 
 def system_of(
@@ -233,12 +233,12 @@ def system_of(
     for equation, program in enumerate(programs):
         held = fixed[equation] if fixed else ()
         columns = (program.operators.tolist(), program.left.tolist(), program.right.tolist())
-        for node, (its, first, second) in enumerate(zip(*columns, strict=True)):
-            code.append(its)
-            is_operator = its not in (VARIABLE, CONSTANT)
-            left.append(first + start if is_operator else where[first] if its == VARIABLE else 0)
+        for node, (node_code, first, second) in enumerate(zip(*columns, strict=True)):
+            code.append(node_code)
+            is_operator = node_code not in (VARIABLE, CONSTANT)
+            left.append(first + start if is_operator else where[first] if node_code == VARIABLE else 0)
             right.append(second + start if is_operator else 0)
-            is_fitted = its == CONSTANT and node not in held
+            is_fitted = node_code == CONSTANT and node not in held
             parameters.append(len(places) if is_fitted else -1)
             if is_fitted:
                 places.append(start + node)
@@ -246,7 +246,7 @@ def system_of(
         start += len(program)
         outputs.append(start - 1)
     constants = np.concatenate([program.constants for program in programs])
-    ints = [np.array(each, dtype=np.int64) for each in (code, left, right, outputs, parameters, owners, places)]
+    ints = [np.array(numbers, dtype=np.int64) for numbers in (code, left, right, outputs, parameters, owners, places)]
     return System(tuple(programs), ints[0], ints[1], ints[2], constants, ints[3], ints[4], ints[5], ints[6])
 
 

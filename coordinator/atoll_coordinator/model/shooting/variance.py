@@ -42,13 +42,13 @@ def estimate_variance(recording: Recording, state: int) -> VarianceModel:
     which takes 1/2 ln n nats (Schwarz 1978). There is none where the state was interpolated, where outliers have lost
     their weight, or where rows have weights.
     """
-    searched = [each for each in recording.trajectories if not each.held_out]
-    parts = [each for each in searched if np.nan_to_num(each.measured[state]).any()] or searched
-    is_given = any(each.weights is not None for each in parts)
+    searched = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
+    parts = [trajectory for trajectory in searched if np.nan_to_num(trajectory.measured[state]).any()] or searched
+    is_given = any(part.weights is not None for part in parts)
     if is_given or recording.smoothing[state].method != "loess":
         return VarianceModel()
-    residuals = np.concatenate([each.measured[state] - each.smoothed[state] for each in parts])
-    values = np.concatenate([each.smoothed[state] for each in parts])
+    residuals = np.concatenate([part.measured[state] - part.smoothed[state] for part in parts])
+    values = np.concatenate([part.smoothed[state] for part in parts])
     known = np.isfinite(residuals)
     residuals, values = residuals[known], values[known]
     rms, square = float(np.sqrt(np.mean(values**2))), float(np.mean(residuals**2))

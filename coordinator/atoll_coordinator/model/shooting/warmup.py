@@ -24,9 +24,9 @@ def warm_up() -> None:
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
-    its, system = _small_measurements(), _small_system()
+    measurements, system = _small_measurements(), _small_system()
     for tolerance in TOLERANCES:
-        MultipleShooting(its, tolerance).fit(system, 3, 2)
+        MultipleShooting(measurements, tolerance).fit(system, 3, 2)
 
 
 def _small_system() -> System:

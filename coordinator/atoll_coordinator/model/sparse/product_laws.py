@@ -40,12 +40,12 @@ def find_all_laws(
         others: programs by variable that laws are compared with where there is noise.
         among_many: what `laws_among_many` gave; None: it is asked here.
     """
-    found: dict[str, tuple[Law, ...]] = {}
+    by_variable: dict[str, tuple[Law, ...]] = {}
     among_many = laws_among_many(preparation, config) if among_many is None else among_many
     for part, known in zip(_parts(preparation), among_many, strict=True):
         for name, laws in _laws(part, config, others, known):
-            found[name] = found.get(name, ()) + laws
-    return found
+            by_variable[name] = by_variable.get(name, ()) + laws
+    return by_variable
 
 
 def laws_among_many(preparation: Preparation, config: JobConfig) -> LawsByGroup:
@@ -80,7 +80,7 @@ def _spaces(dataset: Dataset, config: JobConfig) -> dict[str, tuple[tuple[int, .
     return {
         name: (
             space.columns_for(name, dataset.names),
-            frozenset(BY_NAME[each].code for each in space.operators_for(name)),
+            frozenset(BY_NAME[operator].code for operator in space.operators_for(name)),
         )
         for name in dataset.variables
         if name not in config.prior.known
@@ -92,14 +92,14 @@ def _among_many(part: Preparation, config: JobConfig) -> dict[str, tuple[Law, ..
     dataset, recording = part.dataset, part.recording
     if recording is None or not _are_many(dataset.names) or not _has_like_rows(recording):
         return {}
-    spaces = {name: its for name, its in _spaces(dataset, config).items() if _makes_sums(*its)}
+    spaces = {name: space for name, space in _spaces(dataset, config).items() if _makes_sums(*space)}
     if _is_interpolated(recording):
-        rates = ((name, rate_rows(recording, dataset.names, name), its) for name, its in spaces.items())
-        return {name: find_rate_laws(rows, *its) for name, rows, its in rates if rows is not None}
+        rates = ((name, rate_rows(recording, dataset.names, name), space) for name, space in spaces.items())
+        return {name: find_rate_laws(rows, *space) for name, rows, space in rates if rows is not None}
     if recording.order == 2:
         return {}
-    windows = ((name, window_rows(recording, dataset.names, name), its) for name, its in spaces.items())
-    return find_window_laws({name: WindowEquation(rows, *its) for name, rows, its in windows if rows is not None})
+    windows = ((name, window_rows(recording, dataset.names, name), space) for name, space in spaces.items())
+    return find_window_laws({name: WindowEquation(rows, *space) for name, rows, space in windows if rows is not None})
 
 
 def _makes_sums(columns: Sequence[int], operators: Collection[int]) -> bool:
@@ -107,7 +107,7 @@ def _makes_sums(columns: Sequence[int], operators: Collection[int]) -> bool:
 
 
 def _is_interpolated(recording: Recording) -> bool:
-    return all(each.method == "interpolation" for each in recording.smoothing)
+    return all(smoothing.method == "interpolation" for smoothing in recording.smoothing)
 
 
 def find_laws(
@@ -160,7 +160,7 @@ def _settled_variables(
     part: Preparation, config: JobConfig, among_many: Mapping[str, tuple[Law, ...]]
 ) -> frozenset[str]:
     assert part.recording is not None
-    rows = sum(len(each.times) for each in part.recording.trajectories if not each.held_out)
+    rows = sum(len(trajectory.times) for trajectory in part.recording.trajectories if not trajectory.held_out)
     settled = set()
     for name, laws in _laws(part, config, {}, among_many):
         if _settles(laws, rows, config.space.max_size):
@@ -192,7 +192,7 @@ def _without_noise(problem: Problem, columns: Sequence[int]) -> Iterator[Law]:
     """
     paths = []
     for terms, is_tested in libraries(columns, len(problem.target.values)):
-        values = np.array([np.prod([problem.inputs[each.variable] for each in term], axis=0)
+        values = np.array([np.prod([problem.inputs[variable.variable] for variable in term], axis=0)
                            * np.ones(problem.inputs.shape[1]) for term in terms])  # fmt: skip
         if not np.isfinite(values).all():
             break
@@ -226,10 +226,10 @@ def _with_noise(
     problem: Problem, recording: Recording, columns: Sequence[int], others: Sequence[Program]
 ) -> Iterator[Law]:
     """Yield the best sum of each library, the shortest description first."""
-    its = measured_of(recording, problem.names)
+    measured = measured_of(recording, problem.names)
     place = recording.states.index(problem.target.variable)
     target = problem.names.index(recording.state_symbols[place])
-    form = weak_form(its, target, _half(its, recording.smoothing[place].span, len(columns)))
+    form = weak_form(measured, target, _half(measured, recording.smoothing[place].span, len(columns)))
     if form is None:
         return
     tried = list(libraries(columns, form.independent))
@@ -239,8 +239,10 @@ def _with_noise(
     regression = Regression(form, largest)
     summed = [products_of(program, SETTINGS.sparse.degree) for program in others]
     begun = {tuple(terms): None for terms in (*(terms for terms, _ in tried), *filter(None, summed))}
-    found = [regression.law(terms, is_tested=is_tested) for terms in begun if set(terms) <= set(largest)]
-    laws = sorted((law for law in found if law is not None and len(law.program) <= MAX_NODES), key=lambda law: law.nats)
+    candidates = [regression.law(terms, is_tested=is_tested) for terms in begun if set(terms) <= set(largest)]
+    laws = sorted(
+        (law for law in candidates if law is not None and len(law.program) <= MAX_NODES), key=lambda law: law.nats
+    )
     if not laws:
         return
     functions = (program for program, terms in zip(others, summed, strict=True) if terms is None)
@@ -253,23 +255,24 @@ def _with_noise(
             yield replace(law, lead=rival - laws[0].nats)
 
 
-def _half(its: Measured, span: int | None, variables: int) -> int:
+def _half(measured: Measured, span: int | None, variables: int) -> int:
     """Return the rows of half a window: the smoother's span, as far as windows suffice for the largest library."""
     terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
-    most = int(len(its.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(its.ranges) + 1))
-    longest = max(end - start for start, end in its.ranges)
+    most = int(len(measured.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(measured.ranges) + 1))
+    longest = max(end - start for start, end in measured.ranges)
     return max(min(span or most, most, longest // SETTINGS.sparse.least_windows), 2 * SETTINGS.sparse.smoothness)
 
 
 def _nats_of(form: WeakForm, program: Program) -> float:
     """Return the nats of another program by the same criterion; infinite where it has no finite value."""
-    its = form.its
-    steps = np.diag(its.noise)[:, :, None]
+    measured = form.its
+    steps = np.diag(measured.noise)[:, :, None]
     with np.errstate(all="ignore"):
-        values = values_of(program, its.values)
-        moved = [(values_of(program, its.smoothed + step) - values_of(program, its.smoothed - step)) / (2.0 * size)
-                 if size else np.zeros(len(its.times))
-                 for step, size in zip(steps, its.noise, strict=True)]  # fmt: skip
+        values = values_of(program, measured.values)
+        moved = [(values_of(program, measured.smoothed + step) - values_of(program, measured.smoothed - step))
+                 / (2.0 * size)
+                 if size else np.zeros(len(measured.times))
+                 for step, size in zip(steps, measured.noise, strict=True)]  # fmt: skip
     slopes = np.array(moved)
     if not (np.isfinite(values).all() and np.isfinite(slopes).all()):
         return math.inf

@@ -44,18 +44,18 @@ def _operated(code: int, left: _Sum | None, right: _Sum | None, degree: int) -> 
     return _added(left, {}, 1.0 / divisor, 0.0) if code == DIVIDE and len(right) == 1 and divisor else None
 
 
-def _added(left: _Sum, right: _Sum, one: float, other: float) -> _Sum:
-    return _collected([*((key, one * value) for key, value in left.items()),
-                       *((key, other * value) for key, value in right.items())])  # fmt: skip
+def _added(left: _Sum, right: _Sum, left_factor: float, right_factor: float) -> _Sum:
+    return _collected([*((key, left_factor * value) for key, value in left.items()),
+                       *((key, right_factor * value) for key, value in right.items())])  # fmt: skip
 
 
 def _multiplied(left: _Sum, right: _Sum, degree: int) -> _Sum | None:
     if max(map(len, left)) + max(map(len, right)) > degree:
         return None
     return _collected(
-        (tuple(sorted((*one, *other))), factor * value)
-        for one, factor in left.items()
-        for other, value in right.items()
+        (tuple(sorted((*left_term, *right_term))), factor * value)
+        for left_term, factor in left.items()
+        for right_term, value in right.items()
     )
 
 

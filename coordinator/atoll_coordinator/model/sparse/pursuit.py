@@ -71,8 +71,8 @@ def pursue(problem: Problem, columns: Sequence[int], operators: Collection[int])
     """
     if not {ADD, MULTIPLY} <= set(operators) or not columns:
         return []
-    its = SETTINGS.sparse
-    rows = thinned_places(problem.inputs.shape[1], its.pursued_rows)
+    settings = SETTINGS.sparse
+    rows = thinned_places(problem.inputs.shape[1], settings.pursued_rows)
     inputs = np.ascontiguousarray(problem.inputs[:, rows])
     with np.errstate(all="ignore"):
         pursuit = _Pursuit(inputs, columns, operators, problem.target.values[rows])
@@ -88,12 +88,12 @@ def _best(
     promises: Iterable[Iterable[_Promise]], count: int
 ) -> dict[tuple[int, ...], tuple[tuple[int, ...], FloatArray]]:
     """Return the terms and inner constants of those that leave least, by their terms in order."""
-    found: dict[tuple[int, ...], _Promise] = {}
-    for square, terms, constants in (each for those in promises for each in those):
+    by_terms: dict[tuple[int, ...], _Promise] = {}
+    for square, terms, constants in (promise for those in promises for promise in those):
         key = tuple(sorted(terms))
-        if key not in found or square < found[key][0]:
-            found[key] = square, terms, constants
-    best = sorted(found.items(), key=lambda item: item[1][0])[:count]
+        if key not in by_terms or square < by_terms[key][0]:
+            by_terms[key] = square, terms, constants
+    best = sorted(by_terms.items(), key=lambda item: item[1][0])[:count]
     return {key: (terms, constants) for key, (_, terms, constants) in best}
 
 
@@ -106,10 +106,10 @@ class _Pursuit:
         self._shapes = list(self._plain)
         for degree in range(_DEGREE):
             products = [shape for shape in self._plain if len(shape.factors) == degree]
-            found = list(shapes(inputs, columns, operators, products))
-            if degree and len(self._shapes) + len(found) > SETTINGS.sparse.most_shapes:
+            candidates = list(shapes(inputs, columns, operators, products))
+            if degree and len(self._shapes) + len(candidates) > SETTINGS.sparse.most_shapes:
                 break
-            self._shapes += found
+            self._shapes += candidates
         self._prices = np.array([self._price(shape) for shape in self._shapes])
         self._atoms, self._columns = self._made_atoms()
         self._limit = 0.0
@@ -136,17 +136,17 @@ class _Pursuit:
     def run(self, limit: float) -> list[Program]:
         """Return the best sums; the sum of squares `limit` is what the target's uncertainty leaves."""
         self._limit = limit
-        found: dict[tuple[int, ...], _Sum] = {}
+        sums: dict[tuple[int, ...], _Sum] = {}
         for beginning in self._beginnings():
-            for each in self._grown(beginning):
-                found |= {its.key: its for its in self._eliminated(each)}
+            for candidate in self._grown(beginning):
+                sums |= {remainder.key: remainder for remainder in self._eliminated(candidate)}
         kept: dict[int, list[_Sum]] = {}
-        for each in self._sorted(found.values()):
-            constants = sum(1 + self._shapes[term].has_constant for term in each.terms)
+        for candidate in self._sorted(sums.values()):
+            constants = sum(1 + self._shapes[term].has_constant for term in candidate.terms)
             if len(kept.setdefault(constants, [])) < SETTINGS.sparse.pursued_kept:
-                kept[constants].append(each)
+                kept[constants].append(candidate)
         most = SETTINGS.sparse.pursued_constants
-        return [self._made(each) for size in sorted(kept) if size <= most for each in kept[size]]
+        return [self._made(candidate) for size in sorted(kept) if size <= most for candidate in kept[size]]
 
     def _beginnings(self) -> Iterator[_Sum]:
         """Yield nothing, and all polynomials that the rows decide and that are not too large to be eliminated."""
@@ -155,9 +155,9 @@ class _Pursuit:
             terms = tuple(index for index, shape in enumerate(self._plain) if len(shape.factors) <= degree)
             most = min(SETTINGS.structure.largest_library, len(self._target) / SETTINGS.sparse.rows_per_term)
             if len(terms) <= most:
-                its = self._solved(terms, np.ones(len(terms)))
-                if its is not None:
-                    yield its
+                polynomial = self._solved(terms, np.ones(len(terms)))
+                if polynomial is not None:
+                    yield polynomial
 
     def _grown(self, beginning: _Sum) -> Iterator[_Sum]:
         """Yield the best sums with no, one, two ... terms more than the beginning, until nothing is left to explain."""
@@ -178,8 +178,8 @@ class _Pursuit:
         are_few = len(self._atoms) <= _MOST_PAIRED
         if are_few and beginning is not None and len(beam[0].terms) == len(beginning.terms) + 1:
             chosen |= _best([self._pairs(beginning)], width)
-        fits = (self._fitted(*each) for each in chosen.values())
-        return self._sorted(its for its in fits if its is not None)[: SETTINGS.sparse.pursued_beam]
+        fits = (self._fitted(*choice) for choice in chosen.values())
+        return self._sorted(fit for fit in fits if fit is not None)[: SETTINGS.sparse.pursued_beam]
 
     def _promises(self, parent: _Sum) -> Iterator[_Promise]:
         """Yield the best further terms, inner constants as they are."""
@@ -216,11 +216,11 @@ class _Pursuit:
         best = np.flatnonzero((gains >= least) & (gains > 0.0))
         seen = set[tuple[int, int]]()
         for place in best[np.argsort(-gains.ravel()[best], kind="stable")][:count].tolist():
-            (one, first), (other, second) = (self._atoms[usable[each]] for each in divmod(place, len(usable)))
-            if (one, other) not in seen:
-                seen.add((one, other))
+            (term, first), (partner, second) = (self._atoms[usable[index]] for index in divmod(place, len(usable)))
+            if (term, partner) not in seen:
+                seen.add((term, partner))
                 constants = np.append(parent.constants, (first, second))
-                yield parent.square - float(gains.flat[place]), (*parent.terms, one, other), constants
+                yield parent.square - float(gains.flat[place]), (*parent.terms, term, partner), constants
                 if len(seen) >= 2 * SETTINGS.sparse.pursued_beam:
                     return
 
@@ -238,43 +238,43 @@ class _Pursuit:
 
     def _sorted(self, sums: Iterable[_Sum]) -> list[_Sum]:
         """Return the sums without repetitions, the shortest description first."""
-        unique = {each.key: each for each in sums}
+        unique = {candidate.key: candidate for candidate in sums}
         return sorted(unique.values(), key=self._length)
 
-    def _length(self, its: _Sum) -> float:
-        misfit = 0.5 * len(self._target) * math.log(max(its.square, self._limit, 1e-300))
-        return misfit + float(self._prices[list(its.terms)].sum())
+    def _length(self, candidate: _Sum) -> float:
+        misfit = 0.5 * len(self._target) * math.log(max(candidate.square, self._limit, 1e-300))
+        return misfit + float(self._prices[list(candidate.terms)].sum())
 
-    def _eliminated(self, its: _Sum) -> Iterator[_Sum]:
+    def _eliminated(self, candidate: _Sum) -> Iterator[_Sum]:
         """Yield the sum, and those on the way to a single term, the least significant going first (Wald's test)."""
-        yield its
-        while len(its.terms) > 1:
-            jacobian = self._jacobian(its)
+        yield candidate
+        while len(candidate.terms) > 1:
+            jacobian = self._jacobian(candidate)
             sizes = np.sqrt((jacobian**2).sum(axis=1))
             unit = jacobian / sizes[:, None]
             if not np.isfinite(unit).all():
                 return
-            variances = np.diag(np.linalg.pinv(unit @ unit.T, hermitian=True))[: len(its.terms)]
-            gains = (its.coefficients * sizes[: len(its.terms)]) ** 2 / np.maximum(variances, 1e-300)
-            following = self._fitted(*its.without(int(np.argmin(gains))))
+            variances = np.diag(np.linalg.pinv(unit @ unit.T, hermitian=True))[: len(candidate.terms)]
+            gains = (candidate.coefficients * sizes[: len(candidate.terms)]) ** 2 / np.maximum(variances, 1e-300)
+            following = self._fitted(*candidate.without(int(np.argmin(gains))))
             if following is None:
                 return
-            its = following
-            yield its
+            candidate = following
+            yield candidate
 
     def _values(self, terms: Sequence[int], constants: FloatArray) -> FloatArray:
         return np.array([self._shapes[term].value(c) for term, c in zip(terms, constants.tolist(), strict=True)])
 
-    def _jacobian(self, its: _Sum) -> FloatArray:
+    def _jacobian(self, candidate: _Sum) -> FloatArray:
         """Return the derivatives of the sum by its coefficients, then by its inner constants."""
         slopes = [
             coefficient * self._shapes[term].slope(constant)
             for term, constant, coefficient in zip(
-                its.terms, its.constants.tolist(), its.coefficients.tolist(), strict=True
+                candidate.terms, candidate.constants.tolist(), candidate.coefficients.tolist(), strict=True
             )
             if self._shapes[term].has_constant
         ]
-        return np.array([*self._values(its.terms, its.constants), *slopes])
+        return np.array([*self._values(candidate.terms, candidate.constants), *slopes])
 
     def _fitted(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
         """Return the sum of these terms with all constants fitted, None where it has no finite value on some row."""
@@ -286,12 +286,12 @@ class _Pursuit:
     def _fit(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
         """Return the fitted sum: Levenberg's method for inner constants, coefficients solved for at each step."""
         inner = [place for place, term in enumerate(terms) if self._shapes[term].has_constant]
-        its = self._solved(terms, constants)
+        fit = self._solved(terms, constants)
         damping = FIRST_DAMPING
         for _ in range(SETTINGS.effort.steps if inner else 0):
-            if its is None:
+            if fit is None:
                 break
-            jacobian = self._jacobian(its)
+            jacobian = self._jacobian(fit)
             normal = jacobian @ jacobian.T
             sizes = np.sqrt(np.diag(normal))
             if not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
@@ -299,22 +299,22 @@ class _Pursuit:
             unit = normal / np.outer(sizes, sizes)
             np.fill_diagonal(unit, 1.0 + damping)
             try:
-                step = np.linalg.solve(unit, jacobian @ its.left / sizes) / sizes
+                step = np.linalg.solve(unit, jacobian @ fit.left / sizes) / sizes
             except np.linalg.LinAlgError:
                 break
-            moved = its.constants.copy()
+            moved = fit.constants.copy()
             moved[inner] += step[len(terms) :]
             following = self._solved(terms, moved)
-            if following is None or not following.square < its.square:
+            if following is None or not following.square < fit.square:
                 damping *= 10.0
                 if damping > 1.0:
                     break
                 continue
-            is_settled = following.square > 0.999 * its.square
-            its, damping = following, 0.1 * damping
+            is_settled = following.square > 0.999 * fit.square
+            fit, damping = following, 0.1 * damping
             if is_settled:
                 break
-        return its
+        return fit
 
     def _solved(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
         """Return the sum with the coefficients of least squares at these inner constants."""
@@ -325,8 +325,8 @@ class _Pursuit:
         coefficients = np.linalg.lstsq((columns / sizes[:, None]).T, self._target, rcond=1e-12)[0] / sizes
         return _Sum(terms, constants, coefficients, self._target - coefficients @ columns)
 
-    def _made(self, its: _Sum) -> Program:
-        parts = zip(its.terms, its.constants.tolist(), its.coefficients.tolist(), strict=True)
+    def _made(self, candidate: _Sum) -> Program:
+        parts = zip(candidate.terms, candidate.constants.tolist(), candidate.coefficients.tolist(), strict=True)
         return collected(
             sum_program(
                 [(coefficient, self._shapes[term].expression(constant)) for term, constant, coefficient in parts]

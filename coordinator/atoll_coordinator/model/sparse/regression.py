@@ -22,14 +22,14 @@ def libraries(columns: Sequence[int], rows: float) -> Iterator[tuple[list[Term],
     Each term of a library takes `rows_per_term` rows that know nothing of each other.
     """
     degrees = range(1, SETTINGS.sparse.degree + 1)
-    found = [[term for order in range(degree + 1) for term in products(columns, order)] for degree in degrees]
+    candidates = [[term for order in range(degree + 1) for term in products(columns, order)] for degree in degrees]
     allowed = [
         terms
-        for terms in found
+        for terms in candidates
         if len(terms) <= SETTINGS.sparse.largest_library and SETTINGS.sparse.rows_per_term * len(terms) <= rows
     ]
     for terms in allowed:
-        yield terms, len(allowed) == len(found)
+        yield terms, len(allowed) == len(candidates)
 
 
 def products(columns: Sequence[int], order: int) -> list[Term]:
@@ -104,12 +104,12 @@ class Regression:
         best = self._refitted(kept, weights, is_tested=is_tested)
         while best is not None and len(kept) > 1:
             fewer = [[place for place in kept if place != left_out] for left_out in kept]
-            found = [(law.nats, its, law) for its in fewer
-                     if (law := self._refitted(its, weights, is_tested=is_tested)) is not None]  # fmt: skip
-            nats, its, law = min(found, key=lambda each: each[:2], default=(math.inf, kept, best))
+            candidates = [(law.nats, places, law) for places in fewer
+                     if (law := self._refitted(places, weights, is_tested=is_tested)) is not None]  # fmt: skip
+            nats, places, law = min(candidates, key=lambda candidate: candidate[:2], default=(math.inf, kept, best))
             if not nats < best.nats:
                 break
-            kept, best = its, law
+            kept, best = places, law
         return best
 
     def _price(self, places: Sequence[int]) -> float:
@@ -127,19 +127,19 @@ class Regression:
         """
         from scipy import special
 
-        terms, its = [self._terms[place] for place in places], weights
+        terms, window_weights = [self._terms[place] for place in places], weights
         for _ in range(SETTINGS.sparse.reweightings - 1):
-            path = eliminated(terms, self._columns[places] * its, self._sides * its)
+            path = eliminated(terms, self._columns[places] * window_weights, self._sides * window_weights)
             coefficients = path.coefficients[0].tolist()
-            found = self._weights(places, coefficients)
-            if found is None:
+            next_weights = self._weights(places, coefficients)
+            if next_weights is None:
                 return None
-            its = found
+            window_weights = next_weights
         left = self._sides.copy()
         for coefficient, place in zip(coefficients, places, strict=True):
             left -= coefficient * self._columns[place]
         independent = self._form.independent
-        squares = independent * math.fsum((left * left * its * its).tolist()) / len(left)
+        squares = independent * math.fsum((left * left * window_weights * window_weights).tolist()) / len(left)
         degrees_of_freedom = max(independent - len(places), 1.0)
         return Law(
             sum_of(terms, coefficients),
@@ -163,10 +163,10 @@ class Regression:
         while is_extended:
             others = [place for place in range(len(self._terms)) if place not in best[1]]
             longer = (self._eliminated(sorted([*best[1], place]), columns, sides) for place in others)
-            found = min(longer, default=best)
-            if not others or not found[0] < best[0] - log(len(others)):
+            candidate = min(longer, default=best)
+            if not others or not candidate[0] < best[0] - log(len(others)):
                 break
-            best = found
+            best = candidate
         return best[1], best[2]
 
     def _eliminated(

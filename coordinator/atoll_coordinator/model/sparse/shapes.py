@@ -143,13 +143,13 @@ class Shape:
 
     def expression(self, constant: float) -> Expression:
         """Return the product with this inner constant."""
-        parts: list[Expression] = [(VARIABLE, each) for each in self.factors]
+        parts: list[Expression] = [(VARIABLE, factor) for factor in self.factors]
         if self.function is not None:
             parts.append(self.function.expression(self.argument, constant))
-        found = parts[0] if parts else 1.0
+        product = parts[0] if parts else 1.0
         for part in parts[1:]:
-            found = (MULTIPLY, found, part)
-        return found
+            product = (MULTIPLY, product, part)
+        return product
 
 
 def powers(inputs: FloatArray, columns: Sequence[int], degree: int) -> Iterator[Shape]:
@@ -171,14 +171,17 @@ def shapes(
 
     Where it `has_powers`, quotients are those of Hill's equation: with powers up to the fourth, and wider grids.
     """
-    found = list(_arguments(inputs, columns, set(operators)))
+    arguments = list(_arguments(inputs, columns, set(operators)))
     if has_powers and DIVIDE in operators:
-        found = [(argument, u, [each for each in its if each is not _OVER_SUM]) for argument, u, its in found]
-        found += [each for column in columns for each in _quotients(inputs[column], column)]
-    for argument, u, functions in found:
-        for its in products:
+        arguments = [
+            (argument, u, [function for function in functions if function is not _OVER_SUM])
+            for argument, u, functions in arguments
+        ]
+        arguments += [quotient for column in columns for quotient in _quotients(inputs[column], column)]
+    for argument, u, functions in arguments:
+        for product in products:
             for function in functions:
-                yield Shape(its.factors, its.product, function, argument, u)
+                yield Shape(product.factors, product.product, function, argument, u)
 
 
 def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
@@ -210,18 +213,18 @@ def _arguments(
     """Yield arguments, their values (R,), and the functions that are tried of them."""
 
     def allowed(functions: dict[int, Function]) -> list[Function]:
-        return [its for code, its in functions.items() if code in operators]
+        return [function for code, function in functions.items() if code in operators]
 
     waves = allowed(_WAVES)
-    for each in columns:
-        u, leaf = inputs[each], (VARIABLE, each)
+    for column in columns:
+        u, leaf = inputs[column], (VARIABLE, column)
         positive = allowed(_OF_POSITIVE) if (u > 0.0).all() else []
         yield leaf, u, [*waves, *allowed(SCALED), *([_OVER] if DIVIDE in operators else []), *positive]
         yield (MULTIPLY, leaf, leaf), u * u, allowed(_OF_SQUARES)
-    for one, other in combinations(columns, 2):
-        for join, u in ((SUBTRACT, inputs[one] - inputs[other]), (ADD, inputs[one] + inputs[other])):
+    for first, second in combinations(columns, 2):
+        for join, u in ((SUBTRACT, inputs[first] - inputs[second]), (ADD, inputs[first] + inputs[second])):
             if join in operators:
-                yield (join, (VARIABLE, one), (VARIABLE, other)), u, waves
+                yield (join, (VARIABLE, first), (VARIABLE, second)), u, waves
 
 
 def sum_program(parts: Sequence[tuple[float, Expression]]) -> Program:

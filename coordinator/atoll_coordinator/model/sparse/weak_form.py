@@ -41,13 +41,13 @@ class Measured:
 
 def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
     """Return the rows of the variables `names` (V,), symbols of states and inputs."""
-    parts = [each for each in recording.trajectories if not each.held_out]
+    parts = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
     symbols = (*recording.state_symbols, *recording.input_symbols)
     places = [symbols.index(name) for name in names]
     states = np.concatenate([part.measured for part in parts], axis=1)
     smoothed = np.concatenate([part.smoothed for part in parts], axis=1)
     inputs = np.concatenate([part.inputs for part in parts], axis=1)
-    noise = [0.0 if each.method == "interpolation" else each.noise for each in recording.smoothing]
+    noise = [0.0 if smoothing.method == "interpolation" else smoothing.noise for smoothing in recording.smoothing]
     ends = np.cumsum([len(part.times) for part in parts]).tolist()
     return Measured(
         np.concatenate([part.times for part in parts]),
@@ -104,11 +104,11 @@ class WeakForm:
         """
         squares = self.its.noise * self.its.noise
         own = squares[self.target]
-        found = own * self._sums(self.slope * self.slope, np.ones((1, slopes.shape[1])))[0]
-        found += 2.0 * own * self._sums(self.slope * self.bump, slopes[self.target : self.target + 1])[0]
-        for square, each in zip(squares.tolist(), self._sums(self.bump * self.bump, slopes * slopes), strict=True):
-            found += square * each
-        return np.asarray(found)
+        variances = own * self._sums(self.slope * self.slope, np.ones((1, slopes.shape[1])))[0]
+        variances += 2.0 * own * self._sums(self.slope * self.bump, slopes[self.target : self.target + 1])[0]
+        for square, sums in zip(squares.tolist(), self._sums(self.bump * self.bump, slopes * slopes), strict=True):
+            variances += square * sums
+        return np.asarray(variances)
 
     def _sums(self, factors: FloatArray, values: FloatArray) -> FloatArray:
         sums = np.zeros((len(values), len(self.first)))
@@ -139,10 +139,10 @@ def weak_form(its: Measured, target: int, half: int) -> WeakForm | None:
 
 def _power(values: FloatArray, exponent: int) -> FloatArray:
     """Return a whole power by multiplications alone."""
-    found = np.ones_like(values)
+    power = np.ones_like(values)
     for _ in range(exponent):
-        found = found * values
-    return found
+        power = power * values
+    return power
 
 
 def _powers(values: FloatArray, noise: FloatArray, highest: int) -> list[FloatArray]:
@@ -150,10 +150,10 @@ def _powers(values: FloatArray, noise: FloatArray, highest: int) -> list[FloatAr
 
     E He_n(x + e) = x^n for Hermite polynomials of the variance of e: He_(n+1) = x He_n - n var He_(n-1).
     """
-    found = [np.ones_like(values), values]
+    powers = [np.ones_like(values), values]
     for exponent in range(1, highest):
-        found.append(values * found[exponent] - exponent * (noise * noise)[:, None] * found[exponent - 1])
-    return found
+        powers.append(values * powers[exponent] - exponent * (noise * noise)[:, None] * powers[exponent - 1])
+    return powers
 
 
 def _exponents(term: Term) -> dict[int, int]:
@@ -165,13 +165,13 @@ def _exponents(term: Term) -> dict[int, int]:
 
 def _product(term: Term, powers: Sequence[FloatArray], without: int | None = None) -> FloatArray:
     """Return the values (N,) of a product; with one factor `without`, times its exponent: the derivative."""
-    found = np.ones(powers[0].shape[1])
+    product = np.ones(powers[0].shape[1])
     for variable, exponent in _exponents(term).items():
         if variable == without:
-            found = found * (exponent * powers[exponent - 1][variable])
+            product = product * (exponent * powers[exponent - 1][variable])
         else:
-            found = found * powers[exponent][variable]
-    return found
+            product = product * powers[exponent][variable]
+    return product
 
 
 def _slope(

@@ -79,7 +79,7 @@ def summarize_process(
     for number, (name, equation) in enumerate(zip(chosen.variables, equations, strict=True)):
         if number not in chosen.sought:
             continue
-        its = candidates.get(name, CandidateSet())
+        candidate_set = candidates.get(name, CandidateSet())
         error, mse = errors_on(dataset.problem(name), equation.program, config.evolution.loss)
         grade, reason = verdicts[number]
         refined[name] = Refined(
@@ -89,10 +89,10 @@ def summarize_process(
             mse,
             equation.known.written,
             equation.known.unit_coefficients,
-            _alternatives(chosen, number, equation.program, its),
+            _alternatives(chosen, number, equation.program, candidate_set),
             grade,
             reason,
-            _origin(equation.program, its),
+            _origin(equation.program, candidate_set),
         )
     findings = _findings(chosen, fitted, shown, config.seed)
     return Refinement(refined, process=findings, covariance=_covariance(chosen, fitted, coefficients))
@@ -113,12 +113,12 @@ def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoeffic
         ]
         fitted = _fitted(chosen, coefficients)
         described = _described(chosen, fitted, coefficients, programs)
-        refuted = [each.refuted_factors for each in described]
+        refuted = [known.refuted_factors for known in described]
         if not any(refuted):
             break
         programs = [
-            write_factors(explicit, its, factors) if factors else program
-            for explicit, its, factors, program in zip(
+            write_factors(explicit, fitted_program, factors) if factors else program
+            for explicit, fitted_program, factors, program in zip(
                 coefficients, fitted.model.programs, refuted, programs, strict=True
             )
         ]
@@ -129,13 +129,13 @@ def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoeffic
             origins = {origin: k for k, origin in enumerate(explicit.origins) if origin is not None}
             written = [origins[constant] for constant in range(len(origins))]
             values = fitted.model.parameters(chosen.free)[places[number]][written]
-            its = covariance[places[number], places[number]][np.ix_(written, written)]
-            rounded = _rounded(program, values, its)
+            block = covariance[places[number], places[number]][np.ix_(written, written)]
+            rounded = _rounded(program, values, block)
             bounds = chosen.restrictions[number].bounds
             program = rounded if bounds is None else bounds.clipped(rounded)
         equations.append(program)
     described = _described(chosen, fitted, coefficients, equations)
-    return fitted, coefficients, [_Equation(*each) for each in zip(equations, described, strict=True)]
+    return fitted, coefficients, [_Equation(*parts) for parts in zip(equations, described, strict=True)]
 
 
 def _covariance(
@@ -159,12 +159,12 @@ def _fitted(chosen: ChosenProcess, coefficients: Sequence[ExplicitCoefficients])
 
 def _slices(chosen: ChosenProcess, model: ProcessModel) -> dict[int, slice]:
     """Return where the constants of each equation stand among the parameters."""
-    found, first = {}, 0
+    slices, first = {}, 0
     for number in chosen.free:
         count = len(constant_places(model.programs[number]))
-        found[number] = slice(first, first + count)
+        slices[number] = slice(first, first + count)
         first += count
-    return found
+    return slices
 
 
 def _described(
@@ -177,15 +177,15 @@ def _described(
     errors = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
     values, places = fitted.model.parameters(chosen.free), _slices(chosen, fitted.model)
     quantile = student_95(float(len(chosen.likelihood.steps.lengths) - len(values)))
-    found = []
+    descriptions = []
     for number, (explicit, program) in enumerate(zip(coefficients, programs, strict=True)):
         if number in chosen.free:
-            its = places[number]
-            found.append(describe(explicit, program, values[its].tolist(), errors[its].tolist(), quantile))
+            place = places[number]
+            descriptions.append(describe(explicit, program, values[place].tolist(), errors[place].tolist(), quantile))
         else:
             constants = program.constants[constant_places(program)].tolist()
-            found.append(Known(tuple(map(Constant, constants)), ()))
-    return found
+            descriptions.append(Known(tuple(map(Constant, constants)), ()))
+    return descriptions
 
 
 def _rounded(program: Program, values: FloatArray, covariance: FloatArray) -> Program:
@@ -200,11 +200,12 @@ def _rounded(program: Program, values: FloatArray, covariance: FloatArray) -> Pr
 def _alternatives(
     chosen: ChosenProcess, number: int, program: Program, candidates: CandidateSet
 ) -> tuple[Alternative, ...]:
-    rivals = [each for each in chosen.rivals[number] if math.isfinite(each.nats)]
+    rivals = [rival for rival in chosen.rivals[number] if math.isfinite(rival.nats)]
     best = rivals[0].nats if rivals else 0.0
     first = Alternative(program, 0.0, None, is_shown=True, origin=_origin(program, candidates))
     rest = [
-        Alternative(its.program, its.nats - best, None, origin=_origin(its.program, candidates)) for its in rivals[1:]
+        Alternative(rival.program, rival.nats - best, None, origin=_origin(rival.program, candidates))
+        for rival in rivals[1:]
     ]
     return (first, *rest)
 
@@ -218,7 +219,7 @@ def _origin(program: Program, candidates: CandidateSet) -> Origin:
     }
     key = form(make_coefficients_explicit(program).program)
     for origin, programs in sources.items():
-        if any(form(make_coefficients_explicit(each).program) == key for each in programs):
+        if any(form(make_coefficients_explicit(candidate).program) == key for candidate in programs):
             return origin
     return "descent"
 
@@ -246,7 +247,7 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
         clauses = _drift_objections(residuals[state], bins, steps.follows)
         return clauses + joint_objections(residuals, state, chosen.process.states, has_noise=state not in driven)
 
-    found: list[tuple[Grade, str]] = []
+    verdicts: list[tuple[Grade, str]] = []
     for number, equation in enumerate(equations):
         good = "The steps it leaves are independent and without a pattern over the states"
         if number < states and is_certain[number]:
@@ -261,8 +262,8 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
             clauses = _diffusion_objections(residuals[i], residuals[j], bins, is_variance=i == j)
             clauses, good = clauses + _doubts(chosen, number, equation), f"{good}, and their sizes are normal."
         text = ", and ".join(clauses[:2])
-        found.append(("doubtful", f"{text[0].upper()}{text[1:]}.") if clauses else ("good", good))
-    return found
+        verdicts.append(("doubtful", f"{text[0].upper()}{text[1:]}.") if clauses else ("good", good))
+    return verdicts
 
 
 def _has_noise(chosen: ChosenProcess, model: ProcessModel) -> bool:
@@ -304,8 +305,10 @@ def joint_objections(residuals: FloatArray, state: int, names: Sequence[str], *,
     if not has_noise and (chance := _chance(residuals[state] ** 2 - 1.0)) < SETTINGS.inference.improbable:
         size = float(np.sqrt(np.mean(residuals[state] ** 2)))
         clauses.append(f"its steps are {size:.3g} times what noise of other states makes of them (p = {chance:.1g})")
-    chances = {other: _chance(residuals[state] * residuals[other]) for other in range(len(names)) if other != state}
-    least = min(chances, key=lambda other: chances[other], default=None)
+    chances = {
+        partner: _chance(residuals[state] * residuals[partner]) for partner in range(len(names)) if partner != state
+    }
+    least = min(chances, key=lambda partner: chances[partner], default=None)
     if least is not None and chances[least] < SETTINGS.inference.improbable / len(chances):
         clauses.append(f"the steps it leaves go together with those of {names[least]} (p = {chances[least]:.1g})")
     return clauses
@@ -319,17 +322,19 @@ def _chance(values: FloatArray) -> float:
     return 2.0 * float(special.ndtr(-abs(float(values.mean())) / error)) if error > 0.0 else 1.0
 
 
-def _diffusion_objections(one: FloatArray, other: FloatArray, bins: Sequence[Rows], *, is_variance: bool) -> list[str]:
+def _diffusion_objections(
+    first: FloatArray, second: FloatArray, bins: Sequence[Rows], *, is_variance: bool
+) -> list[str]:
     """Return what speaks against a component of the diffusion, from the whitened steps (N,) of its two states."""
     from scipy import special
 
-    products = one * other - (1.0 if is_variance else 0.0)
+    products = first * second - (1.0 if is_variance else 0.0)
     clauses = []
     pattern = _pattern([products[rows] for rows in bins])
     if pattern < SETTINGS.inference.improbable:
         clauses.append(f"the squares of the steps it leaves follow a pattern over the states (p = {pattern:.1g})")
-    kurtosis = float(np.mean(one**4)) - 3.0
-    chance = float(special.ndtr(-kurtosis / math.sqrt(24.0 / len(one))))
+    kurtosis = float(np.mean(first**4)) - 3.0
+    chance = float(special.ndtr(-kurtosis / math.sqrt(24.0 / len(first))))
     if is_variance and chance < SETTINGS.inference.improbable:
         clauses.append(f"steps are larger now and then than normal ones (excess kurtosis {kurtosis:.2g})")
     return clauses
@@ -349,7 +354,7 @@ def _pattern(parts: Sequence[FloatArray]) -> float:
 def _doubts(chosen: ChosenProcess, number: int, equation: _Equation) -> list[str]:
     """Return what makes an equation doubtful beside its residuals: constants, and rivals that say something else."""
     clauses = []
-    if any(not each.identifiable for each in equation.known.written) and len(equation.known.written) > 1:
+    if any(not constant.identifiable for constant in equation.known.written) and len(equation.known.written) > 1:
         clauses.append("a constant is not determined: its interval holds zero")
     rivals = chosen.rivals[number]
     for rival in rivals[1:]:
@@ -362,9 +367,9 @@ def _doubts(chosen: ChosenProcess, number: int, equation: _Equation) -> list[str
     return clauses
 
 
-def _contains(program: Program, other: Program, points: FloatArray) -> bool:
-    """Tell whether `program` is `other` with some values of its constants, so that it says nothing else."""
-    values = values_of(other, points)
+def _contains(program: Program, rival: Program, points: FloatArray) -> bool:
+    """Tell whether `program` is `rival` with some values of its constants, so that it says nothing else."""
+    values = values_of(rival, points)
     square = float(np.mean(values * values))
     names = tuple(str(number) for number in range(len(points)))
     fitted = LeastSquares(Problem(names, points, Target("", "", values, 0.0, 1.0))).fit(program)
@@ -381,10 +386,10 @@ def _findings(chosen: ChosenProcess, fitted: FittedProcess, shown: ProcessModel,
     noisy = [state for state, variance in zip(process.states, shown.noise, strict=True) if variance > 0.0]
     relative = errors[len(errors) - len(noisy) :].tolist()
     noise = {}
-    for state, its in zip(noisy, relative, strict=True):
+    for state, error in zip(noisy, relative, strict=True):
         sd = math.sqrt(fitted.model.noise[process.states.index(state)])
-        bounds = (sd * math.exp(-1.96 * its), sd * math.exp(1.96 * its)) if its < 50.0 else None
-        noise[state] = Constant(sd, sd, sd * its, bounds)
+        bounds = (sd * math.exp(-1.96 * error), sd * math.exp(1.96 * error)) if error < 50.0 else None
+        noise[state] = Constant(sd, sd, sd * error, bounds)
     simulator = Simulator(shown.moments, np.random.default_rng(seed))
     unseen = take_steps(process, held_out=True)
     held_out = None

@@ -64,7 +64,7 @@ class ProcessModel:
     def parameters(self, free: Sequence[int]) -> FloatArray:
         """Return the constants of the equations `free`, by number, and the logarithms of standard errors of noise."""
         constants = [program.constants[constant_places(program)] for program in (self.programs[k] for k in free)]
-        return np.concatenate([*constants, [0.5 * math.log(each) for each in self.noise if each > 0.0]])
+        return np.concatenate([*constants, [0.5 * math.log(variance) for variance in self.noise if variance > 0.0]])
 
     def with_parameters(self, free: Sequence[int], values: FloatArray) -> "ProcessModel":
         """Return the model with other values of its parameters."""
@@ -73,7 +73,7 @@ class ProcessModel:
             places = constant_places(model.programs[number])
             moved = with_constants(model.programs[number], dict(zip(places, rest, strict=False)))
             model, rest = model.with_program(number, moved), rest[len(places) :]
-        noise = [math.exp(min(2.0 * rest.pop(0), 300.0)) if each > 0.0 else 0.0 for each in self.noise]
+        noise = [math.exp(min(2.0 * rest.pop(0), 300.0)) if variance > 0.0 else 0.0 for variance in self.noise]
         return replace(model, noise=tuple(noise))
 
 
@@ -217,14 +217,14 @@ class ProcessLikelihood:
             if not promised > settled or at.misfit - promised > limit:
                 break
             tried = model.with_parameters(free, values + step)
-            found = self.whitened(tried)
-            if not found.misfit < at.misfit:
+            whitened = self.whitened(tried)
+            if not whitened.misfit < at.misfit:
                 damping *= 10.0
                 if damping > MOST_DAMPING:
                     break
                 continue
-            is_settled = at.misfit - found.misfit < settled
-            model, values, at, damping = tried, values + step, found, max(0.1 * damping, LEAST_DAMPING)
+            is_settled = at.misfit - whitened.misfit < settled
+            model, values, at, damping = tried, values + step, whitened, max(0.1 * damping, LEAST_DAMPING)
             if is_settled:
                 break
             gradient, information = self._derivatives(model, at, free, values)

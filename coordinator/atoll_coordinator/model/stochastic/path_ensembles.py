@@ -17,12 +17,12 @@ def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> tuple[
 
     No ensemble when hardly a path has finite states to the end.
     """
-    path = next(each for each in process.paths if not each.held_out)
+    path = next(trajectory for trajectory in process.paths if not trajectory.held_out)
     rows = min(len(path.times), _STEPS + 1)
     inputs = 0.5 * (path.inputs[:, 1:rows] + path.inputs[:, : rows - 1])
     starts = np.repeat(path.states[:, :1], PATHS, axis=1)
-    found = simulator.paths(starts, inputs, path.times[1:rows] - path.times[: rows - 1])
-    ensemble = Ensemble(process.states, path.times[:rows], found.transpose(2, 0, 1))
+    paths = simulator.paths(starts, inputs, path.times[1:rows] - path.times[: rows - 1])
+    ensemble = Ensemble(process.states, path.times[:rows], paths.transpose(2, 0, 1))
     return path.name, ensemble if len(ensemble.finite) >= PATHS // 2 else None
 
 

@@ -80,7 +80,7 @@ class ProcessChoice:
         self._restrictions = [restrictions_of(config, name, dataset.names) for name in self._variables]
         self._likelihood = ProcessLikelihood(self._steps, restrictions=self._restrictions)
         self._finder = CandidateFinder(self._steps, dataset.names, self._variables, config, deadline)
-        known = [each for each, its in candidates.items() if its.known is not None]
+        known = [name for name, candidate_set in candidates.items() if candidate_set.known is not None]
         self._sought = tuple(k for k, name in enumerate(self._variables) if name not in known)
         self._begun: dict[int, list[Program]] = {}
         self._rivals: list[dict[bytes, Rival]] = [{} for _ in self._variables]
@@ -89,7 +89,7 @@ class ProcessChoice:
         """Return the law of the process."""
         fitted = self._settled(self._with_first_diffusion(self._first_model()), looks_around=True)
         fitted, apart = (fitted, 0.0) if any(fitted.model.noise) else self._discretised(fitted)
-        rivals = tuple(sorted(each.values(), key=lambda rival: rival.nats) for each in self._rivals)
+        rivals = tuple(sorted(by_structure.values(), key=lambda rival: rival.nats) for by_structure in self._rivals)
         free = self._free(fitted.model)
         return ChosenProcess(
             self._process,
@@ -163,7 +163,7 @@ class ProcessChoice:
         """Return the model of Brownian motion: no equation depends on anything, but for known ones."""
         time = float(self._steps.lengths.sum())
         states = len(self._process.states)
-        drift = [_constant(float(its.sum()) / time) for its in self._steps.increments]
+        drift = [_constant(float(increments.sum()) / time) for increments in self._steps.increments]
         rates = [float((self._steps.increments[i] * self._steps.increments[j]).sum()) / time
                  for i, j in self._process.pairs]  # fmt: skip
         programs = [*drift, *map(_constant, rates)]
@@ -191,8 +191,8 @@ class ProcessChoice:
             begun = self._candidates[name].nearest if name in self._candidates else []
             for program in self._finder.find(number, model, begun, looks_around=False, by_differences=True)[:1]:
                 tried = model.with_program(number, program)
-                if (found := self._likelihood.whitened(tried).misfit) < misfit:
-                    model, misfit = tried, found
+                if (tried_misfit := self._likelihood.whitened(tried).misfit) < misfit:
+                    model, misfit = tried, tried_misfit
         return model
 
     def _refitted(self, model: ProcessModel) -> FittedProcess:
@@ -216,9 +216,9 @@ class ProcessChoice:
             return model, self._length(self._likelihood.whitened(model).misfit, model.programs[number], 0)
         if looks_around:
             self._begun[number] = self._candidates[name].nearest if name in self._candidates else []
-        found = self._finder.find(number, model, self._begun[number], looks_around=looks_around)
-        self._begun[number] = found
-        models = self._compared(rivals, model, number, found)
+        programs = self._finder.find(number, model, self._begun[number], looks_around=looks_around)
+        self._begun[number] = programs
+        models = self._compared(rivals, model, number, programs)
         reduced: set[bytes] = set()
         while not self._deadline.is_over:
             least = min(length for _, length in models.values())
@@ -231,13 +231,13 @@ class ProcessChoice:
                     key = structure(program)
                     if key not in models:
                         models[key] = self._taken_in(rivals, start.with_program(number, program), number, least)
-        found_model, length = min(models.values(), key=lambda each: each[1])
+        found_model, length = min(models.values(), key=lambda entry: entry[1])
         states = len(model.drift)
         if number < states:
             return found_model, length
-        without, its = self._without(found_model, number)
-        rivals[_ZERO] = Rival(without.programs[number], its)
-        return (without, its) if its < length else (found_model, length)
+        without, length_without = self._without(found_model, number)
+        rivals[_ZERO] = Rival(without.programs[number], length_without)
+        return (without, length_without) if length_without < length else (found_model, length)
 
     def _without(self, model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
         """Return the model with one component of the diffusion zero, and its length, infinite where it may not be.
@@ -251,19 +251,19 @@ class ProcessChoice:
         if i == j:
             for place, pair in enumerate(model.pairs):
                 without = without.with_program(states + place, _constant(0.0)) if i in pair else without
-            free = tuple(each for each in (i,) if each in self._sought)
+            free = tuple(state for state in (i,) if state in self._sought)
             without = self._likelihood.fit(without, free, SETTINGS.selection.least_gain).model
-        made = [each for each, program in enumerate(without.programs[states:], states)
-                if is_zero(program) and not is_zero(model.programs[each])]  # fmt: skip
-        is_kept = all(self._may_be_zero(each) for each in made)
+        made = [component for component, program in enumerate(without.programs[states:], states)
+                if is_zero(program) and not is_zero(model.programs[component])]  # fmt: skip
+        is_kept = all(self._may_be_zero(component) for component in made)
         misfit = self._likelihood.whitened(without).misfit if is_kept else math.inf
         return without, self._length(misfit, without.programs[number], 0)
 
     def _may_be_zero(self, number: int) -> bool:
         """Tell whether a component of the diffusion may be zero: it is sought, and its restrictions admit zero."""
-        its, zero = self._restrictions[number], _constant(0.0)
-        is_within = its.bounds is None or is_zero(its.bounds.clipped(zero))
-        return number in self._sought and its.are_kept(zero) and is_within
+        restrictions, zero = self._restrictions[number], _constant(0.0)
+        is_within = restrictions.bounds is None or is_zero(restrictions.bounds.clipped(zero))
+        return number in self._sought and restrictions.are_kept(zero) and is_within
 
     def _is_of_no_noise(self, model: ProcessModel, number: int) -> bool:
         """Tell whether an equation is the covariance of noises of which one is none."""
@@ -277,11 +277,11 @@ class ProcessChoice:
         return i != j and any(map(is_zero, variances))
 
     def _compared(
-        self, rivals: dict[bytes, Rival], model: ProcessModel, number: int, found: Sequence[Program]
+        self, rivals: dict[bytes, Rival], model: ProcessModel, number: int, programs: Sequence[Program]
     ) -> dict[bytes, tuple[ProcessModel, float]]:
         """Return the model, and those with the first candidates for one equation that are possible, by structure."""
         models = {structure(model.programs[number]): self._taken_in(rivals, model, number)}
-        for program in found:
+        for program in programs:
             if sum(math.isfinite(length) for _, length in models.values()) > SETTINGS.process.compared:
                 break
             least = min(length for _, length in models.values())
@@ -309,9 +309,9 @@ class ProcessChoice:
 
     def _admitted(self, program: Program, number: int) -> Program | None:
         """Return a program as the restrictions of an equation admit it, constants within their bounds; None: not."""
-        its = self._restrictions[number]
-        admitted = its.admitted(program)
-        return admitted if admitted is None or its.bounds is None else its.bounds.clipped(admitted)
+        restrictions = self._restrictions[number]
+        admitted = restrictions.admitted(program)
+        return admitted if admitted is None or restrictions.bounds is None else restrictions.bounds.clipped(admitted)
 
     def _length(self, misfit: float, program: Program, constants: int) -> float:
         return system_length(misfit, [program], constants, constant_nats_of(len(self._steps.lengths)))

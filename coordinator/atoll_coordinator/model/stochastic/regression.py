@@ -108,11 +108,11 @@ class CandidateFinder:
             program, misfit = candidate.fitted.program, shortening.criterion.misfit(candidate.fitted.mse)
             return system_length(misfit, [program], len(constant_places(program)), nats)
 
-        found = sorted(shortening.candidates([*begun, *sums], looks_around), key=length)
-        programs = [make_coefficients_explicit(shortest(each.fitted.program)).program for each in found]
+        candidates = sorted(shortening.candidates([*begun, *sums], looks_around), key=length)
+        programs = [make_coefficients_explicit(shortest(candidate.fitted.program)).program for candidate in candidates]
         distinct = {structure(program): program for program in programs}
         is_variance = number >= len(model.drift) and len({*model.pairs[number - len(model.drift)]}) == 1
-        possible = (each for each in distinct.values() if self._is_possible(each, is_variance=is_variance))
+        possible = (program for program in distinct.values() if self._is_possible(program, is_variance=is_variance))
         return [*islice(possible, SETTINGS.effort.beam)]
 
     def _is_possible(self, program: Program, *, is_variance: bool) -> bool:
@@ -125,9 +125,9 @@ def _sides_by_differences(number: int, model: ProcessModel, steps: Steps) -> Flo
     """Return what a component of the diffusion times the length of a step is to be (N,); NaN where a path ends."""
     windows = all_windows(steps, _STEPS)
     i, j = model.pairs[number - len(model.drift)]
-    found = np.full(len(steps.lengths), np.nan)
-    found[windows.first] = windows.differences(i) * windows.differences(j) * steps.lengths[windows.first]
-    return found
+    sides = np.full(len(steps.lengths), np.nan)
+    sides[windows.first] = windows.differences(i) * windows.differences(j) * steps.lengths[windows.first]
+    return sides
 
 
 def _sides(number: int, model: ProcessModel, steps: Steps) -> FloatArray:
@@ -172,15 +172,15 @@ def mean_squares(steps: Steps) -> FloatArray:
     The squares are those of high differences, so that the drift is not among them. Weights come from these rather than
     from the model so far, whose first one knows nothing of the states.
     """
-    found = np.zeros_like(steps.increments)
+    means = np.zeros_like(steps.increments)
     windows = all_windows(steps, _STEPS)
     squares = np.full_like(steps.increments, np.nan)
     for state in range(len(squares)):
         squares[state, windows.first] = windows.differences(state) ** 2
     for rows in split_into_bins(steps.points, 2 * math.isqrt(len(steps.lengths))):
         known = squares[:, rows][:, np.isfinite(squares[0, rows])]
-        found[:, rows] = (known if known.size else squares[:, windows.first]).mean(axis=1)[:, None]
-    return found
+        means[:, rows] = (known if known.size else squares[:, windows.first]).mean(axis=1)[:, None]
+    return means
 
 
 def _binned(points: FloatArray, sides: FloatArray, weights: FloatArray, names: tuple[str, ...]) -> WeightedProblem:
@@ -197,16 +197,16 @@ def _sparse_sums(weighted: WeightedProblem, columns: Sequence[int]) -> list[Prog
     inputs, roots = weighted.problem.inputs, np.sqrt(weighted.weights)
     sides = weighted.problem.target.values * roots
     rows = len(sides)
-    found: list[tuple[float, Program]] = []
+    sums: list[tuple[float, Program]] = []
     for terms, _ in libraries(columns, rows):
         values = np.array([_values(term, inputs) for term in terms]) * roots
         path = eliminated(terms, values, sides)
         prices = np.array([structure_length(sum_of([term], [1.5])) for term in terms]) + constant_nats_of(rows)
         for step in range(len(terms)):
             nats = 0.5 * rows * np.log(max(float(path.squares[step]), 1e-300)) + prices[path.kept(step)].sum()
-            found.append((float(nats), sum_of(*path.sum(step))))
-    found.sort(key=lambda each: each[0])
-    return [program for _, program in found[: SETTINGS.effort.beam // 2]]
+            sums.append((float(nats), sum_of(*path.sum(step))))
+    sums.sort(key=lambda entry: entry[0])
+    return [program for _, program in sums[: SETTINGS.effort.beam // 2]]
 
 
 def _values(term: Term, inputs: FloatArray) -> FloatArray:

@@ -39,13 +39,13 @@ def equation_units(dataset: Dataset, config: JobConfig, variable: str, program: 
 
 def _units_of_columns(config: JobConfig) -> dict[str, Unit]:
     """Return the units of columns; what is no unit, as a header may hold anything, is not known."""
-    found = {}
+    units = {}
     for column, text in config.data.units.items():
         try:
-            found[column] = parse_unit(text)
+            units[column] = parse_unit(text)
         except UsageError:
             continue
-    return found | {angle.column: NO_UNIT for angle in config.data.angles if found}
+    return units | {angle.column: NO_UNIT for angle in config.data.angles if units}
 
 
 def _time_of(lhs: str, order: int) -> str | None:

@@ -25,7 +25,7 @@ def one_sided_reaches(
     """
     from scipy import special
 
-    free, found = np.flatnonzero(~held), {}
+    free, reaches = np.flatnonzero(~held), {}
     for number in np.flatnonzero(held).tolist():
         chosen = np.array([*free, number])
         inverse = np.linalg.pinv(information[np.ix_(chosen, chosen)], hermitian=True)
@@ -33,15 +33,15 @@ def one_sided_reaches(
         beyond = 0.0 if gradient is None else abs(float(gradient[number])) * error
         tail = math.log(0.05) + float(special.log_ndtr(-beyond))  # of all that lies beyond the centre
         reach = error * (-float(special.ndtri_exp(tail)) - beyond)
-        found[number] = reach if math.isfinite(reach) else 0.0
-    return found
+        reaches[number] = reach if math.isfinite(reach) else 0.0
+    return reaches
 
 
 def within_bounds(constant: Constant, lower: float, upper: float, reach: float | None) -> Constant:
     """Return a constant with its interval cut at its bounds; on a bound, with the one-sided one that `reach` makes."""
     if reach is None:
-        its = constant.interval
-        interval = None if its is None else (max(its[0], lower), min(its[1], upper))
+        ends = constant.interval
+        interval = None if ends is None else (max(ends[0], lower), min(ends[1], upper))
         return replace(constant, bounds=(lower, upper), interval=interval)
     at = lower if constant.fitted is not None and constant.fitted <= lower else upper
     interval = (at, min(at + reach, upper)) if at == lower else (max(at - reach, lower), at)

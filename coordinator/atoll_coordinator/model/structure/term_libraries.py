@@ -61,19 +61,19 @@ def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[
     plain = [Factor(variable) for variable in variables]
     waves = [Factor(variable, code) for variable in variables for code in (SIN, COS)]
     coupled = [
-        Factor(one, code, other, join)
-        for one, other in combinations(variables, 2)
+        Factor(first, code, second, join)
+        for first, second in combinations(variables, 2)
         for join in (SUBTRACT, ADD)
         for code in (SIN, COS)
     ]
-    found = [_powers(plain, 2), _powers(plain, 3)]
+    candidates = [_powers(plain, 2), _powers(plain, 3)]
     if {SIN, COS} <= set(operators):
         pairs: list[Term] = [*combinations(waves, 2)]
         single: list[Term] = [(wave,) for wave in waves]
-        found += [[*_powers(plain, 2), *single], [(), *single, *pairs]]
+        candidates += [[*_powers(plain, 2), *single], [(), *single, *pairs]]
         if SUBTRACT in operators:
-            found.append([(), *single, *((wave,) for wave in coupled)])
-    yield from (terms for terms in found if len(terms) <= SETTINGS.structure.largest_library)
+            candidates.append([(), *single, *((wave,) for wave in coupled)])
+    yield from (terms for terms in candidates if len(terms) <= SETTINGS.structure.largest_library)
 
 
 def fractions(variables: Sequence[int], operators: Collection[int], sizes: Sequence[float]) -> Iterator[list[Term]]:
@@ -94,17 +94,17 @@ def fractions(variables: Sequence[int], operators: Collection[int], sizes: Seque
     for variable in variables:
         for power in (1, 2):
             under = Factor(variable, divisor=Divisor(variable, power, sizes[variable] ** power))
-            own, others = (Factor(variable), under), [(each,) for each in plain if each != Factor(variable)]
-            mixed: list[Term] = [(*other, *own) for other in others]
-            for found in ([*mixed], [own, *mixed]):
-                if found and len(found) + len(_powers(plain, 2)) <= SETTINGS.structure.largest_library:
-                    yield [*_powers(plain, 2), *found]
+            own, others = (Factor(variable), under), [(factor,) for factor in plain if factor != Factor(variable)]
+            mixed: list[Term] = [(*term, *own) for term in others]
+            for quotients in ([*mixed], [own, *mixed]):
+                if quotients and len(quotients) + len(_powers(plain, 2)) <= SETTINGS.structure.largest_library:
+                    yield [*_powers(plain, 2), *quotients]
     if {SIN, COS} <= set(operators):
         waves: list[Term] = [(Factor(variable, code),) for variable in variables for code in (SIN, COS)]
         for variable in variables:
             over = Factor(variable, divisor=Divisor(variable))
-            numerators: list[Term] = [(), *((each,) for each in plain if each != Factor(variable)), *waves]
-            yield [(), *((each,) for each in plain), *waves, *((*term, over) for term in numerators)]
+            numerators: list[Term] = [(), *((factor,) for factor in plain if factor != Factor(variable)), *waves]
+            yield [(), *((factor,) for factor in plain), *waves, *((*term, over) for term in numerators)]
 
 
 def _powers(factors: Sequence[Factor], degree: int) -> list[Term]:
@@ -126,15 +126,15 @@ def sum_of(terms: Sequence[Term], coefficients: Sequence[float]) -> Program:
 
 def _expression(factor: Factor) -> Expression:
     """Return a factor, or what a term is divided by."""
-    found: Expression = (VARIABLE, factor.variable)
+    expression: Expression = (VARIABLE, factor.variable)
     if factor.divisor is not None:
         if factor.divisor.power == 2:
-            found = (MULTIPLY, found, found)
+            expression = (MULTIPLY, expression, expression)
         if factor.divisor.shift:
-            found = (ADD, found, factor.divisor.shift)
+            expression = (ADD, expression, factor.divisor.shift)
     if factor.other is not None:
-        found = (factor.join, found, (VARIABLE, factor.other))
-    return found if factor.function is None else (factor.function, found)
+        expression = (factor.join, expression, (VARIABLE, factor.other))
+    return expression if factor.function is None else (factor.function, expression)
 
 
 def column_of(term: Term, inputs: FloatArray) -> FloatArray:

@@ -35,17 +35,17 @@ def extended(
         columns: variables that may be used.
         operators: codes of operators that may be used.
     """
-    its = rows.trusted()
-    if len(its.values) < SETTINGS.sparse.rows_per_term * len(begun):
+    trusted = rows.trusted()
+    if len(trusted.values) < SETTINGS.sparse.rows_per_term * len(begun):
         return []
-    here = [Atom(atom.shape.over(its.inputs), atom.constant) for atom in begun]
-    beside = Beside(np.array([atom.shape.value(atom.constant) for atom in here]), its.values, its.errors)
+    here = [Atom(atom.shape.over(trusted.inputs), atom.constant) for atom in begun]
+    beside = Beside(np.array([atom.shape.value(atom.constant) for atom in here]), trusted.values, trusted.errors)
     ends: list[RateSum] = []
-    for atom in beside.best_atoms(dictionary(its.inputs, columns, operators)):
-        joined = fitted(its, [*here, atom])
+    for atom in beside.best_atoms(dictionary(trusted.inputs, columns, operators)):
+        joined = fitted(trusted, [*here, atom])
         if joined is not None:
-            ends.append(polished(its, joined))
-    ends.sort(key=lambda each: each.nats)
+            ends.append(polished(trusted, joined))
+    ends.sort(key=lambda end: end.nats)
     return [tuple(Atom(atom.shape.over(rows.inputs), atom.constant) for atom in end.atoms) for end in ends]
 
 
@@ -55,9 +55,9 @@ def dictionary(inputs: FloatArray, columns: Sequence[int], operators: Collection
     Where all functions are too many for two variables, quotients are taken by themselves: most laws with many variables
     have these.
     """
-    found = _products(inputs, columns, operators, 2)
-    if found is not None:
-        return found
+    products = _products(inputs, columns, operators, 2)
+    if products is not None:
+        return products
     quotients = _products(inputs, columns, {DIVIDE} & set(operators), 2)
     rest = set(operators) if quotients is None else set(operators) - {DIVIDE}
     others = next((those for degree in (1, 0) if (those := _products(inputs, columns, rest, degree)) is not None), [])
@@ -111,16 +111,20 @@ class Beside:
 
     def _projected(self, values: FloatArray) -> FloatArray:
         """Return what the terms leave of weighted `values` (A, N)."""
-        found = values * self._weights
+        remainder = values * self._weights
         for _ in range(2):  # the second time for what rounding left
-            found = found - (found @ self._basis) @ self._basis.T
-        return np.asarray(found)
+            remainder = remainder - (remainder @ self._basis) @ self._basis.T
+        return np.asarray(remainder)
 
     def best_atoms(self, tried: Sequence[Shape]) -> list[Atom]:
         """Return the few atoms that explain most, inner constants fitted one by one."""
-        found = [each for each in (self.narrowed(shape, near) for shape, near in self.best(tried)) if each is not None]
-        found.sort(key=lambda each: each[0])
-        return [atom for _, atom in found[: SETTINGS.rates.beam]]
+        candidates = [
+            candidate
+            for candidate in (self.narrowed(shape, near) for shape, near in self.best(tried))
+            if candidate is not None
+        ]
+        candidates.sort(key=lambda candidate: candidate[0])
+        return [atom for _, atom in candidates[: SETTINGS.rates.beam]]
 
     def best(self, tried: Sequence[Shape]) -> list[tuple[Shape, float]]:
         """Return the shapes that explain most with the inner constants, on their grids, at which they do.
@@ -161,7 +165,7 @@ class Beside:
             return None
         best = near
         if shape.has_constant:
-            low, high = (math.log(abs(each)) for each in _bracket(sorted(shape.constants(), key=abs), near))
+            low, high = (math.log(abs(constant)) for constant in _bracket(sorted(shape.constants(), key=abs), near))
             best = math.copysign(
                 math.exp(_least(lambda size: left(math.copysign(math.exp(size), near)), low, high)), near
             )
@@ -175,7 +179,7 @@ _NORMAL = 0.6745
 
 def _bracket(grid: Sequence[float], near: float) -> tuple[float, float]:
     """Return the constants of a grid on either side of `near`, of its sign, beyond its ends by the same ratio."""
-    constants = [each for each in grid if (each > 0.0) == (near > 0.0)]
+    constants = [constant for constant in grid if (constant > 0.0) == (near > 0.0)]
     place = constants.index(near)
     ratio = constants[place] / constants[place - 1] if place else constants[1] / constants[0] if constants[1:] else 2.0
     low = constants[place - 1] if place else near / ratio
@@ -184,17 +188,17 @@ def _bracket(grid: Sequence[float], near: float) -> tuple[float, float]:
 
 def _least(value: Callable[[float], float], low: float, high: float) -> float:
     """Return where a function is least between two numbers, by the golden section."""
-    one, other = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-    at_one, at_other = value(one), value(other)
+    lower, upper = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    at_lower, at_upper = value(lower), value(upper)
     for _ in range(_NARROWINGS):
-        if at_one < at_other:
-            high, other, at_other = other, one, at_one
-            one = high - _GOLDEN * (high - low)
-            at_one = value(one)
+        if at_lower < at_upper:
+            high, upper, at_upper = upper, lower, at_lower
+            lower = high - _GOLDEN * (high - low)
+            at_lower = value(lower)
         else:
-            low, one, at_one = one, other, at_other
-            other = low + _GOLDEN * (high - low)
-            at_other = value(other)
+            low, lower, at_lower = lower, upper, at_upper
+            upper = low + _GOLDEN * (high - low)
+            at_upper = value(upper)
     return 0.5 * (low + high)
 
 

@@ -80,9 +80,9 @@ def with_network(rows: RateRows, begun: Sequence[Atom], columns: Sequence[int]) 
         errors = np.maximum(rows.errors, coarse.misfit(numbers) * coarse.errors)
         near = _Node(beside, rows.values, errors, inputs).fit(numbers)
         fine = _Node(beside, rows.values, rows.errors, inputs).fit(near)
-        found = _sum(rows, begun, columns, fine[len(begun) + 1 :])
-        if found is not None and found.scale <= 1.0:
-            return list(_pruned(rows, begun, columns, fine, found).atoms)
+        fitted_sum = _sum(rows, begun, columns, fine[len(begun) + 1 :])
+        if fitted_sum is not None and fitted_sum.scale <= 1.0:
+            return list(_pruned(rows, begun, columns, fine, fitted_sum).atoms)
     return []
 
 
@@ -135,12 +135,12 @@ def _pruned(
     while len(kept) > 1:
         least = min(kept, key=lambda place: abs(numbers[first + place]) * sizes[place])
         fewer = [place for place in kept if place != least]
-        its = _Node(beside, rows.values, rows.errors, inputs[fewer])
+        node = _Node(beside, rows.values, rows.errors, inputs[fewer])
         trial = np.zeros_like(numbers)
         chosen = [*range(first), *(first + place for place in fewer)]
-        trial[chosen] = its.fit(numbers[chosen])
-        found = _sum(rows, begun, columns, trial[first:])
-        if found is None or not found.nats < best.nats:
+        trial[chosen] = node.fit(numbers[chosen])
+        fitted_sum = _sum(rows, begun, columns, trial[first:])
+        if fitted_sum is None or not fitted_sum.nats < best.nats:
             return best
-        best, numbers, kept = found, trial, fewer
+        best, numbers, kept = fitted_sum, trial, fewer
     return best

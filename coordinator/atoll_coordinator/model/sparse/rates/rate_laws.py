@@ -27,10 +27,12 @@ def find_rate_laws(rows: RateRows, columns: Sequence[int], operators: Collection
     """
     kept = screened(rows, columns)
     for alike in _sums(rows, kept, operators) if kept else ():
-        found = min((each for each in alike if each.scale <= 1.0), key=lambda each: each.nats, default=None)
-        if found is not None:
-            program = found.program()
-            return (Law(program, structure_length(program), found.scale, is_tested=True, is_of_rates=True),)
+        best = min(
+            (rate_sum for rate_sum in alike if rate_sum.scale <= 1.0), key=lambda rate_sum: rate_sum.nats, default=None
+        )
+        if best is not None:
+            program = best.program()
+            return (Law(program, structure_length(program), best.scale, is_tested=True, is_of_rates=True),)
     return ()
 
 
@@ -67,5 +69,5 @@ def _without_first(atoms: Sequence[Atom]) -> list[Atom]:
 
 def _shortest(rows: RateRows, libraries: Iterable[Sequence[Atom]]) -> list[RateSum]:
     """Return the shortest sum of each library, inner constants fitted."""
-    found = (shortest_sum(rows, atoms) for atoms in libraries)
-    return [pruned(rows, polished(rows, its)) for its in found if its is not None]
+    sums = (shortest_sum(rows, atoms) for atoms in libraries)
+    return [pruned(rows, polished(rows, rate_sum)) for rate_sum in sums if rate_sum is not None]

@@ -37,7 +37,7 @@ def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> Rate
     None where derivatives were not kept, or all are alike. Errors are at least those of a solver. More rows than
     `RowSettings.most` are thinned, as those of the search are.
     """
-    parts = [each for each in recording.trajectories if not each.held_out]
+    parts = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
     symbols = (*recording.state_symbols, *recording.velocity_symbols, *recording.input_symbols)
     places, state = [symbols.index(name) for name in names], recording.states.index(variable)
     columns, values, errors = [], [], []
@@ -63,7 +63,7 @@ def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> Rate
 def _spread(part: Trajectory, state: int) -> FloatArray:
     """Return for each row the largest error of it and its neighbours: one alone may be small by chance."""
     assert part.rate_errors is not None
-    found = part.rate_errors[state].copy()
-    found[1:] = np.maximum(found[1:], part.rate_errors[state, :-1])
-    found[:-1] = np.maximum(found[:-1], part.rate_errors[state, 1:])
-    return np.asarray(found)
+    errors = part.rate_errors[state].copy()
+    errors[1:] = np.maximum(errors[1:], part.rate_errors[state, :-1])
+    errors[:-1] = np.maximum(errors[:-1], part.rate_errors[state, 1:])
+    return np.asarray(errors)

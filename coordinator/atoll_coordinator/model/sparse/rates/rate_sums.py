@@ -97,9 +97,9 @@ def shortest_sum(rows: RateRows, atoms: Sequence[Atom]) -> RateSum | None:
     best = whole
     for step in range(max(1, len(atoms) - SETTINGS.rates.most_terms), len(atoms)):
         places = sorted(order[step:].tolist())
-        found = fitted(rows, [atoms[place] for place in places], whole.weights)
-        if found is not None and found.nats < best.nats:
-            best = found
+        candidate = fitted(rows, [atoms[place] for place in places], whole.weights)
+        if candidate is not None and candidate.nats < best.nats:
+            best = candidate
     return pruned(rows, best)
 
 
@@ -107,8 +107,8 @@ def pruned(rows: RateRows, best: RateSum) -> RateSum:
     """Return the sum without the terms that it can do without, one after another."""
     while 1 < len(best.atoms) <= SETTINGS.rates.most_terms:
         fewer = [best.atoms[:place] + best.atoms[place + 1 :] for place in range(len(best.atoms))]
-        found = [each for its in fewer if (each := fitted(rows, its, best.weights)) is not None]
-        shorter = min(found, key=lambda each: each.nats, default=best)
+        candidates = [candidate for atoms in fewer if (candidate := fitted(rows, atoms, best.weights)) is not None]
+        shorter = min(candidates, key=lambda candidate: candidate.nats, default=best)
         if not shorter.nats < best.nats:
             break
         best = shorter
@@ -129,24 +129,27 @@ def polished(rows: RateRows, its: RateSum) -> RateSum:
     return its
 
 
-def _stepped(rows: RateRows, its: RateSum, inner: Sequence[int]) -> RateSum | None:
+def _stepped(rows: RateRows, rate_sum: RateSum, inner: Sequence[int]) -> RateSum | None:
     """Return the sum after one step of its inner constants, None where no step makes the scale less."""
-    columns = [atom.shape.value(atom.constant) for atom in its.atoms]
-    slopes = [its.coefficients[place] * its.atoms[place].shape.slope(its.atoms[place].constant) for place in inner]
+    columns = [atom.shape.value(atom.constant) for atom in rate_sum.atoms]
+    slopes = [
+        rate_sum.coefficients[place] * rate_sum.atoms[place].shape.slope(rate_sum.atoms[place].constant)
+        for place in inner
+    ]
     jacobian = np.array([*columns, *slopes])
     if not np.isfinite(jacobian).all():
         return None
-    left = rows.values - its.coefficients @ np.array(columns)
+    left = rows.values - rate_sum.coefficients @ np.array(columns)
     moves = np.zeros(len(jacobian))
-    robust_fit(jacobian, left, rows.errors, 1, moves, its.weights.copy())
+    robust_fit(jacobian, left, rows.errors, 1, moves, rate_sum.weights.copy())
     for halving in range(_HALVINGS):
-        atoms = list(its.atoms)
+        atoms = list(rate_sum.atoms)
         for place, move in zip(inner, moves[len(columns) :].tolist(), strict=True):
             atom = atoms[place]
             limit = 0.5 * abs(atom.constant)
             atoms[place] = Atom(atom.shape, atom.constant + min(max(move, -limit), limit) * 0.5**halving)
-        following = fitted(rows, atoms, its.weights)
-        if following is not None and following.scale < its.scale:
+        following = fitted(rows, atoms, rate_sum.weights)
+        if following is not None and following.scale < rate_sum.scale:
             return following
     return None
 

@@ -30,16 +30,16 @@ def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobC
     dataset, recording, space = preparation.dataset, preparation.recording, config.space
     if recording is None or not _are_too_many(len(dataset.names)):
         return config
-    found = dict(space.variables_of)
+    variables_of = dict(space.variables_of)
     for name in dataset.variables:
-        rows = None if name in found or name in config.prior.known else rate_rows(recording, dataset.names, name)
+        rows = None if name in variables_of or name in config.prior.known else rate_rows(recording, dataset.names, name)
         kept = () if rows is None else screened(rows, range(len(dataset.names)))
         if kept:
-            found[name] = tuple(dataset.names[place] for place in kept)
-    update: dict[str, object] = {"variables_of": found}
+            variables_of[name] = tuple(dataset.names[place] for place in kept)
+    update: dict[str, object] = {"variables_of": variables_of}
     beginning = space.model_copy(update={"terminals": None})
     if space.terminals == beginning.terminals_for(len(dataset.names)):  # the user has not said otherwise
-        counts = [len(found.get(name, dataset.names)) for name in dataset.variables]
+        counts = [len(variables_of.get(name, dataset.names)) for name in dataset.variables]
         update["terminals"] = beginning.terminals_for(max(counts))
     return config.model_copy(update={"space": space.model_copy(update=update)})
 
@@ -53,21 +53,21 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     """Return the variables among `columns` (indices) that the equation takes, in ascending order."""
     if not _are_too_many(len(columns)):
         return tuple(columns)
-    its = rows.trusted()
-    terms, values = _products(its.inputs, columns)
-    _, deviation = moments(its.values)
-    weights = 1.0 / np.sqrt(its.errors * its.errors + (SETTINGS.common.negligible * deviation) ** 2)
-    weighted, side = values * weights, its.values * weights
+    trusted = rows.trusted()
+    terms, values = _products(trusted.inputs, columns)
+    _, deviation = moments(trusted.values)
+    weights = 1.0 / np.sqrt(trusted.errors * trusted.errors + (SETTINGS.common.negligible * deviation) ** 2)
+    weighted, side = values * weights, trusted.values * weights
     steps = 3 * SETTINGS.rates.screened
     chosen, squares = np.full(steps, -1, np.int64), np.zeros(steps + 1)
     select_forward(weighted.copy(), side.copy(), chosen, squares)
     taken: list[int] = []
-    chance = 2.0 * log(float(len(terms))) / len(its.values)
+    chance = 2.0 * log(float(len(terms))) / len(trusted.values)
     for place, before, after in zip(chosen.tolist(), squares[:-1].tolist(), squares[1:].tolist(), strict=True):
         if place < 0 or before - after <= chance * before:
             break
         taken.append(place)
-        if after <= len(its.values):
+        if after <= len(trusted.values):
             break
     if not taken:
         return ()
@@ -84,9 +84,9 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
 
 def _products(inputs: FloatArray, columns: Sequence[int]) -> tuple[list[tuple[int, ...]], FloatArray]:
     """Return the products of up to two variables, and cubes, and their values (K, N)."""
-    terms: list[tuple[int, ...]] = [(), *((each,) for each in columns)]
+    terms: list[tuple[int, ...]] = [(), *((variable,) for variable in columns)]
     terms += combinations_with_replacement(columns, 2)
-    terms += [(each, each, each) for each in columns]
+    terms += [(variable, variable, variable) for variable in columns]
     values = np.ones((len(terms), inputs.shape[1]))
     for place, term in enumerate(terms):
         for variable in term:

@@ -48,7 +48,9 @@ class Terms:
     @cached_property
     def is_finite(self) -> bool:
         """Whether all integrals and covariances are numbers."""
-        return bool(np.isfinite(self.integrals).all() and all(np.isfinite(each).all() for each in self.errors))
+        return bool(
+            np.isfinite(self.integrals).all() and all(np.isfinite(covariance).all() for covariance in self.errors)
+        )
 
 
 def covariances(rows: WindowRows, gradients: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -65,13 +67,13 @@ def gradient(atom: Atom, rows: WindowRows, *, is_slope: bool = False) -> FloatAr
 
     Differences over the errors' deviation: what is beyond first order is averaged.
     """
-    found = np.zeros_like(rows.inputs)
+    derivatives = np.zeros_like(rows.inputs)
     with np.errstate(all="ignore"):
         for variable, size in enumerate(rows.noise.tolist()):
             if size > 0.0 and depends(atom.shape, variable):
                 above, below = (_moved(atom, rows, variable, step, is_slope=is_slope) for step in (size, -size))
-                found[variable] = (above - below) / (2.0 * size)
-    return found
+                derivatives[variable] = (above - below) / (2.0 * size)
+    return derivatives
 
 
 def _moved(atom: Atom, rows: WindowRows, variable: int, step: float, *, is_slope: bool) -> FloatArray:
@@ -91,4 +93,4 @@ def _has(expression: object, variable: int) -> bool:
         return False
     if len(expression) == 2 and expression[0] == VARIABLE:
         return bool(expression[1] == variable)
-    return any(_has(each, variable) for each in expression[1:])
+    return any(_has(part, variable) for part in expression[1:])

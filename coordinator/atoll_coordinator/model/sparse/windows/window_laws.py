@@ -32,25 +32,30 @@ class WindowEquation:
     def allows(self, atom: Atom) -> bool:
         """Tell whether a term has nothing but variables and operators that are allowed."""
         variables = range(len(self.rows.inputs))
-        return all(each in self.columns or not depends(atom.shape, each) for each in variables) and set(
+        return all(variable in self.columns or not depends(atom.shape, variable) for variable in variables) and set(
             operators_in(atom.shape.expression(atom.constant))
         ) <= set(self.operators)
 
 
 def find_window_laws(equations: Mapping[str, WindowEquation]) -> dict[str, tuple[Law, ...]]:
     """Return the law of each state, none where no short sum leaves as little as errors of measurement."""
-    alone = {name: shortest_sum(each) for name, each in equations.items()}
-    functions = list(_functions(each for each in alone.values() if each is not None and _is_held(each)))
-    found = {name: _with_shared(equations[name], each, functions) for name, each in alone.items()}
-    return {name: () if each is None or not _is_held(each) else (_law(each),) for name, each in found.items()}
+    alone = {name: shortest_sum(equation) for name, equation in equations.items()}
+    functions = list(
+        _functions(window_sum for window_sum in alone.values() if window_sum is not None and _is_held(window_sum))
+    )
+    sums = {name: _with_shared(equations[name], window_sum, functions) for name, window_sum in alone.items()}
+    return {
+        name: () if window_sum is None or not _is_held(window_sum) else (_law(window_sum),)
+        for name, window_sum in sums.items()
+    }
 
 
-def _is_held(its: WindowSum) -> bool:
-    return its.excess <= SETTINGS.inference.excess
+def _is_held(window_sum: WindowSum) -> bool:
+    return window_sum.excess <= SETTINGS.inference.excess
 
 
-def _law(its: WindowSum) -> Law:
-    return Law(its.program(), its.nats, its.excess, is_tested=True, is_of_rates=True)
+def _law(window_sum: WindowSum) -> Law:
+    return Law(window_sum.program(), window_sum.nats, window_sum.excess, is_tested=True, is_of_rates=True)
 
 
 def shortest_sum(equation: WindowEquation) -> WindowSum | None:
@@ -62,15 +67,19 @@ def shortest_sum(equation: WindowEquation) -> WindowSum | None:
     best = _shortest(eliminated(begun) for library in libraries for begun in _beginnings(library, equation.columns))
     for _ in range(SETTINGS.sparse.pursued_functions):
         best = None if best is None else improved(best)
-        found = None if best is None else _with_function(equation, best, libraries)
-        if best is None or found is None or not found.nats < best.nats - log(float(SETTINGS.rates.most_atoms)):
+        candidate = None if best is None else _with_function(equation, best, libraries)
+        if best is None or candidate is None or not candidate.nats < best.nats - log(float(SETTINGS.rates.most_atoms)):
             break
-        best = found
+        best = candidate
     return best
 
 
 def _shortest(sums: Iterable[WindowSum | None]) -> WindowSum | None:
-    return min((each for each in sums if each is not None), key=lambda each: each.nats, default=None)
+    return min(
+        (window_sum for window_sum in sums if window_sum is not None),
+        key=lambda window_sum: window_sum.nats,
+        default=None,
+    )
 
 
 def _libraries(equation: WindowEquation) -> list[Terms]:
@@ -96,12 +105,12 @@ def _beginnings(library: Terms, columns: Sequence[int]) -> Iterator[WindowSum]:
         tried = []
         for variable in free:
             fewer = [place for place in kept if not _can_spare(library.atoms[place], variable)]
-            its = fitted(library, fewer, near, SETTINGS.windows.brief_rounds)
-            if its is not None:
-                tried.append((its.nats, variable, fewer, its))
+            candidate = fitted(library, fewer, near, SETTINGS.windows.brief_rounds)
+            if candidate is not None:
+                tried.append((candidate.nats, variable, fewer, candidate))
         if not tried:
             return
-        _, gone, kept, near = min(tried, key=lambda each: each[:2])
+        _, gone, kept, near = min(tried, key=lambda entry: entry[:2])
         free.remove(gone)
 
 
@@ -115,11 +124,11 @@ def _with_function(equation: WindowEquation, best: WindowSum, libraries: Sequenc
     beginnings = [best.atoms, *(library.atoms for library in libraries[:-1])]
     longer = (Terms(rows, atoms) for atoms in _extended(equation, beginnings))
     sums = (fitted(terms, range(len(terms.atoms))) for terms in longer)
-    found = _shortest(eliminated(polished(each)) for each in sums if each is not None)
-    if found is None:
+    candidate = _shortest(eliminated(polished(window_sum)) for window_sum in sums if window_sum is not None)
+    if candidate is None:
         return None
-    its = _shortest([found, eliminated(polished(found))])
-    return None if its is None else _shortest([its, _among(its, libraries[-1].atoms)])
+    shortest = _shortest([candidate, eliminated(polished(candidate))])
+    return None if shortest is None else _shortest([shortest, _among(shortest, libraries[-1].atoms)])
 
 
 def _extended(equation: WindowEquation, beginnings: Sequence[Sequence[Atom]]) -> list[tuple[Atom, ...]]:
@@ -127,42 +136,42 @@ def _extended(equation: WindowEquation, beginnings: Sequence[Sequence[Atom]]) ->
 
     Errors of terms are not counted, and windows that do not overlap are taken.
     """
-    its = equation.rows.apart()
-    tried = dictionary(its.inputs, equation.columns, equation.operators)
-    errors = np.sqrt(its.own + its.spread(its.sides[0] - its.sides[1]) ** 2)
-    found: list[tuple[Atom, ...]] = []
+    rows = equation.rows.apart()
+    tried = dictionary(rows.inputs, equation.columns, equation.operators)
+    errors = np.sqrt(rows.own + rows.spread(rows.sides[0] - rows.sides[1]) ** 2)
+    extensions: list[tuple[Atom, ...]] = []
     for begun in beginnings:
-        values = its.integrals(np.array([atom.shape.value(atom.constant) for atom in begun]))
+        values = rows.integrals(np.array([atom.shape.value(atom.constant) for atom in begun]))
         if np.isfinite(values).all():
-            beside = Beside(values, its.sides[0], errors, its.integrals)
-            found += [(*begun, atom) for atom in beside.best_atoms(tried)]
-    return found
+            beside = Beside(values, rows.sides[0], errors, rows.integrals)
+            extensions += [(*begun, atom) for atom in beside.best_atoms(tried)]
+    return extensions
 
 
-def _among(its: WindowSum, library: Sequence[Atom]) -> WindowSum | None:
+def _among(window_sum: WindowSum, library: Sequence[Atom]) -> WindowSum | None:
     """Return the end of a search around a sum with all products of a library, inner constants as they are."""
-    functions = [atom for atom in its.atoms if atom.shape.function is not None]
-    terms = Terms(its.terms.rows, (*library, *functions), its.terms.shared)
+    functions = [atom for atom in window_sum.atoms if atom.shape.function is not None]
+    terms = Terms(window_sum.terms.rows, (*library, *functions), window_sum.terms.shared)
     factors = [atom.shape.factors for atom in library]
-    kept = [factors.index(atom.shape.factors) for atom in its.atoms if atom.shape.function is None]
+    kept = [factors.index(atom.shape.factors) for atom in window_sum.atoms if atom.shape.function is None]
     begun = fitted(terms, [*sorted(kept), *range(len(library), len(terms.atoms))])
     return None if begun is None else improved(begun)
 
 
 def _functions(sums: Iterable[WindowSum]) -> Iterator[Atom]:
     """Yield all terms with functions."""
-    for its in sums:
-        yield from (atom for atom in its.atoms if atom.shape.function is not None)
+    for window_sum in sums:
+        yield from (atom for atom in window_sum.atoms if atom.shape.function is not None)
 
 
 def _with_shared(equation: WindowEquation, best: WindowSum | None, functions: Sequence[Atom]) -> WindowSum | None:
     """Return the shortest sum when functions of other states' laws are terms, too, with the inner constants there."""
     own = [] if best is None else list(_functions([best]))
     for function in functions:
-        if any(function is each for each in own) or not equation.allows(function):
+        if any(function is term for term in own) or not equation.allows(function):
             continue
         for library in _libraries(equation)[-1:]:
             terms = Terms(equation.rows, (*library.atoms, function), frozenset([len(library.atoms)]))
-            found = _shortest(eliminated(begun) for begun in _beginnings(terms, equation.columns))
-            best = _shortest([best, None if found is None else improved(found)])
+            candidate = _shortest(eliminated(begun) for begun in _beginnings(terms, equation.columns))
+            best = _shortest([best, None if candidate is None else improved(candidate)])
     return best

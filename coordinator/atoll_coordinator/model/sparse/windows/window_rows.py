@@ -88,12 +88,12 @@ class WindowRows:
 
     def spread(self, errors: FloatArray) -> FloatArray:
         """Return for each window the largest of the `errors` (W,) of it and its neighbours."""
-        found = np.abs(errors)
+        largest = np.abs(errors)
         is_next = self.owners[1:] == self.owners[:-1]
-        sizes = found.copy()
-        found[1:] = np.where(is_next, np.maximum(found[1:], sizes[:-1]), found[1:])
-        found[:-1] = np.where(is_next, np.maximum(found[:-1], sizes[1:]), found[:-1])
-        return found
+        sizes = largest.copy()
+        largest[1:] = np.where(is_next, np.maximum(largest[1:], sizes[:-1]), largest[1:])
+        largest[:-1] = np.where(is_next, np.maximum(largest[:-1], sizes[1:]), largest[:-1])
+        return largest
 
 
 def window_rows(recording: Recording, names: Sequence[str], variable: str) -> WindowRows | None:
@@ -101,21 +101,25 @@ def window_rows(recording: Recording, names: Sequence[str], variable: str) -> Wi
 
     None where trajectories are too short for any.
     """
-    its = measured_of(recording, names)
-    noise = np.array([_noise(its, place) if size > 0.0 else 0.0 for place, size in enumerate(its.noise.tolist())])
+    measured = measured_of(recording, names)
+    noise = np.array(
+        [_noise(measured, place) if size > 0.0 else 0.0 for place, size in enumerate(measured.noise.tolist())]
+    )
     target = names.index(recording.state_symbols[recording.states.index(variable)])
-    found, half = None, SETTINGS.windows.least_half
-    widest = max(end - start for start, end in its.ranges) // SETTINGS.sparse.least_windows
-    while half <= widest and (wider := _windows(its, noise, target, half)) is not None:
-        if found is not None and not _is_resolved(wider):
+    rows, half = None, SETTINGS.windows.least_half
+    widest = max(end - start for start, end in measured.ranges) // SETTINGS.sparse.least_windows
+    while half <= widest and (wider := _windows(measured, noise, target, half)) is not None:
+        if rows is not None and not _is_resolved(wider):
             break
-        found, half = wider, math.ceil(half * SETTINGS.windows.half_ratio)
-    return found
+        rows, half = wider, math.ceil(half * SETTINGS.windows.half_ratio)
+    return rows
 
 
-def _noise(its: Measured, place: int) -> float:
+def _noise(measured: Measured, place: int) -> float:
     """Return the deviation of the errors of a variable by how well rows are predicted from their neighbours."""
-    signals = [Signal(its.times[start:end], its.values[place, start:end].copy()) for start, end in its.ranges]
+    signals = [
+        Signal(measured.times[start:end], measured.values[place, start:end].copy()) for start, end in measured.ranges
+    ]
     return estimate_value_noise(*predict_left_out(signals))
 
 
@@ -123,24 +127,27 @@ def _is_resolved(rows: WindowRows) -> bool:
     """Tell whether lines between rows serve each state as well as cubics, by its noise, in enough of the windows."""
     cubics, lines = (_sums(rows.first, slope, rows.inputs) for slope in rows.slopes)
     own = np.outer(rows.noise**2, (rows.slopes[0] ** 2).sum(axis=1))
-    shares = [np.mean(rows.spread(one - other) ** 2 <= its) for one, other, its in zip(cubics, lines, own, strict=True)]
+    shares = [
+        np.mean(rows.spread(cubic - line) ** 2 <= variance)
+        for cubic, line, variance in zip(cubics, lines, own, strict=True)
+    ]
     return all(share >= SETTINGS.windows.resolved_share for share in np.array(shares)[rows.noise > 0.0])
 
 
-def _windows(its: Measured, noise: FloatArray, target: int, half: int) -> WindowRows | None:
+def _windows(measured: Measured, noise: FloatArray, target: int, half: int) -> WindowRows | None:
     length = 2 * half + 1
     step = max(1, half // SETTINGS.windows.steps_in_half)
-    places = [(row, owner) for owner, (start, end) in enumerate(its.ranges)
+    places = [(row, owner) for owner, (start, end) in enumerate(measured.ranges)
               for row in range(start, end - length + 1, step)]  # fmt: skip
     if len(places) < SETTINGS.sparse.least_windows:
         return None
     first, owners = np.array(places, np.int64)[thinned_places(len(places), SETTINGS.windows.most)].T.copy()
-    times = its.times[first[:, None] + np.arange(length)]
+    times = measured.times[first[:, None] + np.arange(length)]
     weights = [_weights(times, order) for order in (_CUBIC, _LINE)]
-    bumps, slopes = np.array([each[0] for each in weights]), np.array([each[1] for each in weights])
-    values = np.ascontiguousarray(its.values[target : target + 1])
+    bumps, slopes = np.array([pair[0] for pair in weights]), np.array([pair[1] for pair in weights])
+    values = np.ascontiguousarray(measured.values[target : target + 1])
     sides = np.array([-_sums(first, slope, values)[0] for slope in slopes])
-    inputs = np.ascontiguousarray(its.values)
+    inputs = np.ascontiguousarray(measured.values)
     if len(first) < len(places):
         inputs, first = _within(inputs, first, length)
     return WindowRows(inputs, noise, target, first, owners, bumps, slopes, sides)
@@ -174,12 +181,12 @@ def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
         value = inside**exponent * shares * size
         change = -2.0 * exponent * unit * inside ** (exponent - 1) / width * shares * size
         for place in range(order + 1):
-            its = np.ones_like(places)
-            for other in range(order + 1):
-                if other != place:
-                    its = its * (places - near[:, other, None]) / (near[:, place] - near[:, other])[:, None]
-            bump[:, low + place] += (value * its).sum(axis=1)
-            slope[:, low + place] += (change * its).sum(axis=1)
+            basis = np.ones_like(places)
+            for neighbour in range(order + 1):
+                if neighbour != place:
+                    basis = basis * (places - near[:, neighbour, None]) / (near[:, place] - near[:, neighbour])[:, None]
+            bump[:, low + place] += (value * basis).sum(axis=1)
+            slope[:, low + place] += (change * basis).sum(axis=1)
     return bump, slope
 
 

@@ -76,18 +76,18 @@ def fitted(terms: Terms, kept: Sequence[int], near: WindowSum | None = None, rou
         return None
     places = np.array(kept, np.int64)
     if near is None:
-        found = _by_least_squares(terms, places)
+        coefficients = _by_least_squares(terms, places)
         turns = SETTINGS.windows.turns
     else:
         at = dict(zip(near.kept, near.coefficients.tolist(), strict=True))
-        found = np.array([at.get(place, 0.0) for place in kept])
+        coefficients = np.array([at.get(place, 0.0) for place in kept])
         turns = 1 if rounds else 2
     quadrature = None if near is None or not rounds else near.quadrature
     for _ in range(turns):
-        quadrature = _quadrature(terms, places, found) if quadrature is None else quadrature
-        its = _moved(terms, places, found, quadrature, rounds or SETTINGS.effort.steps)
-        found, quadrature = its.coefficients, None
-    return its
+        quadrature = _quadrature(terms, places, coefficients) if quadrature is None else quadrature
+        window_sum = _moved(terms, places, coefficients, quadrature, rounds or SETTINGS.effort.steps)
+        coefficients, quadrature = window_sum.coefficients, None
+    return window_sum
 
 
 def _by_least_squares(terms: Terms, places: Ints) -> FloatArray:
@@ -158,49 +158,52 @@ def improved(best: WindowSum) -> WindowSum:
     """
     while True:
         longer = (fitted(best.terms, sorted([*best.kept, place]), best) for place in _promising(best))
-        found = min(filter(None, map(eliminated, longer)), key=lambda each: each.nats, default=best)
-        if not found.nats < best.nats - log(max(float(len(best.terms.atoms)), 2.0)):
+        shortest = min(filter(None, map(eliminated, longer)), key=lambda candidate: candidate.nats, default=best)
+        if not shortest.nats < best.nats - log(max(float(len(best.terms.atoms)), 2.0)):
             return _pruned(best)
-        best = found
+        best = shortest
 
 
-def _without_least(its: WindowSum) -> WindowSum | None:
-    sizes = np.sqrt(np.maximum(np.diag(its.normal), 1e-300))
-    covariance = np.linalg.pinv(its.normal / np.outer(sizes, sizes), hermitian=True)
+def _without_least(window_sum: WindowSum) -> WindowSum | None:
+    sizes = np.sqrt(np.maximum(np.diag(window_sum.normal), 1e-300))
+    covariance = np.linalg.pinv(window_sum.normal / np.outer(sizes, sizes), hermitian=True)
     variances = np.maximum(np.diag(covariance), 1e-300)
-    scaled = its.coefficients * sizes
+    scaled = window_sum.coefficients * sizes
     least = int(np.argmin(scaled**2 / variances))
     moved = (scaled - covariance[:, least] / variances[least] * scaled[least]) / sizes
-    near = replace(its, coefficients=moved)
-    kept = its.kept[:least] + its.kept[least + 1 :]
-    return fitted(its.terms, kept, near, SETTINGS.windows.brief_rounds if len(kept) > SETTINGS.windows.few else 0)
+    near = replace(window_sum, coefficients=moved)
+    kept = window_sum.kept[:least] + window_sum.kept[least + 1 :]
+    return fitted(
+        window_sum.terms, kept, near, SETTINGS.windows.brief_rounds if len(kept) > SETTINGS.windows.few else 0
+    )
 
 
 def _pruned(best: WindowSum) -> WindowSum:
     """Return the sum without the terms that it can do without, one after another."""
     while 1 < len(best.kept) <= SETTINGS.rates.most_terms:
         fewer = [best.kept[:place] + best.kept[place + 1 :] for place in range(len(best.kept))]
-        found = [each for its in fewer if (each := fitted(best.terms, its, best)) is not None]
-        shorter = min(found, key=lambda each: each.nats, default=best)
+        candidates = [candidate for kept in fewer if (candidate := fitted(best.terms, kept, best)) is not None]
+        shorter = min(candidates, key=lambda candidate: candidate.nats, default=best)
         if not shorter.nats < best.nats:
             break
         best = shorter
     return best
 
 
-def _promising(its: WindowSum) -> list[int]:
+def _promising(window_sum: WindowSum) -> list[int]:
     """Return the other terms of the library that lower the misfit most, to second order, a few of them."""
-    terms, count = its.terms, len(its.terms.atoms)
+    terms, count = window_sum.terms, len(window_sum.terms.atoms)
     coefficients = np.zeros(count)
-    coefficients[list(its.kept)] = its.coefficients
+    coefficients[list(window_sum.kept)] = window_sum.coefficients
     products, cross = terms.errors
     normal, slope = np.zeros((count, count)), np.zeros(count)
     measure(
-        np.arange(count), terms.integrals[0], terms.rows.sides[0], products, cross, terms.rows.own + its.quadrature,
-        terms.rows.typical, coefficients, np.zeros(len(terms.rows.first)), normal, slope, True,
+        np.arange(count), terms.integrals[0], terms.rows.sides[0], products, cross,
+        terms.rows.own + window_sum.quadrature, terms.rows.typical, coefficients, np.zeros(len(terms.rows.first)),
+        normal, slope, True,
     )  # fmt: skip
-    kept = list(its.kept)
-    others = [place for place in range(count) if place not in its.kept]
+    kept = list(window_sum.kept)
+    others = [place for place in range(count) if place not in window_sum.kept]
     inverse = np.linalg.pinv(normal[np.ix_(kept, kept)], hermitian=True)
     beside = normal[np.ix_(others, kept)]
     free = np.diag(normal)[others] - ((beside @ inverse) * beside).sum(axis=1)
@@ -225,20 +228,20 @@ def polished(its: WindowSum) -> WindowSum:
     return best
 
 
-def _stepped(its: WindowSum) -> WindowSum | None:
+def _stepped(window_sum: WindowSum) -> WindowSum | None:
     """Return the sum after one step of its inner constants, None where none makes it shorter.
 
     The slopes of terms by their inner constants are terms themselves here, with errors of their own.
     """
-    moves = _moves(its)
+    moves = _moves(window_sum)
     for halving in range(_HALVINGS):
         atoms = []
-        for atom, move in zip(its.atoms, moves, strict=True):
+        for atom, move in zip(window_sum.atoms, moves, strict=True):
             limit = 0.5 * abs(atom.constant)
             atoms.append(Atom(atom.shape, atom.constant + min(max(move, -limit), limit) * 0.5**halving))
-        terms = Terms(its.terms.rows, tuple(atoms))
-        following = fitted(terms, range(len(atoms)), replace(its, terms=terms))
-        if following is not None and following.nats < its.nats:
+        terms = Terms(window_sum.terms.rows, tuple(atoms))
+        following = fitted(terms, range(len(atoms)), replace(window_sum, terms=terms))
+        if following is not None and following.nats < window_sum.nats:
             return following
     return None
 
@@ -247,21 +250,23 @@ _HALVINGS = 4
 """Numerics: a step that is too long is halved so many times at most."""
 
 
-def _moves(its: WindowSum) -> list[float]:
+def _moves(window_sum: WindowSum) -> list[float]:
     """Return the step of each term's inner constant, 0 where it has none."""
-    rows, count = its.terms.rows, len(its.kept)
-    inner = [place for place, atom in enumerate(its.atoms) if atom.shape.has_constant]
-    factors = its.coefficients[inner][:, None]
-    slopes = factors * np.array([its.atoms[place].shape.slope(its.atoms[place].constant) for place in inner])
-    gradients = np.array([gradient(atom, rows) for atom in its.atoms])
-    others = factors[:, :, None] * np.array([gradient(its.atoms[place], rows, is_slope=True) for place in inner])
-    columns = np.concatenate([its.terms.integrals[0], rows.integrals(slopes)])
+    rows, count = window_sum.terms.rows, len(window_sum.kept)
+    inner = [place for place, atom in enumerate(window_sum.atoms) if atom.shape.has_constant]
+    factors = window_sum.coefficients[inner][:, None]
+    slopes = factors * np.array(
+        [window_sum.atoms[place].shape.slope(window_sum.atoms[place].constant) for place in inner]
+    )
+    gradients = np.array([gradient(atom, rows) for atom in window_sum.atoms])
+    others = factors[:, :, None] * np.array([gradient(window_sum.atoms[place], rows, is_slope=True) for place in inner])
+    columns = np.concatenate([window_sum.terms.integrals[0], rows.integrals(slopes)])
     products, cross = covariances(rows, np.concatenate([gradients, others]))
     if not (np.isfinite(columns).all() and np.isfinite(products).all() and np.isfinite(cross).all()):
         return [0.0] * count
-    coefficients, total = np.concatenate([its.coefficients, np.zeros(len(inner))]), count + len(inner)
+    coefficients, total = np.concatenate([window_sum.coefficients, np.zeros(len(inner))]), count + len(inner)
     fit_errors_in_variables(
-        np.arange(total), columns, rows.sides[0], products, cross, rows.own + its.quadrature,
+        np.arange(total), columns, rows.sides[0], products, cross, rows.own + window_sum.quadrature,
         rows.typical, SETTINGS.windows.brief_rounds, 0.0, coefficients, np.zeros(len(rows.first)),
         np.zeros((total, total)),
     )  # fmt: skip

@@ -75,9 +75,9 @@ def _joined(node: int, scales: Sequence[float], size: float) -> Iterator[Express
         for code in (SIN, COS):
             for join in (MULTIPLY, DIVIDE):
                 yield (join, node, (code, leaf))
-        for w, other in enumerate(scales[: v + 1]):
-            if other > 0.0:
-                yield (ADD, node, (MULTIPLY, little / (scale * other), (MULTIPLY, leaf, (VARIABLE, w))))
+        for w, partner_scale in enumerate(scales[: v + 1]):
+            if partner_scale > 0.0:
+                yield (ADD, node, (MULTIPLY, little / (scale * partner_scale), (MULTIPLY, leaf, (VARIABLE, w))))
 
 
 def _sizes(nodes: Sequence[Node], scales: Sequence[float]) -> list[float]:
@@ -85,12 +85,12 @@ def _sizes(nodes: Sequence[Node], scales: Sequence[float]) -> list[float]:
     sizes: list[float] = []
     for code, left, right, value in nodes:
         if code == VARIABLE:
-            its = scales[left]
+            size = scales[left]
         elif code == CONSTANT:
-            its = abs(value)
+            size = abs(value)
         else:
-            its = _size_of(code, sizes[left], sizes[right] if ARITY[code] == 2 else 0.0)
-        sizes.append(its if 0.0 < its < math.inf else 1.0)
+            size = _size_of(code, sizes[left], sizes[right] if ARITY[code] == 2 else 0.0)
+        sizes.append(size if 0.0 < size < math.inf else 1.0)
     return sizes
 
 

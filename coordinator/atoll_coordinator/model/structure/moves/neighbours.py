@@ -32,7 +32,7 @@ def neighbours(program: Program, variables: Collection[int], operators: Collecti
 def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Iterator[Expression]:
     code, left, right, _ = nodes[index]
     if code in (VARIABLE, CONSTANT):
-        yield from ((VARIABLE, other) for other in variables if (code, left) != (VARIABLE, other))
+        yield from ((VARIABLE, variable) for variable in variables if (code, left) != (VARIABLE, variable))
     if code == VARIABLE:
         yield FRESH_CONSTANT
     if code in _EXCHANGED:

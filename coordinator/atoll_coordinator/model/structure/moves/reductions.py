@@ -53,8 +53,8 @@ def _factored(nodes: list[Node], index: int) -> Iterator[Expression]:
     """Yield f (a + b) for a sum f a + f b, where a and b may be 1, and likewise for differences and quotients."""
     code, left, right, _ = nodes[index]
     for factor, join, a in _factors(nodes, left):
-        for other, other_join, b in _factors(nodes, right):
-            if (factor, join) == (other, other_join):
+        for right_factor, right_join, b in _factors(nodes, right):
+            if (factor, join) == (right_factor, right_join):
                 yield (join, (code, a, b), factor)
 
 
