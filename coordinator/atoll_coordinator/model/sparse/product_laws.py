@@ -192,7 +192,7 @@ def _without_noise(problem: Problem, columns: Sequence[int]) -> Iterator[Law]:
     """
     paths = []
     for terms, is_tested in libraries(columns, len(problem.target.values)):
-        values = np.array([np.prod([problem.inputs[variable.variable] for variable in term], axis=0)
+        values = np.array([np.prod([problem.inputs[factor.variable] for factor in term], axis=0)
                            * np.ones(problem.inputs.shape[1]) for term in terms])  # fmt: skip
         if not np.isfinite(values).all():
             break

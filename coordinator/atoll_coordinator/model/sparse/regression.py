@@ -105,7 +105,7 @@ class Regression:
         while best is not None and len(kept) > 1:
             fewer = [[place for place in kept if place != left_out] for left_out in kept]
             candidates = [(law.nats, places, law) for places in fewer
-                     if (law := self._refitted(places, weights, is_tested=is_tested)) is not None]  # fmt: skip
+                          if (law := self._refitted(places, weights, is_tested=is_tested)) is not None]  # fmt: skip
             nats, places, law = min(candidates, key=lambda candidate: candidate[:2], default=(math.inf, kept, best))
             if not nats < best.nats:
                 break

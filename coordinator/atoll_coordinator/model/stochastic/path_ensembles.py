@@ -17,7 +17,7 @@ def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> tuple[
 
     No ensemble when hardly a path has finite states to the end.
     """
-    path = next(trajectory for trajectory in process.paths if not trajectory.held_out)
+    path = next(path for path in process.paths if not path.held_out)
     rows = min(len(path.times), _STEPS + 1)
     inputs = 0.5 * (path.inputs[:, 1:rows] + path.inputs[:, : rows - 1])
     starts = np.repeat(path.states[:, :1], PATHS, axis=1)
