@@ -9,7 +9,7 @@ from scipy import stats
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
 from atoll_coordinator.model.refinement import decode_members
 from atoll_coordinator.model.regression.covariance import description_length, estimate_constants, standard_errors
-from atoll_coordinator.model.regression.equation import fit_equation
+from atoll_coordinator.model.regression.equation import _spread, _spread_weights, fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
@@ -150,3 +150,13 @@ def test_an_equation_of_given_targets_keeps_its_bounds():
     bounds = bounded("x < 2.5").bounds
     assert bounds.are_kept(found.program)
     assert not bounds.are_kept(fit_equation(its, JobConfig(space=config.space), members, has_intervals=True).program)
+
+
+def test_rows_that_are_compared_are_not_in_step_with_a_period():
+    """Of 6,000 rows with three to a period, every third one would be the same point."""
+    phases = np.tile([1.0, 2.0, 4.0], 2000)
+    its = _spread(Problem(("x",), phases[None], Target("y", "y", 3.0 * phases, 0.0, 1.0)), 2000)
+    assert set(its.inputs[0]) == {1.0, 2.0, 4.0}
+    assert its.target.values.tolist() == (3.0 * its.inputs[0]).tolist()
+    weights = _spread_weights(phases, 2000)
+    np.testing.assert_allclose(weights, its.inputs[0] / its.inputs[0].mean())
