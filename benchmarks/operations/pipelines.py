@@ -25,6 +25,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import lfilter
 
 from atoll.terminal.output import note, say
 from atoll.text.render import render_text
@@ -63,8 +64,11 @@ ROWS: Final = (4, *(5, 6, 8, 12, 20, 20, 40, 40, 60, 60, 100, 120, 120, 240) * 3
 SIZES: Final = (*[1.0] * 40, *(-1e-5, 1e-12, 1e12, 1e-30, 1e30) * 2, 1e-100, 1e100, 1e-160, 1e160, 1e300)
 UNFIT: Final = 0.03
 """Share of the cases whose options are drawn without a look at the table and at each other; most are refused."""
-STOCHASTIC: Final = 1 / 6
+PROCESSES: Final = 1 / 8
+"""Share of the tables whose columns are paths of processes."""
+STOCHASTIC: Final = 2 / 3
 """Share of the cases that seek a process, of those whose table admits it."""
+PATH_ROWS: Final = (110, 120, 150, 200, 240, 400)
 LEAST_STEPS: Final = 102
 """That a process takes, and those that are lost where trajectories begin."""
 NO_PROCESS: Final = frozenset(("robust", "weights", "offsets", "group", "per_trajectory"))
@@ -128,15 +132,35 @@ def column(draw: np.random.Generator, times: FloatArray, others: Sequence[FloatA
     return np.asarray(kinds[int(draw.integers(len(kinds)))](), dtype=np.float64)
 
 
+def path(draw: np.random.Generator, times: FloatArray, others: Sequence[FloatArray]) -> FloatArray:
+    """Return a path of a process: a walk, one that is drawn back, grows, or is driven by another column, or noise."""
+    rows = len(times)
+    noise = draw.normal(size=rows) * draw.choice([0.01, 0.3, 1.0])
+    kinds: list[Callable[[], ArrayLike]] = [
+        lambda: np.cumsum(noise),
+        lambda: lfilter([1.0], [1.0, -float(draw.choice([0.5, 0.9, 0.99]))], noise),
+        lambda: np.exp(np.cumsum(0.1 * noise)),
+        lambda: np.cos(0.3 * np.arange(rows) + np.cumsum(0.1 * noise)),
+        lambda: np.cumsum(draw.poisson(0.5, rows) - 0.5),
+        lambda: np.cumsum(noise * (1.0 + np.tanh(np.cumsum(noise)))),
+        lambda: 3.0 + noise,
+    ]
+    if others:
+        kinds += [lambda: np.cumsum(0.1 * others[-1] + noise), lambda: others[0] + noise]
+    return np.asarray(kinds[int(draw.integers(len(kinds)))](), dtype=np.float64)
+
+
 def table_of(draw: np.random.Generator) -> Table:
     """Return a table: times, some columns, one that counts runs, one of weights; perhaps ties, zeros, holes."""
-    rows = int(draw.choice(ROWS))
+    is_process = bool(draw.uniform() < PROCESSES)
+    rows = int(draw.choice(PATH_ROWS if is_process else ROWS))
+    drawn = path if is_process else column
     steps = [np.ones(rows), draw.uniform(0.1, 3.0, rows), np.where(draw.uniform(size=rows) < 0.1, 60.0, 1.0)]
     with np.errstate(all="ignore"):
         times = np.cumsum(steps[int(draw.choice([0, 0, 0, 1, 2]))]) * draw.choice([0.1, 1.0, 1e-9, 1e9])
         columns: dict[str, FloatArray] = {}
         for name in "xyz"[: int(draw.choice([1, 2, 2, 3]))]:
-            columns[name] = column(draw, times, [*columns.values()])
+            columns[name] = drawn(draw, times, [*columns.values()])
         for name, values in columns.items():
             columns[name] = _spoilt(draw, values) * draw.choice(SIZES)
     runs = np.repeat([1.0, 2.0], [rows // 2, rows - rows // 2])
