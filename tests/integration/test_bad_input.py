@@ -48,6 +48,7 @@ def test_bad_data_are_refused_with_one_sentence(run: Callable[..., str]) -> None
     assert [word for word in ("data.csv", "6", "x", "'abc'") if word not in sentence] == []
 
 
+@pytest.mark.slow
 def test_bad_options_are_refused_with_one_sentence(run: Callable[..., str]) -> None:
     sentence = run(GOOD, "--max-epochs", "z=5")
     assert "'z'" in sentence

@@ -77,6 +77,7 @@ def test_run_finds_the_equations_writes_the_result_and_leaves_no_process(tmp_pat
     )
 
 
+@pytest.mark.slow
 def test_a_target_error_that_is_not_met_is_exit_code_4_with_the_models_written(tmp_path: Path) -> None:
     options = ["--workers", "1", "--target-error", "1e-300", "--max-epochs", "1", "--id", "hopeless"]
     its = coordinator("run", DATA, *options, cwd=tmp_path)
@@ -90,6 +91,7 @@ def test_a_target_error_that_is_not_met_is_exit_code_4_with_the_models_written(t
 ENDLESS = ["--target-error", "1e-300", "--max-epochs", "1000000", "--workers", "2", "--out", "out"]
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_the_best_so_far_and_leaves_no_process(tmp_path: Path) -> None:
     with begun("run", DATA, *ENDLESS, cwd=tmp_path) as process:
         read_until(process.stderr, "(searching)")
@@ -111,6 +113,7 @@ def test_no_worker_survives_a_run_that_is_killed(tmp_path: Path) -> None:
         assert until(lambda: not workers_of(tmp_path))
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_said_and_started_again_as_long_as_somebody_watches(tmp_path: Path) -> None:
     with begun("run", DATA, *ENDLESS, cwd=tmp_path) as process:
         read_until(process.stderr, "(searching)")
@@ -178,6 +181,7 @@ def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
         assert serve.returncode == 0
 
 
+@pytest.mark.slow
 def test_ctrl_c_on_submit_detaches_and_the_job_goes_on(tmp_path: Path) -> None:
     with begun("serve", "--listen", "tcp/127.0.0.1:0", "--state", "s", cwd=tmp_path) as serve:
         address = read_until(serve.stdout, "island-worker --connect").splitlines()[-1].split()[-1]

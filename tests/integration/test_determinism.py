@@ -71,6 +71,7 @@ def native(measurements: Path) -> Answer:
     return answer(measurements, PYTHONHASHSEED="0")
 
 
+@pytest.mark.slow
 def test_a_search_found_something(native: Answer) -> None:
     """So that the comparisons below are not of nothing with nothing."""
     assert all(len(front) > 3 for front in native["fronts"])
@@ -84,6 +85,7 @@ def dispatched_features() -> list[str]:
     return list(np.show_config(mode="dicts")["SIMD Extensions"].get("found", []))
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_neither_the_order_of_hashes_nor_the_processor_matters(measurements: Path, native: Answer) -> None:
     """All at once: another order, kernels for any processor, and libraries without the features that they use here.

@@ -5,6 +5,8 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 
+import pytest
+
 from atoll.client.client import Client
 from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.service_loop import Service
@@ -62,6 +64,7 @@ def served() -> Iterator[tuple[Service, Client, ZenohBus, list[Worker]]]:
     assert [worker.exit_code for worker in made] == [0, 0]
 
 
+@pytest.mark.slow
 def test_foreign_messages_change_nothing_on_a_real_router() -> None:
     expected = comparable(World(workers=1, seed=1).run(CONFIG))
     with served() as (service, client, stranger, made):

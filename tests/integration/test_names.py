@@ -14,6 +14,7 @@ from tests.programs import done
 NAMES = ("S", "I", "R", "N", "E", "beta", "θ", "lambda", "v [m/s]")
 
 
+@pytest.mark.slow
 def test_names_that_mean_something_elsewhere_are_names_here(tmp_path: Path) -> None:
     """Each column is used by the equation sought, so that each has to be printed and parsed."""
     rows = 60

@@ -16,6 +16,7 @@ def run(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     return done(folder, "coordinator", "run", "data.csv", "--workers", "1", "--out", "out", *options)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(LIMIT_S + 50)
 def test_a_guess_a_known_equation_and_allowed_variables_come_together(tmp_path: Path) -> None:
     write_csv(tmp_path / "data.csv", trajectories("van_der_pol", 0.02, seed=100))

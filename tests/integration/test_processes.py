@@ -80,6 +80,7 @@ def test_a_job_on_several_machines_has_the_digest_of_a_run_on_one(place: Path, d
             assert until(lambda: all_gone(pids))
 
 
+@pytest.mark.slow
 def test_workers_that_are_killed_with_their_parent_leave_nothing_and_others_finish_the_job(
     place: Path, digest: str
 ) -> None:
@@ -98,6 +99,7 @@ def test_workers_that_are_killed_with_their_parent_leave_nothing_and_others_fini
             assert coordinator.result("j")["digest"] == digest
 
 
+@pytest.mark.slow
 def test_a_worker_without_a_coordinator_says_so_and_ends_with_3(place: Path) -> None:
     for processes in ("1", "2"):
         options = ["--connect", "tcp/127.0.0.1:9", "--processes", processes, "--wait", "0.5"]
@@ -108,6 +110,7 @@ def test_a_worker_without_a_coordinator_says_so_and_ends_with_3(place: Path) -> 
         assert "Traceback" not in answer.stderr
 
 
+@pytest.mark.slow
 def test_a_worker_whose_coordinator_stays_away_says_so_and_ends_with_3(place: Path) -> None:
     with serving(place, "three") as (address, process):
         options = ["--connect", address, "--processes", "1", "--wait", "1"]
@@ -164,6 +167,7 @@ def test_a_coordinator_that_is_killed_while_it_refines_refines_again(place: Path
         assert coordinator.result("j")["digest"] == digest
 
 
+@pytest.mark.slow
 def test_a_job_in_the_line_is_cancelled_and_the_others_stay_in_it(place: Path) -> None:
     with serving(place, "eight") as (address, _), connected(address) as coordinator:
         table = coordinator.upload(read_table([place / "data.csv"], DataConfig()).to_bytes())

@@ -116,6 +116,7 @@ def test_a_service_with_certificates_gives_the_same_digest_to_python_and_to_subm
     assert (model.provenance["digest"], submitted) == (digest_of_run, digest_of_run)
 
 
+@pytest.mark.slow
 def test_the_local_service_ends_without_a_word_when_its_parent_is_another(tmp_path: Path) -> None:
     command = [sys.executable, "-P", "-m", "atoll.api.host", "1", "1"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path) as host:

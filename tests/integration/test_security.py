@@ -77,6 +77,7 @@ def refusal(to: Destination) -> str:
 # -------------------------------------------------------------------------------------------- handshakes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ann", "lab1"])
 def test_a_certificate_of_the_authority_is_let_in(name: str, lab: Lab, router: ZenohBus) -> None:
     with open_client(dialling(router, load(*lab.files(name), use="connect"))):
@@ -192,6 +193,7 @@ def bearing(lab: Lab, router: ZenohBus, name: str) -> Iterator[Client]:
         yield client
 
 
+@pytest.mark.slow
 def test_a_hostile_worker_changes_nothing_and_learns_nothing(lab: Lab, role_bindings: RoleBindings) -> None:
     expected = comparable(World(workers=1, seed=1).run(CONFIG))
     with served(lab, role_bindings, ("lab1-0", "lab1-1")) as (service, router):
@@ -277,6 +279,7 @@ def worker_error(lab: Lab, router: ZenohBus, name: str, wait_s: float = LIMIT_S)
         return str(worker.error)
 
 
+@pytest.mark.slow
 def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
     lab: Lab, role_bindings: RoleBindings, monkeypatch: pytest.MonkeyPatch
 ) -> None:

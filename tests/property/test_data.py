@@ -1,6 +1,7 @@
 """Whatever a file holds and whatever the options say: a sound dataset comes out, or one sentence."""
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -91,6 +92,7 @@ def assert_sound(recording):
         assert np.isfinite(its.inputs).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(table=tables(), config=sensible | wild, preset=st.sampled_from(("default", "default", "paper")))
 def test_tables_become_sound_datasets_or_one_sentence(table, config, preset):
@@ -126,6 +128,7 @@ def test_tables_become_sound_datasets_or_one_sentence(table, config, preset):
 cells = st.text(alphabet="0123456789.,;-+einf\t\r\n \"'[]tx#NaN%:/m\u00a0\ufeff", max_size=60)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=cells.map(str.encode) | cells.map(lambda text: ("t,x\n" + text).encode()) | st.binary(max_size=40))
 def test_any_file_becomes_a_table_or_one_sentence(tmp_path, data):

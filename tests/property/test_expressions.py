@@ -61,6 +61,7 @@ def test_whatever_variables_are_called_they_are_written_and_read_alike(program, 
         assert from_infix(text, names) == from_infix(to_infix(program, NAMES, digits=digits), NAMES), text
 
 
+@pytest.mark.slow
 def test_names_that_begin_like_functions_are_names_beside_each_operator():
     beginnings = [each.text for each in OPERATORS if each.text and each.text.isalpha()] + ["tan", "cot", "ln", "fabs"]
     for first, second, ending in itertools.product(beginnings, beginnings, ("", "x", "_theta", "2")):
@@ -81,6 +82,7 @@ def test_a_product_of_many_equal_factors_is_read_as_the_same_product(exponent):
     assert bits(evaluate(read, row)) == bits(evaluate(program, row))
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs())
 def test_printing_what_was_parsed_gives_the_same_text(program):
@@ -89,6 +91,7 @@ def test_printing_what_was_parsed_gives_the_same_text(program):
     assert to_infix(from_infix(text, NAMES), NAMES) == text
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs(), ROWS)
 def test_simplifying_keeps_every_bit(program, row):
@@ -98,6 +101,7 @@ def test_simplifying_keeps_every_bit(program, row):
     assert bits(evaluate(simple, row)) == bits(evaluate(program, row))
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs())
 def test_simplifying_twice_changes_nothing_more(program):
@@ -106,12 +110,14 @@ def test_simplifying_twice_changes_nothing_more(program):
     assert complexity(program) == complexity(simple) == len(simple) <= len(program)
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs())
 def test_programs_survive_their_bytes(program):
     assert Program.from_bytes(program.to_bytes(), len(NAMES)) == program
 
 
+@pytest.mark.slow
 @settings(QUICK, suppress_health_check=[HealthCheck.filter_too_much])
 @given(programs(largest=10, constants=TAME), st.tuples(TAME, TAME, TAME))
 def test_display_has_the_value_up_to_rounding(program, row):

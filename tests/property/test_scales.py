@@ -120,6 +120,7 @@ def laws(powers: Sequence[int]) -> Any:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("facts", [fixed, cycles, folds, hopf, laws])
 def test_what_an_analysis_finds_has_no_unit(facts: Any) -> None:
     expected = facts(SAME)
@@ -128,6 +129,7 @@ def test_what_an_analysis_finds_has_no_unit(facts: Any) -> None:
         assert facts(powers) == expected, powers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("powers", UNITS[:1])
 def test_exponents_have_the_unit_of_time_alone(powers: Sequence[int]) -> None:
     sides = [(-20.0, 20.0), (-25.0, 25.0), (0.0, 45.0)]
@@ -167,6 +169,7 @@ def test_a_simulation_and_its_bands_are_the_same_in_other_units(powers: Sequence
     assert found[0][1][-1, 2] == pytest.approx(3e-10, rel=0.9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("equations", "start", "until"), [(CHAIN, (1.0, 0.0, 0.0), 3.0), (TROUGHS, (10.0, 10.0), 20.0)]
 )
@@ -188,6 +191,7 @@ def test_exports_are_the_same_in_other_units_and_those_of_simulations(
         np.testing.assert_allclose(each, found[0], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_paths_and_densities_of_a_process_are_the_same_in_other_units() -> None:
     found = []
     for size, clock in ((1.0, 1.0), (2.0**-FAR, 2.0**20), (2.0**FAR, 2.0**-FAR)):

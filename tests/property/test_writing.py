@@ -51,6 +51,7 @@ def write_in_every_way(program: Program) -> None:
                 bounds.laid_out(collected(bounds.clipped(laid_out)))
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=100)
 @given(programs(largest=10, constants=EXTREME))
 def test_no_constant_is_too_extreme(program: Program) -> None:

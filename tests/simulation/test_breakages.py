@@ -241,6 +241,7 @@ def assert_others_go_on(world: World, calls: list[int]) -> None:
     assert world.service.controller.breakages.total < 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("owner", "name"), OF_ONE_JOB, ids=lambda each: getattr(each, "__name__", each))
 def test_what_always_breaks_for_one_job_stops_no_other(owner: type, name: str) -> None:
     world = World(workers=2, slowness=10.0)
@@ -271,6 +272,7 @@ def test_what_breaks_in_a_handler_ends_one_job_at_most(owner: type, name: str) -
         assert_it_goes_on(world, calls)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", get_args(Event), ids=lambda kind: kind.__name__)
 def test_what_breaks_over_an_event_of_any_kind_ends_one_job_at_most(
     kind: type, monkeypatch: pytest.MonkeyPatch
@@ -335,6 +337,7 @@ def _claim_waits(status: Tree, size: int) -> None:
         assignment_status |= {"waited_s": 9.9e11, "commit": size, "snapshots": [size] * 8}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [2**53 - 1, 2**62, 2**63 - 1, 2**63, 2**64 - 1])
 @pytest.mark.parametrize(
     ("part", "spoil"),

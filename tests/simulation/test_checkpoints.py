@@ -104,6 +104,7 @@ def test_after_the_loss_of_a_worker_the_search_goes_on_from_the_last_commit(at_s
         assert all(epoch > 0 for _, epoch in restored(world))
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_while_its_states_are_pulled_does_not_change_the_answer() -> None:
     """Among so many moments there are those between snapshot, question, answer and commit."""
     for step in range(6):
@@ -168,6 +169,7 @@ def test_a_checkpoint_is_taken_of_a_search_that_goes_on_after_it() -> None:
 # --------------------------------------------------------------------------------- coordinator and store
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_s", [1.4, 2.2])
 def test_a_restarted_coordinator_goes_on_from_the_last_commit(lasting: World, tmp_path: Path, at_s: float) -> None:
     lasting.submit(config())
@@ -179,6 +181,7 @@ def test_a_restarted_coordinator_goes_on_from_the_last_commit(lasting: World, tm
     assert lasting.store.checkpoints("job") == {}
 
 
+@pytest.mark.slow
 def test_coordinator_and_a_worker_may_die_together(lasting: World, tmp_path: Path) -> None:
     lasting.submit(config())
 
@@ -215,6 +218,7 @@ def test_a_coordinator_may_die_on_either_side_of_a_commit(lasting: World, tmp_pa
     assert {epoch for _, epoch in restored(lasting)} >= {dead[0]} if side == "after" else {8}
 
 
+@pytest.mark.slow
 def test_the_time_of_the_search_adds_up_over_a_restart(lasting: World, tmp_path: Path) -> None:
     lasting.submit(config(max_epochs=1000, max_time=6.0))
     lasting.at(lasting.network.now + 2.5, lambda: restart(lasting, tmp_path))
@@ -247,6 +251,7 @@ def test_checkpoints_of_another_engine_fail_the_job(
     assert "engine revision" in (lasting.finish().reason or "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("column", ["checkpoints SET progress", "archipelagos SET cut"])
 def test_a_search_that_another_version_stored_ends_its_job_and_blocks_no_other(
     lasting: World, tmp_path: Path, column: str
@@ -267,6 +272,7 @@ BEFORE = Path(__file__).with_name("store_of_engine_6.sql")
 """A job that has ended, a cancelled one, one in the midst of its search, two that have hardly begun, an upload."""
 
 
+@pytest.mark.slow
 def test_a_whole_store_of_the_version_before_is_served_over_restarts(lasting: World, tmp_path: Path) -> None:
     """What has ended is shown, what can be searched is, and what cannot go on says why; nothing stands in the way."""
     lasting.network.crash("coordinator")
@@ -310,6 +316,7 @@ def test_a_full_disk_ends_the_coordinator_with_a_sentence(
     assert comparable(lasting.result()) == undisturbed()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [RemoteProtocolError("a state is too long"), ZeroDivisionError("a mistake")])
 def test_any_other_error_while_a_checkpoint_is_written_ends_the_job_and_no_other(
     lasting: World, monkeypatch: pytest.MonkeyPatch, error: Exception
@@ -346,6 +353,7 @@ def test_a_coordinator_whose_worker_heard_of_a_later_one_asks_its_store(lasting:
 # --------------------------------------------------------------------------------------------- planned
 
 
+@pytest.mark.slow
 def test_a_worker_that_leaves_hands_over_and_nothing_is_computed_twice() -> None:
     world = World(workers=3, seed=1, expected=3, slowness=5.0)
     leaving = world.workers["w1"]
@@ -432,6 +440,7 @@ def test_a_worker_that_leaves_does_not_wait_long_for_a_coordinator_that_has_gone
     assert world.workers["w0"].exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_worker_that_comes_later_takes_part_from_a_checkpoint_on() -> None:
     world = world_of(workers=1, seed=1)
     world.at(6.5, lambda: world.start_worker("late", slowness=5.0))
@@ -442,6 +451,7 @@ def test_a_worker_that_comes_later_takes_part_from_a_checkpoint_on() -> None:
     assert {term for term, _ in restored(world)} == {2}
 
 
+@pytest.mark.slow
 def test_planned_changes_are_rare() -> None:
     world = World(workers=1, seed=1, slowness=20.0)
     for number in range(2):
@@ -450,6 +460,7 @@ def test_planned_changes_are_rare() -> None:
     assert {term for term, _ in restored(world)} == {2, 3}
 
 
+@pytest.mark.slow
 def test_workers_that_come_and_go_do_not_change_the_answer() -> None:
     for seed in range(3):
         world = world_of(workers=2, seed=seed, plan=Plan(drop=0.03, late=0.05))
@@ -470,6 +481,7 @@ DAMAGES = [
 LAST = "epoch = (SELECT max(epoch) FROM checkpoints AS c WHERE c.variable = states.variable)"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["", f" WHERE {LAST}"], ids=["all", "last"])
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_damaged_states_cost_time_and_not_the_answer(lasting: World, tmp_path: Path, damage: str, where: str) -> None:
@@ -483,6 +495,7 @@ def test_damaged_states_cost_time_and_not_the_answer(lasting: World, tmp_path: P
     assert comparable(lasting.result()) == undisturbed()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_states_that_are_damaged_while_they_are_needed_end_their_job(lasting: World, damage: str) -> None:
     lasting.submit(config())

@@ -59,6 +59,7 @@ TIMED = JobConfig(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["die-before-commit", "die-after-commit"])
 @pytest.mark.parametrize("commits", range(1, 4))
 def test_time_ends_all_variables_or_none(kind: str, commits: int, monkeypatch: pytest.MonkeyPatch) -> None:

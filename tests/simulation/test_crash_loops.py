@@ -113,6 +113,7 @@ def test_a_worker_that_was_only_cut_off_is_pardoned_by_the_next_coordinator_too(
     assert ward.world.store.deaths("job") == ()
 
 
+@pytest.mark.slow
 def test_the_last_checkpoint_of_a_poisonous_job_can_still_be_read_and_those_of_others_cannot(ward: Ward) -> None:
     ward.world.submit(config(), "x,y")
     assert ward.world.finish().fault == "poison"

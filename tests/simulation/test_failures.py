@@ -102,6 +102,7 @@ def test_two_workers_that_disagree_fail_the_job_as_diverged_and_are_both_named()
     assert "liar" in (view.reason or "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("warm_up_s", [0.0, 0.002, 0.004, 30.0])
 def test_kernels_may_be_ready_at_any_time(warm_up_s: float) -> None:
     world = World(workers=2, warm_up_s=warm_up_s)

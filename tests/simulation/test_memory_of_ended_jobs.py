@@ -49,6 +49,7 @@ class Watched:
         return [part() for part in self.parts if part() is not None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["done", "cancelled", "failed"])
 def test_nothing_heavy_is_left_of_a_job_that_has_ended(end: str, monkeypatch: pytest.MonkeyPatch) -> None:
     watched = Watched(monkeypatch)
@@ -68,6 +69,7 @@ def test_nothing_heavy_is_left_of_a_job_that_has_ended(end: str, monkeypatch: py
     assert controller.checkpoints.held_bytes == 0
 
 
+@pytest.mark.slow
 def test_a_worker_remembers_the_terms_of_some_jobs_that_have_ended_and_no_more(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -98,6 +98,7 @@ def answer(
     return result
 
 
+@pytest.mark.slow
 def test_real_islands_go_on_from_their_states_as_if_nothing_had_happened(monkeypatch: pytest.MonkeyPatch) -> None:
     """Checkpoints at every epoch: a worker dies after the first, and another leaves at the same time."""
     calm = answer(workers=1, seed=0)

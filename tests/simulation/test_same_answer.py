@@ -48,6 +48,7 @@ def test_any_number_of_workers_gives_the_same_answer(workers: int) -> None:
         assert answer(World(workers=workers, seed=seed), seed) == undisturbed(seed)
 
 
+@pytest.mark.slow
 def test_a_job_of_many_variables_has_one_answer_on_any_number_of_workers() -> None:
     variables = ",".join(f"x{place}" for place in range(8))
     its = config(3, islands=2, max_epochs=4)
@@ -57,6 +58,7 @@ def test_a_job_of_many_variables_has_one_answer_on_any_number_of_workers() -> No
     assert all(f"x{place}" in answer for place in range(8))
 
 
+@pytest.mark.slow
 def test_waiting_for_the_expected_workers_does_not_change_the_answer() -> None:
     for seed in SEEDS:
         world = World(workers=3, seed=seed, expected=3)
@@ -64,12 +66,14 @@ def test_waiting_for_the_expected_workers_does_not_change_the_answer() -> None:
         assert {term for term, _ in placements_in(world.store, "job").values()} == {1}
 
 
+@pytest.mark.slow
 def test_late_messages_do_not_change_the_answer() -> None:
     plan = Plan(delay_s=(0.0002, 0.05), late=0.2, late_s=(0.1, 3.0))
     for seed in SEEDS:
         assert answer(World(workers=3, seed=seed, plan=plan), seed) == undisturbed(seed)
 
 
+@pytest.mark.slow
 def test_lost_and_doubled_messages_do_not_change_the_answer() -> None:
     plan = Plan(drop=0.08, duplicate=0.2, late=0.05)
     for seed in SEEDS:
@@ -84,6 +88,7 @@ def test_a_worker_that_dies_does_not_change_the_answer(at_s: float) -> None:
         assert answer(world, seed) == undisturbed(seed)
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_and_comes_back_at_once_under_its_name_does_not_change_the_answer() -> None:
     def restart(world: World) -> None:
         world.crash("w1")
@@ -95,6 +100,7 @@ def test_a_worker_that_dies_and_comes_back_at_once_under_its_name_does_not_chang
         assert answer(world, seed) == undisturbed(seed)
 
 
+@pytest.mark.slow
 def test_a_worker_that_joins_late_does_not_change_the_answer() -> None:
     for seed in SEEDS:
         world = World(workers=1, seed=seed)
@@ -102,6 +108,7 @@ def test_a_worker_that_joins_late_does_not_change_the_answer() -> None:
         assert answer(world, seed) == undisturbed(seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("duration_s", [0.5, 1.9, 5.0, 30.0])
 def test_a_worker_cut_off_for_a_while_does_not_change_the_answer(duration_s: float) -> None:
     for seed in FEW_SEEDS:
@@ -109,6 +116,7 @@ def test_a_worker_cut_off_for_a_while_does_not_change_the_answer(duration_s: flo
         assert answer(World(workers=3, seed=seed, plan=plan), seed) == undisturbed(seed)
 
 
+@pytest.mark.slow
 def test_all_of_it_together_does_not_change_the_answer() -> None:
     for seed in range(12):
         plan = Plan(drop=0.03, duplicate=0.05, late=0.05, partitions=(Partition("w2", 1.0, 4.0),))
@@ -118,6 +126,7 @@ def test_all_of_it_together_does_not_change_the_answer() -> None:
         assert answer(world, seed % 8) == undisturbed(seed % 8)
 
 
+@pytest.mark.slow
 def test_settled_equations_leave_the_workers_to_the_others_whatever_happens(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -135,6 +144,7 @@ def test_another_seed_gives_another_answer() -> None:
     assert len({undisturbed(seed) for seed in SEEDS}) == len(SEEDS)
 
 
+@pytest.mark.slow
 def test_the_cuts_of_a_cancelled_job_given_as_epochs_give_its_digest() -> None:
     """`--max-time` and cancel depend on the clock, but what they leave can be repeated."""
     for seed in (1, 2, 5):
@@ -166,6 +176,7 @@ def test_two_jobs_at_once_do_not_disturb_each_other() -> None:
     assert comparable(world.result("second")) == undisturbed(2)
 
 
+@pytest.mark.slow
 def test_the_order_in_which_python_hashes_does_not_matter() -> None:
     program = (
         "from tests.simulation.test_same_answer import World, config, comparable\n"

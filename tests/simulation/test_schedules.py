@@ -55,6 +55,7 @@ def test_no_schedule_changes_an_answer_stops_a_job_or_leaves_anything(first: int
             assert not outcome.wrong, told(outcome)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [9661])
 def test_nor_does_one_that_once_did(seed: int) -> None:
     """9661: a fetch was given up for islands that were placed elsewhere meanwhile, and not begun again."""
@@ -69,6 +70,7 @@ def test_nor_does_it_with_real_islands(seed: int) -> None:
     assert not outcome.wrong, told(outcome)
 
 
+@pytest.mark.slow
 def test_a_seed_is_one_history_however_python_hashes() -> None:
     program = "from tests.simulation.soak import play, schedule_of; print(play(schedule_of(6)).history)"
     histories = {play(schedule_of(6)).history}
@@ -105,6 +107,7 @@ def test_another_answer_is_found() -> None:
     assert any("another answer" in each for each in outcome.wrong), told(outcome)
 
 
+@pytest.mark.slow
 def test_a_job_that_does_not_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "atoll_coordinator.service.workers.worker_controller.WorkerController.place", lambda self, now: None
@@ -162,6 +165,7 @@ def test_a_job_that_a_full_disk_refuses_is_taken_once_there_is_room() -> None:
     assert float(submitted.split()[0]) > 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["die-before-commit", "die-after-commit"])
 @pytest.mark.parametrize("commit", range(1, 5))
 def test_a_cancellation_that_dies_half_way_is_whole_or_has_not_been(kind: Kind, commit: int) -> None:

@@ -113,6 +113,7 @@ def test_the_answer_is_what_the_definition_says(joining: int | None) -> None:
         assert answers[0]["digest"] == answers[1]["digest"]
 
 
+@pytest.mark.slow
 def test_runners_up_take_part_in_the_digest() -> None:
     digests = set()
     for most in (0, 1, RUNNERS_UP):
@@ -122,6 +123,7 @@ def test_runners_up_take_part_in_the_digest() -> None:
     assert len(digests) == 3
 
 
+@pytest.mark.slow
 def test_one_worker_computes_nothing_beyond_the_cut() -> None:
     for seed in SEEDS:
         world, ours = World(workers=1, seed=seed), config(seed, 2)

@@ -2,6 +2,8 @@
 
 from functools import cache, partial
 
+import pytest
+
 from atoll_coordinator.service.workers.membership import STANDING_S
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.wire.messages.views import EventView
@@ -48,6 +50,7 @@ def raise_the_dead(world: World, **options: object) -> None:
     world.at(world.network.now + 1.0, look)
 
 
+@pytest.mark.slow
 def test_eight_jobs_at_once_on_two_workers_all_end_as_they_do_alone() -> None:
     world = World(workers=2)
     for seed in range(8):
@@ -59,6 +62,7 @@ def test_eight_jobs_at_once_on_two_workers_all_end_as_they_do_alone() -> None:
         assert comparable(world.result(f"job{seed}")) == alone(seed)
 
 
+@pytest.mark.slow
 def test_a_job_of_higher_priority_is_taken_up_first_and_gets_the_larger_share() -> None:
     def evaluations(priority: int) -> tuple[int, int]:
         world = World(workers=1)
@@ -75,6 +79,7 @@ def test_a_job_of_higher_priority_is_taken_up_first_and_gets_the_larger_share() 
     assert 3.0 < high / low < 5.0
 
 
+@pytest.mark.slow
 def test_the_line_goes_by_priority_then_by_time() -> None:
     world = World(workers=0)
     for number, priority in enumerate([0, 0, 0, 0, 0, 3, 0]):
@@ -106,6 +111,7 @@ def test_islands_that_kill_their_workers_are_isolated_then_their_job_fails_and_t
     assert len({event.worker for event in happened(world, "bad") if event.event == "worker-lost"}) == 3 * 2 + 2
 
 
+@pytest.mark.slow
 def test_workers_that_only_lost_their_connection_make_nobody_suspect() -> None:
     world = World(workers=2)
     for number in range(2):
@@ -119,6 +125,7 @@ def test_workers_that_only_lost_their_connection_make_nobody_suspect() -> None:
     assert "isolated" not in kinds(world, "job")
 
 
+@pytest.mark.slow
 def test_many_workers_that_die_at_once_count_as_one_death() -> None:
     world = World(workers=6)
     world.submit(config(1, max_epochs=40))
@@ -173,6 +180,7 @@ def test_counters_say_what_went_through() -> None:
     assert {each.kind: each for each in own.counters.traffic}["status"].messages_in > 0
 
 
+@pytest.mark.slow
 def test_work_that_is_slower_than_the_lease_gets_on_and_is_not_taken_for_poison() -> None:
     world = World(workers=1, slowness=0.6 * STANDING_S / 0.001)
     short = {"evolution": EvolutionConfig(islands=2), "migration": MigrationConfig(generations=20)}

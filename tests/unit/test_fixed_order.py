@@ -104,6 +104,7 @@ def test_what_feeds_the_search_adds_in_a_fixed_order(folder: Path) -> None:
     assert found_in(folder) - ALLOWED.keys() == set()
 
 
+@pytest.mark.slow
 def test_no_exception_has_become_needless() -> None:
     assert ALLOWED.keys() - set[tuple[str, str]]().union(*map(found_in, FEEDS_THE_SEARCH)) == set()
 

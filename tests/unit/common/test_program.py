@@ -53,6 +53,7 @@ def test_how_children_end_is_known_although_a_parent_ignores_it() -> None:
     assert done.stdout.strip() == "7", done.stderr
 
 
+@pytest.mark.slow
 def test_a_worker_goes_on_when_a_child_dies_although_a_parent_ignores_that() -> None:
     """The supervisor of two workers waits for a coordinator, and for a child whose death nobody told the system of."""
     program = (

@@ -86,6 +86,7 @@ WORDS = ["**", "mol", "pH", "10", "1.5", "cells", "^(1/2)"]
 PARTS = st.sampled_from([*"mskgHLh0123456789", *"^*/.·()+-− ⁻²³°%①½", *WORDS])
 
 
+@pytest.mark.slow
 @settings(max_examples=1000, deadline=None, derandomize=True, database=None)
 @given(st.one_of(st.lists(PARTS, max_size=12).map("".join), st.text(max_size=20)))
 def test_any_text_is_a_unit_or_refused_and_a_unit_is_read_as_it_is_written(text):

@@ -40,6 +40,7 @@ for name in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 def test_every_kernel_is_ready_after_the_warm_up() -> None:
     ready = python(READY, *CALLED)
     assert {f"{module}.{kernel}" for module, kernels in CALLED.items() for kernel in kernels} <= ready
@@ -56,6 +57,7 @@ print(f"{len(ready)}={module.KERNELS}")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["atoll_coordinator.warmup", "atoll_island_worker.compute.warmup"])
 def test_the_count_of_kernels_that_progress_is_told_against_is_true(module: str) -> None:
     (counts,) = python(COUNTED, module)
@@ -77,6 +79,7 @@ def test_without_a_compiler_there_is_nothing_to_do(package: str, monkeypatch: py
     module.warm_up()
 
 
+@pytest.mark.slow
 def test_a_coordinator_starts_without_the_compiler() -> None:
     """What a start need not wait for: kernels, and what refining needs."""
     said = python("import sys, atoll_coordinator.service.service_loop; print(*sys.modules)")

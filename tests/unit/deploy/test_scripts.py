@@ -102,6 +102,7 @@ def workers(lab: dict[str, str], command: str, hosts: str, *options: str) -> sub
     return run("bash", DEPLOY / "ssh" / "workers", command, file, *options, **lab)
 
 
+@pytest.mark.slow
 def test_workers_are_started_once_looked_at_and_stopped_by_ssh(lab: dict[str, str]) -> None:
     hosts = "a # fast\n\n# none\nb\n"
     try:

@@ -201,6 +201,7 @@ def test_a_file_names_the_coordinator_and_comes_before_the_environment(
     assert worked == [(address, "w", cli._WAIT_S)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "name"), [(["--name", "lab1"], "lab1"), (["--name", "lab1-gpu"], "lab1-gpu"), ([], "lab1-host-7")]
 )

@@ -49,6 +49,7 @@ def judged(lotka):
     return judge_job(KEY, lotka, result("1.1*x - 0.4*x*y + 0.001*y**3", "0.1*x*y - 0.4*y"))
 
 
+@pytest.mark.slow
 def test_a_seed_has_one_system():
     draw_system.cache_clear()
     first = draw_system(3, 2)
@@ -86,6 +87,7 @@ def test_random_equations_have_ranges_for_their_constants(states):
     assert not any("{" in text for text in system.truths.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUALITIES)
 def test_every_quality_measures_all_rows(monkeypatch, name, lotka):
     monkeypatch.setattr(cases, "_fresh", lambda *_: ())
@@ -117,6 +119,7 @@ def test_a_solution_that_runs_away_is_refused():
         solution(system.field(), (1.0,), np.linspace(0.0, 5.0, 5))
 
 
+@pytest.mark.slow
 def test_constants_are_the_less_known_the_larger_the_errors(lotka):
     loud = make_case(dataclasses.replace(KEY, quality="noise-0.1"))
     together = make_case(dataclasses.replace(KEY, quality="ar1-0.01"))
@@ -170,6 +173,7 @@ def test_a_model_that_runs_away_foretells_nothing(lotka):
     assert its.equations[0].is_foretold is False
 
 
+@pytest.mark.slow
 def test_outcomes_survive_the_journal(tmp_path, judged, lotka):
     path = tmp_path / "journal.jsonl"
     runaway = judge_job(dataclasses.replace(KEY, seed=1), lotka, result("5.0*x**3", "1.0*y"))
@@ -200,6 +204,7 @@ def test_the_search_has_the_functions_that_the_truth_needs(lotka):
     assert (config.budget.max_time, config.budget.max_epochs, config.seed) == (3.0, 2, 0)
 
 
+@pytest.mark.slow
 def test_pysindy_is_given_the_same_table(monkeypatch, lotka):
     given = []
 

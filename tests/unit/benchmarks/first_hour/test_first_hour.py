@@ -27,6 +27,7 @@ def test_there_are_a_hundred_tables_and_more_of_names_of_their_own() -> None:
     assert all(case.has_law or not case.is_identified or set(case.laws.values()) == {None} for case in CASES.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [case.name for case in GROUPS["names"]])
 def test_a_file_gives_back_what_was_written(name: str, tmp_path: Path) -> None:
     case = CASES[name]

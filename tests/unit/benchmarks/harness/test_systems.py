@@ -36,6 +36,7 @@ def test_sizes_and_starts_are_those_of_the_paper():
     assert [tuple(values[0]) for values in sampled.values] == [(1, 3), (4, 1), (8, 2), (3, 3)]
 
 
+@pytest.mark.slow
 def test_the_seed_decides_starts_and_noise():
     first, again, other = (trajectories("glider", seed=seed, noise=0.1).values[0] for seed in (1, 1, 2))
     assert first.tolist() == again.tolist()

@@ -46,6 +46,7 @@ def test_what_cancels_up_to_rounding_is_zero():
     assert fractions.add(atoms, third, fractions.multiply(atoms, x, constant(0.3)), -1.0) == constant(0.0)
 
 
+@pytest.mark.slow
 def test_dividing_by_zero_and_too_many_terms_end_the_attempt():
     atoms, x, y = atoms_xy()
     with pytest.raises(UndefinedError):

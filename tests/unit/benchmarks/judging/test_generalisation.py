@@ -37,6 +37,7 @@ def test_without_one_equation_nothing_is_foretold():
     assert foretold({**TRUTH, "v": None}, ("v", "theta"), GLIDER) == {"v": None, "theta": None}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "expression",
     ["v**2", "1/(v - v)", "exp(50*v)", "log(-v)", "-1e9*(v - sin(1e6*theta))"],

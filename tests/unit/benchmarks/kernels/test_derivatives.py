@@ -5,6 +5,7 @@ import pytest
 from benchmarks.kernels.derivatives import main
 
 
+@pytest.mark.slow
 def test_a_line_per_equation_and_the_largest_ratio_are_printed(capsys):
     main(["--system", "bar_magnets", "--system", "pendulum", "--step", "0.1", "--seeds", "1"])
     lines = capsys.readouterr().out.splitlines()

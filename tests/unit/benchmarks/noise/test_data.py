@@ -26,6 +26,7 @@ def test_the_plain_case_is_what_the_other_benchmarks_measure():
     np.testing.assert_array_equal(case(KEY).table.columns, table.columns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", [each for each in VARIANTS if each != "missing"])
 def test_noise_is_a_share_of_each_states_deviation(variant):
     noise, clean = noise_of(dataclasses.replace(KEY, variant=variant))
@@ -72,6 +73,7 @@ def test_the_true_derivatives_are_those_of_the_field():
     assert its.truths == TRUTH["bar_magnets"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", ["lotka_volterra", "shear_flow"])
 def test_a_fresh_trajectory_begins_where_none_was_measured(system):
     its = fresh(system, 100)
@@ -92,6 +94,7 @@ def test_lotka_volterra_keeps_its_fixed_initial_conditions():
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", TABLE_III)
 def test_odd_systems_have_the_forms_of_the_paper_with_other_constants(system):
     its = case(Key("atoll", "odd", system, 0.0, 100))

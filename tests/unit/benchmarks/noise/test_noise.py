@@ -219,6 +219,7 @@ class Told:
         return {"equations": [X, equation("y", "y*(2.0 - x - y)")], "seconds": 1.0}
 
 
+@pytest.mark.slow
 def test_a_campaign_does_what_is_missing_and_can_be_judged_again(tmp_path, monkeypatch, capsys):
     told, path = Told(), tmp_path / "lines.jsonl"
     monkeypatch.setattr("benchmarks.harness.campaign.searching", lambda workers: _Given(told))

@@ -61,6 +61,7 @@ def test_no_job_ends_by_the_clock() -> None:
     assert not [name for name, words in JOBS.items() if "--max-time" in words]
 
 
+@pytest.mark.slow
 def test_files_are_written_with_the_same_bytes(tmp_path: Path) -> None:
     names = ["degrees.csv", "groups.csv", "lv1.csv", "lynx_hare.csv", "ornstein_uhlenbeck.csv"]
     for folder in ("a", "b"):

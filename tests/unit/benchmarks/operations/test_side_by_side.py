@@ -62,6 +62,7 @@ def test_the_table_has_ratios_and_their_geometric_mean_and_says_what_differs() -
     assert mean.split()[:5] == ["geometric", "mean", "0.200", "0.200", "1.000"]
 
 
+@pytest.mark.slow
 def test_label_files_of_the_paper_s_equations_are_made_where_there_is_no_folder_of_them(tmp_path: Path) -> None:
     made = jobs(tmp_path, None, range(2))
     labels = [each for each in made.values() if "--target" in each]

@@ -10,6 +10,7 @@ from benchmarks.paper.readings_runs import equation_problem
 LIMIT = 3e5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", range(len(EQUATIONS)))
 def test_a_guess_of_the_right_form_is_found_with_little_work(index):
     found = search(Task(index, "form", 100, LIMIT))

@@ -28,6 +28,7 @@ def judged(name, form):
     return assess(*arguments).is_right, compare_strictly(*arguments).is_right
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EQUIVALENTS)
 def test_every_truth_is_credited_in_another_form(name):
     assert judged(name, EQUIVALENTS[name][1]) == (True, True)
@@ -40,6 +41,7 @@ def test_the_strict_rule_judges_all_forms(name):
         assert compare_strictly(form, truth, *rows_of(name)).is_right is exact, form
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["vdp2", "lv2"])
 def test_another_expression_is_refused(name):
     for form in OTHERS[name]:
@@ -51,6 +53,7 @@ def test_a_float_that_is_left_over_costs_the_credit_of_srbench(name):
     assert judged(name, UNCREDITED[name]) == (False, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OVERCREDITED)
 def test_srbench_forgives_constants(name):
     assert judged(name, OVERCREDITED[name]) == (True, False)
@@ -81,6 +84,7 @@ def test_text_that_is_no_expression_is_refused():
         assess("__import__('os')", "x", *rows_of("lv1"))
 
 
+@pytest.mark.slow
 def test_a_comparison_that_takes_too_long_is_no_credit_and_the_next_one_works():
     impatient = Comparer(0.001)
     try:

@@ -44,6 +44,7 @@ def run(folder: Path, factor: float, cache: Path, program: str = USE) -> list[st
     return done.stdout.split()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not IS_COMPILED, reason="kernels are interpreted")
 def test_a_copy_of_the_sources_elsewhere_finds_the_machine_code(tmp_path: Path) -> None:
     assert run(tmp_path / "one", 2.0, tmp_path / "cache") == ["4.0", "0"]
@@ -57,6 +58,7 @@ print(place.double(2.0), place.numbers(3).tolist(), "numba.np.linalg" in sys.mod
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not IS_COMPILED, reason="kernels are interpreted")
 def test_machine_code_is_loaded_without_what_compiling_needs(tmp_path: Path) -> None:
     """Numba's knowledge of Python and numpy takes as long to load as all kernels."""
@@ -65,6 +67,7 @@ def test_machine_code_is_loaded_without_what_compiling_needs(tmp_path: Path) -> 
     assert run(folder, 2.0, tmp_path / "cache", LOAD) == ["4.0", "[0,", "1,", "2]", "False"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not IS_COMPILED, reason="kernels are interpreted")
 def test_sources_that_say_something_else_are_compiled(tmp_path: Path) -> None:
     assert run(tmp_path / "one", 2.0, tmp_path / "cache") == ["4.0", "0"]

@@ -49,6 +49,7 @@ def test_editing_a_kernel_that_workers_run_changes_their_fingerprint(copied: Pat
     assert source_digest(WORKER) != fingerprint
 
 
+@pytest.mark.slow
 def test_every_kernel_in_the_fingerprint_is_one_that_an_island_runs() -> None:
     unused = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True, timeout=120)
     assert unused.stdout.strip() == "[]"

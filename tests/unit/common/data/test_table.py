@@ -29,6 +29,7 @@ def table_of(columns, starts=(0,), files=("a.csv",), file_of_row=None, line_of_r
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(
     columns=arrays.arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(1, 6))),
@@ -137,6 +138,7 @@ HOSTILE = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None)
 @given(st.data())
 def test_whatever_a_header_says_there_is_a_table_or_a_refusal(data):

@@ -2,6 +2,7 @@
 
 import math
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -53,6 +54,7 @@ def by_definition(front, candidates, most):
     return tuple(one for one in kept if one not in front)
 
 
+@pytest.mark.slow
 @QUICK
 @given(ENTRIES, st.integers(0, 4))
 def test_runners_up_are_those_of_the_definition(entries, most):
@@ -70,6 +72,7 @@ def test_neither_order_nor_repetition_matters(entries, most, random):
     assert runners_up(front, (*front, *entries), most) == runners_up(front, entries, most)
 
 
+@pytest.mark.slow
 @QUICK
 @given(ENTRIES, st.integers(1, 3))
 def test_what_was_kept_stays_when_nothing_new_comes(entries, most):
@@ -78,6 +81,7 @@ def test_what_was_kept_stays_when_nothing_new_comes(entries, most):
     assert runners_up(front, kept, most) == kept
 
 
+@pytest.mark.slow
 @QUICK
 @given(ENTRIES, ENTRIES)
 def test_a_front_is_the_same_however_its_entries_are_merged(some, others):

@@ -13,6 +13,7 @@ DIGESTS = st.from_regex(topics.DIGEST, fullmatch=True)
 PARTS = st.sampled_from(["alive", "status", "report", "pull"])
 
 
+@pytest.mark.slow
 @given(IDS, IDS, IDS, DIGESTS, st.integers(0, topics.MAX_CHUNKS - 1), PARTS)
 def test_every_key_that_is_built_is_parsed_back(
     cluster: str, name: str, peer: str, digest: str, index: int, part: topics.WorkerPart
@@ -33,6 +34,7 @@ def test_every_key_that_is_built_is_parsed_back(
         assert topics.parse(key) == parsed
 
 
+@pytest.mark.slow
 @given(IDS, IDS, IDS, DIGESTS)
 def test_expressions_receive_the_keys_they_are_meant_for(cluster: str, name: str, peer: str, digest: str) -> None:
     assert matches(topics.all_jobs(cluster), topics.placement(cluster, name))

@@ -195,6 +195,7 @@ def test_the_dataset_is_the_same_every_time():
     assert prepare(table, JobConfig()).dataset.digest == prepare(table, JobConfig()).dataset.digest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scales", [(1e-6, 1e6, 0.0), (1.0, 1.0, 1900.0), (1e6, 1e-3, 1e9)])
 def test_units_and_origin_of_time_change_nothing_but_the_scale(scales):
     sampled = trajectories("lotka_volterra", 0.02)
@@ -213,6 +214,7 @@ def test_units_and_origin_of_time_change_nothing_but_the_scale(scales):
         assert others.uncertainty == pytest.approx(target.uncertainty, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 @pytest.mark.parametrize("step", [0.02, 0.1])
 @pytest.mark.parametrize("system", [name for name in SYSTEMS if name != "pendulum"])

@@ -6,6 +6,7 @@ import pytest
 from atoll_coordinator.model.cholesky import factorize, substitute
 
 
+@pytest.mark.slow
 def test_the_solution_solves_the_system() -> None:
     matrix, side = np.array([[2.0, 1e-4], [1e-4, 1e-6]]), np.array([1.0, -1.0])
     factor, scale, found = matrix.copy(), np.zeros(2), side.copy()

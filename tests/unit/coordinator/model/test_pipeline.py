@@ -64,18 +64,21 @@ def is_near(text: str, other: str) -> bool:
 LOTKA = "3*x - 2*x*y - x**2"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.001])
 def test_constants_that_the_data_single_out_come_out_simple(noise):
     its = problem(lotka, noise, rows=300)
     assert is_same(refined_text(its, "1.2*x", "2.97*x - 2.04*x*y - 0.98*x*x"), LOTKA)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.01, 0.1])
 def test_noisy_constants_come_out_as_estimates(noise):
     its = problem(lotka, noise, rows=300)
     assert is_near(refined_text(its, "1.2*x", "2.97*x - 2.04*x*y - 0.98*x*x"), LOTKA)
 
 
+@pytest.mark.slow
 def test_what_the_data_do_not_support_is_left_out():
     its = problem(lotka, 0.05, rows=300)
     assert is_near(refined_text(its, "3.0*x - 2.0*x*y - x*x + 0.01*sin(7.0*y)*x + 0.002"), LOTKA)
@@ -114,6 +117,7 @@ def test_operators_that_are_not_allowed_are_not_brought_in():
     assert "/" not in refined_text(its, "4.1 - 0.7*y", "4.0 - 0.7*y - 0.1*x*y", config=config)
 
 
+@pytest.mark.slow
 def test_a_double_angle_and_a_shared_factor_become_the_shorter_form():
     its = problem(lambda x, y: (np.cos(y) ** 2 + 0.1 * np.sin(y) ** 2) * np.sin(x), 0.02, rows=300)
     text = refined_text(its, "0.45*cos(2.0*y)*sin(x) + 0.55*sin(x)")
@@ -144,6 +148,7 @@ def test_a_member_that_meets_the_target_is_never_exchanged_for_one_that_misses_i
     assert refined is None or refined.error <= front[1].error
 
 
+@pytest.mark.slow
 def test_the_largest_size_is_respected():
     its = problem(lotka, 0.01, rows=40)
     config = CONFIG.model_copy(update={"space": SpaceConfig(max_size=3)})
@@ -159,6 +164,7 @@ def test_the_error_is_the_loss_of_the_job():
     assert refined.error == math.sqrt(refined.mse)
 
 
+@pytest.mark.slow
 def test_many_rows_are_compared_on_some_and_measured_on_all():
     its = problem(lotka, 0.01, rows=5000)
     front = [entry("2.97*x - 2.04*x*y - 0.98*x*x", its)]
@@ -189,6 +195,7 @@ def test_factors_of_one_have_intervals_where_left_hand_sides_are_given():
     assert low < 1.0 < high
 
 
+@pytest.mark.slow
 def test_an_empty_front_stays_empty_and_all_variables_are_refined():
     data = dataset(lotka)
     its = data.problem("label")
@@ -216,6 +223,7 @@ def test_it_is_repeatable():
     ]
 
 
+@pytest.mark.slow
 def test_the_work_is_bounded(monkeypatch):
     its = problem(quotient, 0.1)
     front = [entry(text, its) for text in ("4.0 - y", "4.1 - 2.1*y/(x + 0.8) + 0.1*sin(3.0*x*y) - 0.2*cos(x)/y")]

@@ -35,6 +35,7 @@ def test_a_formula_goes_to_a_program_and_a_tape_and_back(program):
     assert from_tape(tape, onto_tape(formula, tape)) == formula
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs(constants=st.floats(-5.0, 5.0)), COEFFICIENTS, st.sampled_from([0.0, 1.5, -2.0]), st.data())
 def test_a_combination_is_worth_what_it_says(program, coefficients, shift, data):
@@ -70,6 +71,7 @@ def test_combinations_read_as_a_person_would_write_them(coefficients, shift, exp
     assert to_infix(from_infix(expected, ("x", "y")), ("x", "y")) == to_infix(to_program(formula), ("x", "y"))
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs())
 def test_reductions_are_sound_and_every_operator_gives_way_to_each_argument_and_to_a_constant(program):

@@ -39,6 +39,7 @@ def front_of(entries):
     return front, added
 
 
+@pytest.mark.slow
 @QUICK
 @given(ENTRIES)
 def test_a_front_falls_in_error_as_it_rises_in_complexity(entries):
@@ -48,6 +49,7 @@ def test_a_front_falls_in_error_as_it_rises_in_complexity(entries):
     assert [e.error for e in kept] == sorted({e.error for e in kept}, reverse=True)
 
 
+@pytest.mark.slow
 @QUICK
 @given(ENTRIES)
 def test_nothing_that_was_offered_is_better_than_what_was_kept(entries):
@@ -59,6 +61,7 @@ def test_nothing_that_was_offered_is_better_than_what_was_kept(entries):
     assert front.least_error() == (min(finite) if finite else None)
 
 
+@pytest.mark.slow
 @QUICK
 @given(ENTRIES)
 def test_a_saved_front_is_the_same(entries):

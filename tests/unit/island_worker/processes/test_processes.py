@@ -132,6 +132,7 @@ def test_children_have_some_grace_to_hand_over(family_of: FamilyOf) -> None:
     assert until(lambda: all_gone(family.children))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130), (signal.SIGHUP, 0)])
 def test_a_signal_to_the_parent_ends_the_children_in_order(number: int, code: int, family_of: FamilyOf) -> None:
     family = family_of(OBEDIENT, LIMIT_S)

@@ -39,6 +39,7 @@ def unit_circle(size: int) -> LimitCycle:
     return LimitCycle(points[0], 2.0 * np.pi, np.ones(size, dtype=np.complex128), 0.0, points)
 
 
+@pytest.mark.slow
 def test_the_hopf_normal_form_has_circles_of_radius_sqrt_mu() -> None:
     its = flow(x="0.5*x - y - x*(x**2 + y**2)", y="x + 0.5*y - y*(x**2 + y**2)")
     (branch,) = along(its, SQUARE, "c1,c2", (-1.0, 1.0), has_hopf=True)
@@ -51,6 +52,7 @@ def test_the_hopf_normal_form_has_circles_of_radius_sqrt_mu() -> None:
     assert branch.special == ()
 
 
+@pytest.mark.slow
 def test_cycles_of_bautins_form_turn_back_at_a_fold() -> None:
     """r' = r (mu + r**2 - r**4) has circles mu = r**4 - r**2, whose least mu is -1/4."""
     square = "(x**2 + y**2)"
@@ -64,6 +66,7 @@ def test_cycles_of_bautins_form_turn_back_at_a_fold() -> None:
     assert [branch.cycles[at].is_stable for at in (0, -1)] == [False, True]
 
 
+@pytest.mark.slow
 def test_a_branch_joins_the_hopf_points_of_the_nerve() -> None:
     """FitzHugh and Nagumo: its canards have multipliers that change by powers of ten within 1e-8 of the current."""
     nerve = flow(v="0.5 + v - v**3/3.0 - w", w="0.08*(v + 0.7 - 0.8*w)")
@@ -76,6 +79,7 @@ def test_a_branch_joins_the_hopf_points_of_the_nerve() -> None:
         assert each.cycle.multipliers[1].real == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_van_der_pol_has_its_period_along_mu() -> None:
     where = box((-3.0, 3.0), (-20.0, 20.0))
     its = flow(x="y", y="(1.0 - x**2)*y - x")
@@ -86,6 +90,7 @@ def test_van_der_pol_has_its_period_along_mu() -> None:
     assert all(each.is_stable for each in branch.cycles)
 
 
+@pytest.mark.slow
 def test_a_twisted_neighbourhood_doubles_its_period() -> None:
     """Neighbours of r = 1 that turn by half a turn in each period have the multipliers -exp(2 pi (s + 0.2)) and
     -exp(2 pi (s - 0.2)): s = -0.2 is a period doubling."""
@@ -99,6 +104,7 @@ def test_a_twisted_neighbourhood_doubles_its_period() -> None:
     assert doubling.cycle.multipliers[1:] == pytest.approx([-1.0, -np.exp(-0.8 * np.pi)], rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "others"),
     [
@@ -114,6 +120,7 @@ def test_other_multipliers_leave_the_unit_circle_at_zero(kind: str, others: dict
     assert [(each.kind, round(each.value, 6) + 0.0) for each in branch.special] == [(kind, 0.0)]
 
 
+@pytest.mark.slow
 def test_lorenz_cycles_end_at_the_homoclinic_orbit() -> None:
     """From the Hopf point at r = 470/19 to r = 13.926 (Sparrow 1982), where no multiplier is known any more."""
     its, where = LORENZ, box((0.5, 25.0), (0.5, 25.0), (1.0, 50.0))  # one of two that are alike

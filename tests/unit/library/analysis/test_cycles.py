@@ -12,6 +12,7 @@ from tests.unit.library.analysis.systems import COMPETITION, LORENZ, SUBCRITICAL
 SQUARE = box((-3.0, 3.0), (-3.0, 3.0))
 
 
+@pytest.mark.slow
 def test_van_der_pol_has_its_period_and_multipliers() -> None:
     found = limit_cycles(VAN_DER_POL, SQUARE, fixed_points(VAN_DER_POL, SQUARE).points)
     (cycle,) = found.cycles
@@ -23,6 +24,7 @@ def test_van_der_pol_has_its_period_and_multipliers() -> None:
     assert not found.has_family
 
 
+@pytest.mark.slow
 def test_a_stiff_van_der_pol_has_its_period() -> None:
     stiff, where = flow(x="10.0*(y - (x**3/3.0 - x))", y="-x/10.0"), box((-3.0, 3.0), (-2.0, 2.0))
     (cycle,) = limit_cycles(stiff, where, fixed_points(stiff, where).points).cycles
@@ -30,6 +32,7 @@ def test_a_stiff_van_der_pol_has_its_period() -> None:
     assert cycle.log_multiplier_product < -300.0
 
 
+@pytest.mark.slow
 def test_an_unstable_cycle_is_found_in_backward_time() -> None:
     where = box((-2.0, 2.0), (-2.0, 2.0))
     fixed = fixed_points(SUBCRITICAL, where).points
@@ -43,12 +46,14 @@ def test_an_unstable_cycle_is_found_in_backward_time() -> None:
     assert (reached.reached[~inside] < 0).all()
 
 
+@pytest.mark.slow
 def test_a_period_two_orbit_is_told_from_the_orbit_inside_it() -> None:
     roessler, where = flow(x="-y - z", y="x + 0.2*y", z="0.2 + z*(x - 3.5)"), box((-8, 8), (-8, 8), (0, 12))
     stable = [each for each in limit_cycles(roessler, where, ()).cycles if each.is_stable]
     assert [each.period for each in stable] == [pytest.approx(11.65, rel=0.01)]
 
 
+@pytest.mark.slow
 def test_closed_orbits_around_a_centre_are_no_limit_cycles() -> None:
     its, where = flow(x="y", y="-sin(x)"), box((-2.0, 2.0), (-1.5, 1.5))
     found = limit_cycles(its, where, fixed_points(its, where).points)
@@ -66,6 +71,7 @@ def test_lorenz_exponents_are_those_of_the_literature() -> None:
     assert found.exponents.sum() == pytest.approx(-41.0 / 3.0, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [{}, {"z": "-z"}])
 def test_a_damping_that_grows_with_the_amplitude_leaves_no_closed_orbits(more: dict[str, str]) -> None:
     its, where = flow(x="y", y="-x - 0.1*y**3", **more), box(*[(-2.0, 2.0)] * (2 + len(more)))
@@ -81,6 +87,7 @@ def test_a_cycle_that_is_approached_slowly_is_one() -> None:
     assert (round(cycle.period, 3), found.has_family) == (6.283, False)
 
 
+@pytest.mark.slow
 def test_what_goes_round_with_two_periods_is_no_chaos() -> None:
     two = flow(a="b", b="-a - 0.5*a**3", c="d", d="-2.0*c - 0.3*c**3")
     found = lyapunov_spectrum(two, box(*[(-2.0, 2.0)] * 4), starts=8, intervals=100)

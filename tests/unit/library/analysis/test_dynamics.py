@@ -43,6 +43,7 @@ def test_velocities_are_differences_and_begin_as_fitted() -> None:
     assert measured.states[0].tolist() == [1.0, 7.0]
 
 
+@pytest.mark.slow
 def test_driven_models_are_compared_along_the_recorded_inputs_or_not_at_all() -> None:
     """x' = u - x with u = 2 sin(t) from the wave's beginning: x = sin(t) - cos(t)."""
     found = result({"x": "u - x"}, ("u",))
@@ -62,6 +63,7 @@ def test_driven_models_are_compared_along_the_recorded_inputs_or_not_at_all() ->
     assert known.as_dict()["not_compared"] == []
 
 
+@pytest.mark.slow
 def test_of_closed_orbits_the_period_is_said_also_where_the_data_are_too_short() -> None:
     """A pendulum of amplitude 1 has the period 4 K(sin(1/2)) = 6.6998."""
     found = result({"x": "y", "y": "-sin(x)"})

@@ -74,6 +74,7 @@ def test_predator_and_prey_coexist_at_an_unstable_focus() -> None:
     np.testing.assert_allclose(found[0].point, [prey, (4.0 - prey) * (1.0 + prey)])
 
 
+@pytest.mark.slow
 def test_attraction_without_a_negative_eigenvalue_is_seen_in_simulations() -> None:
     degenerate = flow(x="-x**3", y="-y")
     assert [each.is_stable for each in fixed_points(degenerate, box((-1, 1), (-1, 1))).points] == [True]
@@ -85,6 +86,7 @@ def test_a_line_of_fixed_points_is_told() -> None:
     assert not fixed_points(flow(x="x - y", y="2.0*x - 2.0*y"), box((-1, 1), (-1, 1))).are_isolated
 
 
+@pytest.mark.slow
 def test_a_weak_focus_is_no_centre() -> None:
     (found,) = fixed_points(flow(x="-y - x*(x**2 + y**2)", y="x - y*(x**2 + y**2)"), box((-1, 1), (-1, 1))).points
     assert (found.kind, found.is_stable) == ("non-hyperbolic", True)
@@ -136,6 +138,7 @@ def test_where_rates_only_become_small_is_no_fixed_point(equations: dict[str, st
     assert fixed_points(flow(**equations), box(*sides)).points == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [0.1, 0.001])
 def test_a_damping_that_grows_with_the_amplitude_makes_no_centre(damping: float) -> None:
     (its,) = fixed_points(flow(x="y", y=f"-x - {damping}*y**3"), box((-2.0, 2.0), (-2.0, 2.0))).points

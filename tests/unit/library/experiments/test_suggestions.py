@@ -117,6 +117,7 @@ def test_rivals_that_are_given_are_candidates() -> None:
     assert found.purpose == "discrimination"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rival", ["-0.5*x*(1 + 0.2)/(1 + 0.2*x)", "-0.4*x - x*0.1/(1 + x/3)"])
 def test_constants_of_a_rival_that_data_without_noise_do_not_tell_apart_are_no_error(rival: str) -> None:
     clean = measured({"x": "-0.5*x"}, [(TIMES, {"x": 2.0 * np.exp(-0.5 * TIMES)})], 1e-12)

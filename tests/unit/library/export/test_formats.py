@@ -35,6 +35,7 @@ def systems() -> dict[str, Model]:
     return {name: published(name, until=4.0, rows=9) for name in TABLE_III}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", TABLE_III)
 def test_texts_agree_with_simulations_of_published_systems(systems: dict[str, Model], system: str) -> None:
     its = systems[system]
@@ -164,6 +165,7 @@ SIZES_APART = {"x": "-0.0001*x", "y": "1.3*y"}
 TROUGHS = {"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("equations", "start", "until"),
     [(SIZES_APART, {"x": 300.0, "y": 1e-12}, 20.0), (TROUGHS, {"x": 20.0, "y": 20.0}, 40.0)],

@@ -131,6 +131,7 @@ def test_python_runs_with_every_such_name_and_agrees() -> None:
     assert difference(run_python(its.to_python())["simulate"](), its) < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "read"),
     [("xppaut", readers.read_xppaut), ("modelica", readers.read_modelica), ("julia", readers.read_julia)],

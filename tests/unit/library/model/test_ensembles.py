@@ -14,6 +14,7 @@ def test_paths_begin_as_measured_and_have_the_moments_of_the_process() -> None:
     assert abs(found["x"][:, 2].var() - 0.125 * (1.0 - np.exp(-2.0))) < 0.015, "steps of 0.1, not of 0.5"
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_paths() -> None:
     model = Model(process_result())
     one, same, other = (model.simulate(t=1.0, paths=2, seed=seed).x for seed in (1, 1, 2))
@@ -21,6 +22,7 @@ def test_a_seed_gives_the_same_paths() -> None:
     assert not np.array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_the_stationary_density_is_that_of_the_process_wherever_paths_begin() -> None:
     found = Model(process_result()).stationary_density([5.0])
     assert found is not None
@@ -59,6 +61,7 @@ def test_a_density_takes_two_paths_and_no_more_than_memory_holds(paths: int, fau
         Model(process_result()).stationary_density(paths=paths)
 
 
+@pytest.mark.slow
 def test_two_paths_settle_as_many_do() -> None:
     model = Model(process_result())
     assert all(model.stationary_density([1.0], paths=2, seed=seed) is not None for seed in range(4))

@@ -345,6 +345,7 @@ def test_names_that_are_no_inputs_are_refused() -> None:
         Model(result({"x": "-x"})).simulate([1.0], TIMES, {"v": 1.0})
 
 
+@pytest.mark.slow
 def test_a_simulation_that_ends_early_is_warned_of_and_a_score_of_it_is_none() -> None:
     model = Model(result({"x": "x**2"}))
     with pytest.warns(EarlyEndWarning, match="times were reached"):

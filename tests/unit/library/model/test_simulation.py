@@ -24,6 +24,7 @@ def ending(equation: str, start: float = 1.0, most: int = 5000) -> tuple[str, fl
     return its.status, float(its.t[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("equation", "expected"),
     [
@@ -91,6 +92,7 @@ def test_an_early_end_says_how_many_times_were_reached() -> None:
 PREY = VectorField.of({"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("start", "until"), [(20.0, 60.0), (30.0, 100.0), (60.0, 200.0)])
 @pytest.mark.parametrize("unit", [1.0, 2.0**-40])
 def test_a_state_that_comes_back_from_a_deep_trough_is_right(start: float, until: float, unit: float) -> None:

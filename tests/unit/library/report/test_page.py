@@ -176,6 +176,7 @@ def test_the_next_experiment_stands_with_the_candidates() -> None:
     assert said <= set(page.texts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("found", "section", "number"), [(regression(), "fit", "0.5"), (process(), "process", "0.75")])
 def test_regressions_and_processes_have_sections_of_their_own(found: dict[str, Any], section: str, number: str) -> None:
     page = Reader(as_html(Result.of(found)))
@@ -211,6 +212,7 @@ def test_constants_of_each_group_are_listed() -> None:
     assert any("means over them; the groups are a, <b>." in text for text in read.texts)
 
 
+@pytest.mark.slow
 def test_the_page_of_one_group_is_analysed() -> None:
     found = Findings.of(Model(of_groups()).of_group("<b>").result)
     assert found.analysis is not None
@@ -230,6 +232,7 @@ def test_figures_have_the_digits_that_their_errors_leave() -> None:
     assert all(">0.9999<" in to_text(each) for each in (trajectories(its)[0], choice(its)[0]))
 
 
+@pytest.mark.slow
 def test_dynamics_of_equations_that_do_not_fit_are_said_to_be_so() -> None:
     found = dynamics()
     found["equations"][1]["verdict"] = "no model"

@@ -83,6 +83,7 @@ POINTS = {
 LARGEST_ERROR_IN_ULP = {"sin": 2.0, "cos": 2.0, "exp": 2.0, "log": 2.0, "tanh": 3.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "region"), [(name, region) for name in POINTS for region in POINTS[name]])
 def test_values_are_within_a_few_units_of_the_last_place(name: str, region: str) -> None:
     assert errors_in_ulp(name, POINTS[name][region]).max() <= LARGEST_ERROR_IN_ULP[name]
@@ -118,6 +119,7 @@ def test_turns_beyond_the_limit_are_not_a_number(name: str) -> None:
     assert np.isfinite(values(name, [TRIGONOMETRIC_LIMIT, -TRIGONOMETRIC_LIMIT])).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sin", "cos"])
 def test_sine_and_cosine_never_exceed_one(name: str) -> None:
     extremes = both_signs(near_quarter_turns(63660))
@@ -195,10 +197,12 @@ def native(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]
     return report(tmp_path_factory.mktemp("native"), 100_000)
 
 
+@pytest.mark.slow
 def test_a_generic_processor_gives_the_same_bits(native: dict[str, dict[str, Any]], tmp_path: Path) -> None:
     assert digests(report(tmp_path, 100_000, NUMBA_CPU_NAME="generic")) == digests(native)
 
 
+@pytest.mark.slow
 def test_the_interpreter_gives_the_same_bits_as_the_compiler(tmp_path: Path) -> None:
     compiled, interpreted = report(tmp_path, 2000), report(tmp_path, 2000, NUMBA_DISABLE_JIT="1")
     assert digests(interpreted) == digests(compiled)

@@ -57,6 +57,7 @@ def test_mathml_separates_factors_by_dots_where_names_have_several_letters() -> 
     assert to_mathml(program, ("x", "prey")).count("\u00b7") == 2
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs(), HOSTILE_NAMES)
 def test_whatever_variables_are_called_all_writings_are_made(program, names) -> None:

@@ -175,6 +175,7 @@ PARTS = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=120, deadline=None, derandomize=True, database=None)
 @given(PARTS)
 def test_any_function_keeps_its_values(text):
@@ -185,6 +186,7 @@ def test_any_function_keeps_its_values(text):
         assert after[defined] == pytest.approx(before[defined], rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_writing_depends_on_no_order_of_hashes():
     program = (
         "from tests.unit.common.expression.writing.test_shortest import CASES, shortened;"

@@ -84,6 +84,7 @@ def test_a_setting_that_zenoh_does_not_know_is_a_usage_error(path: str, value: o
         open_router("tcp/127.0.0.1:0", {path: value})
 
 
+@pytest.mark.slow
 def test_settings_reach_zenoh(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zenoh_bus, "_ATTEMPT_MS", 500)
     one_session = {"transport/unicast/max_sessions": 1}
@@ -170,6 +171,7 @@ def test_ctrl_c_while_receiving_is_served_and_the_process_ends(monkeypatch: pyte
         assert process.wait(LIMIT_S) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["raise SystemExit(7)", "sys.exit(7)", "os._exit(7)"])
 def test_a_process_that_forgets_to_close_its_bus_ends_all_the_same(ending: str, router: ZenohBus) -> None:
     script = f"bus = open_client(sys.argv[1]); bus.subscribe('a/**'); bus.serve('b/**'); bus.watch('c/*'); {ending}"

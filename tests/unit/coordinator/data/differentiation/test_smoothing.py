@@ -101,6 +101,7 @@ def test_rows_are_thinned_only_as_far_as_the_signal_bears():
     assert np.std(smooth(signals[0], smoother).fits[1] - np.cos(times)) < 0.05
 
 
+@pytest.mark.slow
 def test_a_wave_that_vanishes_in_means_is_not_thinned_away():
     """At first a bin would be exactly one wave."""
     times = 0.1 * np.arange(20_000)
@@ -119,6 +120,7 @@ def test_many_short_runs_are_not_thinned():
     assert estimate_noise(signals, [smooth(signal, smoother) for signal in signals]) == pytest.approx(0.05, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [5, 12, 19, 150])
 def test_a_short_run_among_long_ones_is_thinned_less(rows):
     """Its slopes are still those of its curve, over the same span of time."""

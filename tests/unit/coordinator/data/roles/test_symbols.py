@@ -1,5 +1,6 @@
 """Symbols: every column name gets one, and sympy reads each of them back."""
 
+import pytest
 import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -46,6 +47,7 @@ def test_signs_that_python_reads_in_another_form_are_rewritten():
     assert_parsed_back(symbols)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.text(max_size=6), min_size=1, max_size=4, unique=True))
 def test_any_names_get_unique_symbols_that_are_parsed_back(names):

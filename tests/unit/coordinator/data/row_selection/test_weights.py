@@ -86,6 +86,7 @@ def test_the_factor_of_weights_does_not_matter():
     assert one.recording.trajectories[0].smoothed == pytest.approx(other.recording.trajectories[0].smoothed, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_many_rows_are_thinned_with_their_weights():
     rows = 20_000
     columns = oscillator(rows)

@@ -36,6 +36,7 @@ def looked(measured, texts, shown=None):
     return look_for_chaos(replace(fit, system=made(shown or texts)), 0.9, 1e-6)
 
 
+@pytest.mark.slow
 def test_the_truth_stays_on_the_attractor(measured):
     found = looked(measured, TRUTH)
     assert found.is_kept
@@ -49,6 +50,7 @@ def test_another_attractor_is_told_by_means_and_variances(measured, other):
     assert found.probability < 1e-3
 
 
+@pytest.mark.slow
 def test_the_way_to_the_attractor_does_not_count():
     its = measurements_of(prepared(500, 0.01, trajectories=8).recording, [0, 1, 2], piece=50)
     smoothed, count = its.smoothed.copy(), len(its.times) // 8
@@ -63,6 +65,7 @@ def test_a_simulation_that_takes_too_many_steps_does_not_run_away(measured):
     assert found.lyapunov_time == pytest.approx(1.0 / 0.9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [2000, 20_000])
 def test_ours_has_blocks_enough_to_know_its_variance_however_many_rows_were_measured(monkeypatch, rows):
     """Of 8,000 rows and more a simulation of 4,000 had one block, whose mean was taken for exact."""

@@ -227,6 +227,7 @@ def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypa
     assert its.simulation is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["-0.4*x", "x/(-2.5)"])
 def test_the_member_of_the_front_it_was_made_of_is_told_however_it_was_written(text):
     its = refined(DECAY, ([1.0], [-2.0]), {"x": ("x", text)}, noise=0.02, seed=108)
@@ -234,6 +235,7 @@ def test_the_member_of_the_front_it_was_made_of_is_told_however_it_was_written(t
     assert its.equations["x"].member == 1
 
 
+@pytest.mark.slow
 def test_what_the_pool_lacks_is_found_nearby():
     """The damping is missing from all that was handed on, and there are no libraries without sums."""
     starts = ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0])
@@ -253,6 +255,7 @@ def test_where_nothing_can_be_simulated_the_fit_to_derivatives_stays():
     assert all(math.isfinite(each.error) for each in its.equations.values())
 
 
+@pytest.mark.slow
 def test_a_known_equation_stays_as_it_is_given():
     config = JobConfig(space=ARITHMETIC, prior=PriorConfig(known={"y": "2.0013*y - x*y - 0.9991*y*y"}))
     pool = {"x": LOTKA_POOL["x"]}
@@ -264,6 +267,7 @@ def test_a_known_equation_stays_as_it_is_given():
     assert is_near(LOTKA, its, x="3*x - 2*x*y - x**2")
 
 
+@pytest.mark.slow
 def test_only_allowed_operators_and_variables_come_in():
     all_of_them = ("+", "-", "*", "sin", "cos")
     space = SpaceConfig(operators=all_of_them, operators_of={"x": ("+", "-")}, variables_of={"y": ("y",)})
@@ -314,6 +318,7 @@ def test_growth_that_was_measured_to_go_on_is_no_doubt(noise, grades):
 TURNING = Known(("x", "v"), lambda _, z: [z[1], -z[0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "found"), [(5, ("0.79*v", "-1.05*x")), (6, ("v", "-0.99998*x"))])
 def test_few_rows_a_period_are_not_described_by_what_differentiation_errs_by(monkeypatch, rows, found):
     """Derivatives are wrong by a factor there, and what smoothing takes for noise allowed steps that need terms."""
@@ -325,6 +330,7 @@ def test_few_rows_a_period_are_not_described_by_what_differentiation_errs_by(mon
     assert {each.grade for each in its.equations.values()} <= {"good", "exact"}
 
 
+@pytest.mark.slow
 def test_an_equation_through_four_points_is_no_law():
     """Four rows a period are four measurements, again and again, and any odd function of v leads through them."""
     times = 0.5 * math.pi * np.arange(80.0)
@@ -334,6 +340,7 @@ def test_an_equation_through_four_points_is_no_law():
     assert all("the rows repeat 4 measurements" in each.reason.lower() for each in its.equations.values())
 
 
+@pytest.mark.slow
 def test_errors_of_integration_have_no_terms_where_few_rows_are_taken_for_noisy():
     eight = table(DECAY, ([3.0],), np.arange(8.0))
     preparation = prepare(eight, JobConfig())
@@ -342,6 +349,7 @@ def test_errors_of_integration_have_no_terms_where_few_rows_are_taken_for_noisy(
     assert (to_infix(its.program, ("x",)), its.grade) == ("-0.5*x", "good")
 
 
+@pytest.mark.slow
 def test_of_functions_that_are_one_at_all_measured_values_of_an_input_the_shortest_is_shown():
     """A valve of 0 and 1; how it turns between two rows was not measured, and no function of it is to say so."""
     times = 0.1 * np.arange(60.0)
@@ -409,6 +417,7 @@ class _Counted:
         return self.now
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.5, 30.0, 300.0])
 def test_when_the_time_is_over_the_best_so_far_is_shown_and_that_is_said(seconds):
     """From a deadline that is over at once to one that is over amid the search: equations, and a sentence."""

@@ -82,6 +82,7 @@ def test_p_is_uniform_if_the_model_is_right(rows, trajectories):
     assert stats.kstest(found, "uniform").pvalue > 0.01
 
 
+@pytest.mark.slow
 def test_p_is_small_if_the_model_misses_something():
     assert (np.array(p_values(60, 3, 0.1)) < 0.001).mean() > 0.9
 

@@ -61,6 +61,7 @@ def rate_of(model):
     return abs(float(model.fit.system.values[0]))
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_as_often_as_they_say(draws):
     """95 % of 200 is 190, with a standard deviation of 3."""
     covered, errors = 0, []

@@ -142,6 +142,7 @@ def test_what_may_not_stand_has_no_finite_error():
     assert least_squares.fit(parsed("2*x*y")).mse < math.inf
 
 
+@pytest.mark.slow
 def test_an_equation_of_given_targets_keeps_its_bounds():
     its = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.05)
     config = JobConfig(space=SpaceConfig(operators=("+", "-", "*")), prior=PriorConfig(bounds={"label": ("x < 2.5",)}))

@@ -156,6 +156,7 @@ def test_the_places_of_simple_numbers_are_those_in_the_equation():
     assert its.odds > ODDS
 
 
+@pytest.mark.slow
 def test_simple_numbers_are_rarely_false_where_all_constants_have_random_digits():
     """A number is shown with odds of 20 and more: if that is right, of random digits in less than one case of 20."""
     random, false = np.random.default_rng(7), 0

@@ -45,6 +45,7 @@ def test_numbers_are_as_long_in_any_unit(value, error, unit):
     assert sorted(number * unit for number in here) == pytest.approx(sorted(there))
 
 
+@pytest.mark.slow
 def test_a_result_has_the_odds_of_simple_numbers_together():
     random = np.random.default_rng(2)
     x = random.uniform(0.5, 3.0, 300)

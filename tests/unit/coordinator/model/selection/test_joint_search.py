@@ -41,6 +41,7 @@ def test_what_a_converged_search_found_without_noise_stands_alone(prepared):
     assert structure(only) == structure(shortest(DRAG.parsed(TRUTH)))
 
 
+@pytest.mark.slow
 def test_unless_the_trajectories_show_that_it_only_comes_close(prepared):
     first, *others = candidates(prepared, CLOSE)
     assert others

@@ -58,6 +58,7 @@ def chaotic():
     return field_of(known, ([1.0, 2.0, 20.0],), 0.02 * np.arange(500.0), 0.02, given=given)
 
 
+@pytest.mark.slow
 def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
     selection = select_model(chaotic())
     assert selection.task.piece in SETTINGS.shooting.lengths
@@ -72,6 +73,7 @@ def test_no_candidate_is_no_choice():
     assert select_model(replace(task, config=JobConfig(space=SpaceConfig(operators=("exp", "*"))))) is None
 
 
+@pytest.mark.slow
 def test_a_choice_on_some_rows_is_fitted_to_all():
     starts = [[1.0 + 0.3 * index, 2.0] for index in range(20)]
     selection = select_model(field_of(SWING, starts, 0.1 * np.arange(80.0), 0.03, **SWING_TEXTS))

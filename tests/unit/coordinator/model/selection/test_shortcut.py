@@ -44,6 +44,7 @@ def test_lorenz_by_a_solver_of_tolerance_1e_6_has_no_further_terms():
         assert monomials(to_infix(refinement.equations[name].program, NAMES)) == TERMS[name], name
 
 
+@pytest.mark.slow
 def test_pieces_are_as_long_as_errors_of_the_size_of_the_noise_stay_small():
     lengths = [select_by_laws(with_laws(task_of(1000, noise, trajectories=2))).task.piece for noise in (0.002, 0.05)]
     assert lengths[0] > 1.3 * lengths[1]
@@ -86,6 +87,7 @@ def test_equations_that_a_search_without_noise_has_converged_to_stand_beside_law
             assert monomials(to_infix(program, NAMES)) == TERMS[name], name
 
 
+@pytest.mark.slow
 def test_equations_without_a_law_must_be_exact_for_no_search_around_them():
     texts = ("10*(y - x)", "x*(28 - z) - y", "x*y")
     assert select_by_laws(converged_task(texts, with_law=False)) is None
@@ -118,6 +120,7 @@ def test_one_wrong_law_gives_way_to_another_candidate_and_leaves_the_others_as_t
     assert forms(found.model.programs[:5]) == forms(from_infix(text, RING) for text in TRUTHS.values())
 
 
+@pytest.mark.slow
 def test_the_state_of_a_wrong_law_is_taken_as_smoothed_where_no_other_equation_holds():
     preparation, laws = ring_with_a_wrong_law()
     config = JobConfig(space=SpaceConfig(operators=("+", "-", "*"), variables_of={"x2": ("x3",)}))

@@ -26,6 +26,7 @@ def values(system, point):
     return rate[0].tolist()
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(texts=st.lists(st.sampled_from(TEXTS), min_size=1, max_size=4), order=st.permutations(NAMES))
 def test_the_tape_has_the_values_of_the_programs_wherever_the_variables_stand(texts, order):

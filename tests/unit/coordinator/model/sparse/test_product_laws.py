@@ -65,6 +65,7 @@ def test_only_allowed_variables_and_operators_are_used():
     assert find_laws(problem, preparation.recording, (0, 1, 2), {BY_NAME["sin"].code}) == ()
 
 
+@pytest.mark.slow
 def test_other_functions_that_describe_the_data_as_well_leave_no_lead():
     preparation = prepared(1000, 0.02, trajectories=2)
     wrong, as_well = (from_infix(text, NAMES) for text in ("9*(y - x) + sin(x)", "10*(y - x)*cos(0.001*z)"))
@@ -72,6 +73,7 @@ def test_other_functions_that_describe_the_data_as_well_leave_no_lead():
     assert laws_of(preparation, "x", others=[wrong, as_well])[0].lead < 15.0
 
 
+@pytest.mark.slow
 def test_sums_of_products_are_no_rivals_and_further_libraries():
     preparation = prepared(1000, 0.02, trajectories=2)
     truth = from_infix("10*(y - x)", NAMES)

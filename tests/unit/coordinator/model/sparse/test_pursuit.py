@@ -60,6 +60,7 @@ def test_sums_are_few_and_finite():
         assert np.isfinite(values_of(each, problem.inputs)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [8, 40])
 def test_inputs_that_do_not_vary_have_constant_sums(rows):
     values = np.random.default_rng(1).standard_normal(rows)

@@ -41,6 +41,7 @@ def test_steps_that_are_too_small_for_the_noise_of_others_are_objected_to() -> N
     assert joint_objections(residuals, 2, NAMES, has_noise=True) == []
 
 
+@pytest.mark.slow
 def test_equations_of_a_process_keep_to_bounds_and_have_the_variables_that_they_must_have() -> None:
     """The drift is -x and the variance 0.25 per time, were they free."""
     states = ornstein_uhlenbeck(150, 0.2, seed=2)
@@ -72,6 +73,7 @@ ROWS = np.arange(101.0)
 EXACT = {"a ramp": 2.0 * (0.1 * ROWS), "back and forth": ROWS % 2.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("states", EXACT.values(), ids=[*EXACT])
 def test_exact_tables_have_equations_of_which_none_is_said_to_be_the_law_of_a_process(states: FloatArray) -> None:
     config = JobConfig(data=DataConfig(stochastic=True), space=SpaceConfig(operators=("+", "*")))

@@ -1,6 +1,7 @@
 from collections.abc import Mapping
 
 import numpy as np
+import pytest
 from scipy import linalg
 
 from atoll_coordinator.data.prepare import prepare
@@ -71,6 +72,7 @@ def test_a_table_made_by_euler_and_maruyama_is_taken_for_that() -> None:
     assert abs(values_of(chosen.fitted.model.programs[3], states).mean() - 0.25) < 4.0 * 0.25 * np.sqrt(2.0 / 500.0)
 
 
+@pytest.mark.slow
 def test_a_state_without_noise_of_its_own_has_an_ordinary_equation() -> None:
     states = oscillator(500, 0.1, seed=1)
     chosen = choice_of(states)

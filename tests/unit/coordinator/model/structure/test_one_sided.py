@@ -19,6 +19,7 @@ def test_reaches_are_quantiles_of_a_truncated_normal(slope):
     assert found == {1: pytest.approx(expected, rel=1e-6)}
 
 
+@pytest.mark.slow
 def test_what_takes_long_to_load_is_not_loaded_for_it():
     """scipy.stats takes longer than many a refinement."""
     code = (

@@ -42,6 +42,7 @@ def prepared() -> Prepared:
     return outcome.prepared
 
 
+@pytest.mark.slow
 def test_laws_among_many_variables_are_sought_once_in_a_job_and_are_the_same_after_a_restart(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -76,6 +77,7 @@ def test_what_breaks_says_what_to_send_and_loses_nothing(monkeypatch: pytest.Mon
         assert "\n" not in sentence
 
 
+@pytest.mark.slow
 def test_sentences_that_something_broke_are_made_where_they_are_told_what_to_send() -> None:
     """By `job_tasks` (above) and `breakages`; what an island says, `workers/worker_controller.py` completes."""
     sources = [path for folder in ("common", "coordinator", "island_worker") for path in (ROOT / folder).rglob("*.py")]

@@ -121,6 +121,7 @@ def plain(what: Any) -> Any:
     return type(what), repr(what)
 
 
+@pytest.mark.slow
 def test_what_children_make_is_what_threads_make_to_the_last_bit(pool: ProcessPool) -> None:
     rows = table(DECAY, ([1.0], [-2.0]), 0.1 * np.arange(40.0), noise=0.02, seed=108)
     config = JobConfig(space=SpaceConfig(operators=("-", "*")))
@@ -161,6 +162,7 @@ def test_a_child_that_is_busy_is_not_without_work(tmp_path: Path) -> None:
         until(partial(is_gone, pid))
 
 
+@pytest.mark.slow
 def test_a_child_that_takes_nothing_in_is_ended(tmp_path: Path) -> None:
     with closing(ProcessPool(limit_s=5.0)) as pool:
         os.kill(pool.run("j", strange.pid), signal.SIGSTOP)
@@ -362,6 +364,7 @@ def test_a_job_is_done_whatever_refining_dies_of(pool: ProcessPool, tmp_path: Pa
     assert said.refinement.warnings == (warning,)
 
 
+@pytest.mark.slow
 def test_a_job_fails_when_preparing_it_dies_twice(pool: ProcessPool) -> None:
     said = PreparationFailed(
         "j", "internal", f"preparing the data broke (its process was ended by signal 11 (SIGSEGV), twice){TO_SEND}"

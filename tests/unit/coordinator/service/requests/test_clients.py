@@ -229,6 +229,7 @@ def test_questions_about_unknown_jobs_say_so(clients: ClientRequests) -> None:
         assert failure(clients.answer("ann", Request(body=body))).failure == "unknown-job"
 
 
+@pytest.mark.slow
 def test_twenty_thousand_jobs_are_listed_in_pages_and_found_by_the_beginnings_of_their_ids(tasks: Tasks) -> None:
     with Store.open(None) as store:
         spec = JobConfig().model_dump_json()

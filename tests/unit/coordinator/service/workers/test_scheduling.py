@@ -215,6 +215,7 @@ def test_workers_that_come_later_get_islands_where_others_have_several(scheduler
     assert scheduler.plan(jobs, REPLACE_WITHIN_S).assignments == []
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.sampled_from("abcd"), st.integers(1, 6)), min_size=1, max_size=6), st.integers(1, 4))
 def test_moves_come_to_an_end(placements: list[tuple[str, int]], workers: int) -> None:
     """Wherever archipelagos lie, they are moved a few times at most, and then not again."""

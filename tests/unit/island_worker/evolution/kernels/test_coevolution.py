@@ -118,6 +118,7 @@ def test_the_present_predictor_stays_when_others_are_only_as_good():
     assert arena.coevolution.best[0] == 3
 
 
+@pytest.mark.slow
 @QUICK
 @given(st.integers(0, 2**32 - 1))
 def test_predictors_only_get_better_and_a_change_of_the_measuring_rows_is_told(seed):

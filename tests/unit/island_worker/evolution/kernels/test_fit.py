@@ -55,6 +55,7 @@ def random_inputs(seed, rows=40, variables=2):
     return np.random.default_rng(seed).uniform(0.5, 3.0, (variables, rows))
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs(constants=st.floats(0.3, 3.0)), st.integers(0, MOST_TERMS))
 def test_the_terms_are_those_of_the_definition(program, most):
@@ -65,6 +66,7 @@ def test_the_terms_are_those_of_the_definition(program, most):
     assert number <= max(1, most)
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs(constants=st.floats(0.3, 3.0)), st.integers(1, MOST_TERMS))
 def test_the_output_is_a_combination_of_its_terms(program, most):
@@ -182,6 +184,7 @@ def terms_fitted(terms, target):
     return scale, target - left[0, : rows.length]
 
 
+@pytest.mark.slow
 @QUICK
 @given(st.integers(1, MOST_TERMS), st.integers(6, 50), st.integers(0, 2**32 - 1))
 def test_coefficients_are_those_of_least_squares(number, length, seed):

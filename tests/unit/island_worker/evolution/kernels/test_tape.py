@@ -53,6 +53,7 @@ def long_lists(nodes, seed=5):
     return far, near
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs())
 def test_live_nodes_are_those_that_the_output_depends_on(program):
@@ -80,6 +81,7 @@ def test_the_highest_bit_of_a_word_is_a_node_like_any_other():
     assert marked(list_of(program_of([*nodes, (ADD, 63, 0)])), 0, 2) == [0, 62, 63, 64]
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs())
 def test_a_signature_says_of_each_live_node_its_operator_and_arguments(program):
@@ -94,6 +96,7 @@ def test_a_signature_says_of_each_live_node_its_operator_and_arguments(program):
             assert (signature[1, i] == signature[1, j]) == (meaning[i] == meaning[j])
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs(), ROWS)
 def test_a_tape_holds_the_live_nodes_in_order_and_has_their_values(program, row):
@@ -106,6 +109,7 @@ def test_a_tape_holds_the_live_nodes_in_order_and_has_their_values(program, row)
     np.testing.assert_array_equal(node_values(on_tape, inputs), node_values(program, inputs)[live_nodes(program)])
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs(), ROWS)
 def test_the_canonical_tape_keeps_every_bit_and_has_only_live_and_different_nodes(program, row):
@@ -115,6 +119,7 @@ def test_the_canonical_tape_keeps_every_bit_and_has_only_live_and_different_node
     assert_same_bits(simple, program, row)
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs())
 def test_the_canonical_tape_has_the_complexity_of_the_program(program):
@@ -128,6 +133,7 @@ def test_the_canonical_tape_has_the_complexity_of_the_program(program):
     assert len(canonical(program)) == complexity(program)
 
 
+@pytest.mark.slow
 @QUICK
 @given(programs(), ROWS)
 def test_what_is_canonical_stays_so(program, row):

@@ -28,6 +28,7 @@ def saved(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_json_lists_fixed_points_in_the_order_of_the_states(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["analyse", str(saved), *SIDES, "--parameter", "c1", "--range", "-1:1", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

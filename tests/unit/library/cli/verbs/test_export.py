@@ -95,6 +95,7 @@ def test_what_needs_no_model_is_written_of_a_result_without_one(
     assert "has not found every equation" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["c", "latex", "sympy"])
 def test_the_heading_of_one_group_names_it(saved: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
     found = result({"x": "-0.9*x"}, groups=[{"group": "a\nb", "trajectories": ["1"], "covariance": None}])

@@ -92,6 +92,7 @@ def test_what_has_no_rates_ends_at_once():
     assert integrated(("log(0 - x)", "y"), [1.0, 0.4])[0] == 0
 
 
+@pytest.mark.slow
 def test_elimination_exchanges_rows():
     matrix, right = np.array([[0.0, 2.0, 1.0], [1.0, 0.0, 3.0], [4.0, 5.0, 0.0]]), np.arange(6.0).reshape(3, 2)
     expected = np.linalg.solve(matrix, right)

@@ -293,6 +293,7 @@ def small_fit(precision):
     return fit.system.values, fit.starts, fit.normal, fit.simulated
 
 
+@pytest.mark.slow
 def test_interpreted_kernels_give_the_numbers_of_the_compiled_ones():
     """Not the bits: sine and cosine may be another library's."""
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}

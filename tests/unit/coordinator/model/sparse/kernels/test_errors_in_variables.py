@@ -54,6 +54,7 @@ def test_the_fit_is_the_least_loss():
     assert loss == pytest.approx(loss_of(found, columns, side, products, cross, least, 3.0))
 
 
+@pytest.mark.slow
 def test_measure_takes_the_columns_that_are_kept():
     columns, side, products, cross, least = measured()
     scaled = np.zeros(side.size)

@@ -1,12 +1,14 @@
 """Rows by which laws of many variables are sought."""
 
 import numpy as np
+import pytest
 
 from atoll_coordinator.model.sparse.rates.rate_rows import rate_rows
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.sparse.windows.enzyme import NAMES, prepared
 
 
+@pytest.mark.slow
 def test_as_many_rows_as_a_search_is_given_stand_for_all():
     few, many = (prepared(0.0, runs, 101).recording for runs in (10, 60))
     known = sum(int(np.isfinite(part.rate_errors[0]).sum()) for part in few.trajectories)

@@ -31,6 +31,7 @@ def waves(program):
     return sum(code in (SIN, COS) for code in program.operators.tolist())
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(text=st.sampled_from(TEXTS), powers=st.tuples(st.integers(0, 1), st.integers(0, 1)))
 def test_each_has_nearly_the_values_of_the_original_in_smaller_units_too(text, powers):
