@@ -26,8 +26,8 @@ from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.clients import Jobs, Request
 from atoll_core.wire.messages.handshake import Greeting, Hello
 from atoll_core.wire.messages.workers import CloseJob, Control, Shutdown
-from atoll_core.wire.security.access_control import RoleBindings, read_role_bindings
 from atoll_core.wire.security.credentials import Credentials, load
+from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
 from atoll_island_worker.worker import Worker
 from tests.certificates import Lab
 from tests.integration.test_foreign_messages import AtOnce, wait_until

@@ -2,8 +2,8 @@
 
 ``discover`` has `discover` and `submit`; ``discoverer`` a class with PySINDy's conventions and ``regressor`` one by
 scikit-learn's rules; ``tables`` makes tables of arrays and frames; ``wording`` says errors in the words of Python;
-``notebook`` shows progress there; ``session`` is the service that this interpreter has started, by the command in
-``host``, and keeps.
+``notebook_progress`` shows progress in a notebook; ``session`` is the service that this interpreter has started, by the
+command in ``host``, and keeps.
 
 `discover.discover` -> `session.local_address` -> (process) `host.main` -> `atoll.client`; then `client.Client`.
 """

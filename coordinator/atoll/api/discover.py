@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, Self
 
-from atoll.api.notebook import NotebookDisplay, is_notebook
+from atoll.api.notebook_progress import NotebookDisplay, is_notebook
 from atoll.api.session import check_service, local_address
 from atoll.api.tables import NAME, table_of
 from atoll.api.wording import in_python, python_words
 from atoll.client.client import connected
+from atoll.client.configure import configure
 from atoll.client.follower import Display, Follower
-from atoll.client.job_config import job_config
 from atoll.client.options import OPTIONS
 from atoll.model.model import Model
 from atoll.terminal.progress import is_screen, open_display
@@ -168,7 +168,7 @@ def config_of(options: Mapping[str, Any]) -> JobConfig:
     if unknown is not None:
         advice = _INSTEAD.get(unknown, f"see help(atoll.discover){did_you_mean(unknown, OPTIONS)}")
         raise UsageError(f"{unknown} is no option here; {advice}")
-    return job_config(values, job_file)
+    return configure(values, job_file)
 
 
 def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers: int | None) -> str | Destination:

@@ -10,7 +10,7 @@ from typing import Final
 
 from atoll_core.errors import UsageError
 from atoll_core.wire.addresses import Address, Destination
-from atoll_core.wire.security.access_control import RoleBindings, read_role_bindings
+from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
 
 _EVERYWHERE: Final = ("0.0.0.0", "::")
 _SIOCGIFADDR: Final = 0x8915

@@ -12,7 +12,7 @@ from atoll.cli.ending import ending, exit_code
 from atoll.cli.exit_codes import DONE
 from atoll.cli.options.job_id import job_id
 from atoll.client.client import Client
-from atoll.client.job_config import job_config
+from atoll.client.configure import configure
 from atoll.client.options import OPTIONS, Repeated
 from atoll.terminal.output import as_json, note, say
 from atoll_core.config import JobConfig
@@ -129,7 +129,7 @@ def config_of(options: argparse.Namespace) -> JobConfig:
     """Return the configuration that the options of ``run`` or ``submit`` describe; raises UsageError."""
     given = {name: getattr(options, name) for name in OPTIONS}
     values = {name: Repeated(value) if isinstance(value, list) else value for name, value in given.items()}
-    return job_config(values, options.config)
+    return configure(values, options.config)
 
 
 def _what_is_there(path: Path) -> str:

@@ -1,6 +1,5 @@
-"""A model as people read it: text, LaTeX, MathML, HTML."""
+"""A model as people read it: text, LaTeX, MathML."""
 
-import html as escaping
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from atoll.model.parameters import Parameter
 
 _MATH = '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">'
-_HEADS = ("constant", "value", "standard error", "95 % interval", "equation of")
+CONSTANT_HEADS = ("constant", "value", "standard error", "95 % interval", "equation of")
 
 
 def summary(model: "Model") -> str:
@@ -26,8 +25,8 @@ def summary(model: "Model") -> str:
         if equation.verdict is not None:
             lines.append(f"    {equation.verdict}: {equation.reason}")
     lines += filter(None, [model.remark])
-    rows = [_HEADS, *map(_cells, model.params.values())]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADS))]
+    rows = [CONSTANT_HEADS, *map(constant_cells, model.params.values())]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(CONSTANT_HEADS))]
     if model.params:
         lines.append("")
     lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows if model.params]
@@ -75,26 +74,8 @@ def _mathml_parts(lhs: str, variable: str, expression: str, names: Sequence[str]
     return side, "<mo>=</mo>", to_mathml(from_infix(expression, names), names)
 
 
-def html(model: "Model") -> str:
-    """Return equations, verdicts and a table of constants for a notebook."""
-    parts = [mathml(model)]
-    if model.remark:
-        parts.append(f"<p>{escaping.escape(model.remark)}</p>")
-    for equation in model.equations:
-        if equation.verdict is not None:
-            head, reason = f"{equation.lhs}: {equation.verdict}", equation.reason or ""
-            parts.append(f"<p><b>{escaping.escape(head)}.</b> {escaping.escape(reason)}</p>")
-    if model.params:
-        rows = [_row("th", _HEADS), *(_row("td", _cells(constant)) for constant in model.params.values())]
-        parts.append(f"<table>{''.join(rows)}</table>")
-    return "<div>" + "".join(parts) + "</div>"
-
-
-def _row(kind: str, cells: tuple[str, ...]) -> str:
-    return "<tr>" + "".join(f"<{kind}>{escaping.escape(cell)}</{kind}>" for cell in cells) + "</tr>"
-
-
-def _cells(constant: "Parameter") -> tuple[str, ...]:
+def constant_cells(constant: "Parameter") -> tuple[str, ...]:
+    """Return what is shown of a constant, under `CONSTANT_HEADS`."""
     between = "?" if constant.interval is None else _between(constant.value, *constant.interval)
     error = "?" if constant.stderr is None else f"{constant.stderr:.2g}"
     unit = f" {constant.unit}" if constant.unit not in (None, "1") else ""

@@ -171,7 +171,7 @@ class Shortcuts:
         return f"$\\displaystyle {self.latex()}$"
 
     def _repr_html_(self) -> str:
-        from atoll.display.notation import html
+        from atoll.display.notebook import html
 
         return html(self.itself)
 

@@ -29,7 +29,7 @@ from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, view_of_record
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
-from atoll_coordinator.service.search.ending import Cut
+from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store

@@ -42,7 +42,7 @@ from atoll_core.wire.messages.workers import (
     WorkerStatus,
 )
 from atoll_core.wire.rejects import Rejects
-from atoll_core.wire.security.access_control import RoleBindings
+from atoll_core.wire.security.role_bindings import RoleBindings
 
 _LOG = logging.getLogger(__name__)
 

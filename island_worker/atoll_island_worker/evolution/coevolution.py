@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from atoll_core.expression.kernels.tape import functions_address
-from atoll_island_worker.evolution.kernels.coevolution import most_disputed, train
 from atoll_island_worker.evolution.kernels.generation import REEVALUATION, advance, draw_coevolution, measure_all
 from atoll_island_worker.evolution.kernels.measured_rows import gather
 from atoll_island_worker.evolution.kernels.predictors import judge_all
 from atoll_island_worker.evolution.kernels.random import Stream
+from atoll_island_worker.evolution.kernels.trainers import most_disputed, train
 from atoll_island_worker.evolution.structures import (
     Coevolution,
     Coevolving,

@@ -22,8 +22,8 @@ from atoll_island_worker.evolution import migration
 from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, use_best_predictor
 from atoll_island_worker.evolution.front import Front, FrontUpdater
 from atoll_island_worker.evolution.guesses import begin_with_guesses
-from atoll_island_worker.evolution.kernels.coevolution import train
 from atoll_island_worker.evolution.kernels.generation import OFFSPRING, PARTS, measure_all, random_population
+from atoll_island_worker.evolution.kernels.trainers import train
 from atoll_island_worker.evolution.runners_up import RunnersUp
 from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import Lists, empty_lists

@@ -4,7 +4,7 @@
 - ``worker_session``: all of the worker; one ``shard`` for each archipelago that is placed here under a term.
 - ``local_island``: the states of one island, and when it asks for what it waits for.
 - ``retransmit_buffer``: emigrants, reports and snapshots, kept for those who ask again.
-- ``state_transfer``: the states with which a term begins; ``pending_messages``: mail that came before its placement.
+- ``state_transfer``: the states with which a term begins; ``mail``: the inbox, and what came before its placement.
 
 The life of an epoch: a shard's island is ready, a `RunTask` computes it, its report waits until all islands here have
 reported, its emigrants go to the shards of other workers (`Send`) or into the inbox here. A migrant that arrives is

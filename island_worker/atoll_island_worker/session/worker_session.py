@@ -56,7 +56,7 @@ from atoll_island_worker.session.events import (
     StatesCame,
     Tick,
 )
-from atoll_island_worker.session.pending_messages import PendingMessages
+from atoll_island_worker.session.mail import PendingMessages
 from atoll_island_worker.session.shard import Shard
 
 JobState = Literal["unknown", "loading", "loaded"]

@@ -26,7 +26,8 @@ from atoll_core.wire.bus.inbox import Inbox, Timers
 from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll_core.wire.bus.keys import check_expression, check_key, check_payload
 from atoll_core.wire.messages.limits import MAX_MESSAGE
-from atoll_core.wire.security.access_control import RoleBindings, access_control
+from atoll_core.wire.security.access_control import access_control
+from atoll_core.wire.security.role_bindings import RoleBindings
 from atoll_core.wire.topics import HELLO, ROOT
 
 _WAIT_FOR_PEER_US: Final = 1_000_000

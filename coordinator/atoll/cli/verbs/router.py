@@ -21,8 +21,8 @@ from atoll_core.logs import configure, fields
 from atoll_core.signals import stopping
 from atoll_core.wire.addresses import Destination, destination, parse_address
 from atoll_core.wire.connect_file import announced
-from atoll_core.wire.security.access_control import RoleBindings
 from atoll_core.wire.security.credentials import credentials_of
+from atoll_core.wire.security.role_bindings import RoleBindings
 
 if TYPE_CHECKING:
     from atoll_core.wire.bus.zenoh_bus import ZenohBus

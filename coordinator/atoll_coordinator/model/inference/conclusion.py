@@ -49,7 +49,7 @@ from atoll_coordinator.model.selection.joint_search import ModellingTask, Select
 from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem, round_shown, round_system
 from atoll_coordinator.model.selection.shortcut import longest, predictable_rows
-from atoll_coordinator.model.shooting.lyapunov import growth_rate, speed_growth
+from atoll_coordinator.model.shooting.error_growth import growth_rate, speed_growth
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import SharedNumber
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit

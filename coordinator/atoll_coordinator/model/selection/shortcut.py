@@ -19,7 +19,7 @@ from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel, exchange, ranked_candidates
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.stretches import in_stretches
-from atoll_coordinator.model.shooting.lyapunov import growth_rate
+from atoll_coordinator.model.shooting.error_growth import growth_rate
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.sparse.product_laws import find_all_laws
 from atoll_coordinator.settings import SETTINGS

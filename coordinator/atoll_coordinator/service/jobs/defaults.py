@@ -4,7 +4,7 @@ from typing import Final
 
 from atoll_coordinator.data.prior_knowledge import resolve_prior
 from atoll_coordinator.data.recording import STENCIL_ROWS, Recording, Source
-from atoll_coordinator.service.search.collector import Stagnation
+from atoll_coordinator.service.search.ending import Stagnation
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Target
 

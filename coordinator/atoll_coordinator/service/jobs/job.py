@@ -8,10 +8,12 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import count_constants, front_length
 from atoll_coordinator.model.refinement import LawsByGroup, Pool, Refinement
 from atoll_coordinator.service.jobs.defaults import independent_rows, stagnation_of
+from atoll_coordinator.service.jobs.time_limit import TimeLimit
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
-from atoll_coordinator.service.search.collector import DivergedError, Limits, Measure
-from atoll_coordinator.service.search.ending import Cut
+from atoll_coordinator.service.search.collector import DivergedError, Measure
+from atoll_coordinator.service.search.cut import Cut
+from atoll_coordinator.service.search.ending import Limits
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Target
@@ -22,9 +24,6 @@ from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.limits import chunk_count
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
 from atoll_core.wire.messages.workers import Commit, EpochReport, JobAnnouncement
-
-SEARCH_SHARE: Final = 0.5
-"""Share of what preparing leaves of `--max-time` that the search may take: refining takes about as long."""
 
 _NOT_REFINED: Final = (
     "before refining had ended: equations are as the search found them, their constants fitted to derivatives."
@@ -235,20 +234,22 @@ class Job:
         return self._after_epoch(archipelago, now) if advanced else self._publish_due_commit(archipelago)
 
     def tick(self, now: float) -> list[JobAction]:
-        """Let time pass: `--max-time` ends preparing, cuts the search and ends refining.
+        """Let time pass: `--max-time` ends preparing, cuts the search and ends refining (`TimeLimit`).
 
-        The search may take its share of what preparing has left, and is cut at each variable's last completely
-        reported epoch. Where refining has not ended in time, equations are as the search found them.
+        The search is cut at each variable's last completely reported epoch. Where refining has not ended in time,
+        equations are as the search found them.
         """
-        limit, spent = self.config.budget.max_time, self.spent_seconds(now)
-        if limit is None:
+        if not self._time_limit.is_up(self.state, self.spent_seconds(now), self.preparation_seconds):
             return []
-        if self.state == "preparing" and spent >= limit:
+        if self.state == "preparing":
             return self.fail("data", _NOTHING_PREPARED)
-        if self.state == "refining" and spent >= limit:
+        if self.state == "refining":
             return self.finish(Refinement(warnings=(OUT_OF_TIME,), end="not refined"))
-        search_end = self.preparation_seconds + SEARCH_SHARE * max(0.0, limit - self.preparation_seconds)
-        return self._cut_search(now) if self.state == "running" and spent >= search_end else []
+        return self._cut_search(now)
+
+    @property
+    def _time_limit(self) -> TimeLimit:
+        return TimeLimit(self.config.budget.max_time)
 
     def _cut_search(self, now: float) -> list[JobAction]:
         open_ones = self.open_archipelagos
@@ -328,7 +329,7 @@ class Job:
     def _refine_if_cut(self, now: float) -> list[JobAction]:
         if self.open_archipelagos:
             return []
-        limit, self.spent_before_refining = self.config.budget.max_time, self.spent_seconds(now)
+        self.spent_before_refining = self.spent_seconds(now)
         self.refining_since = now
         self._step("searched")
         pools = {
@@ -336,7 +337,7 @@ class Job:
             for name, archipelago in self.archipelagos.items()
             if archipelago.cut is not None
         }
-        return [Refine(pools, None if limit is None else max(0.0, limit - self.spent_before_refining))]
+        return [Refine(pools, self._time_limit.remaining(self.spent_before_refining))]
 
 
 def commit_order_of(config: JobConfig) -> CommitOrder:

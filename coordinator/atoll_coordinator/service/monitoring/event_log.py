@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.search.archipelago import ArchipelagoKey, Checkpoint
-from atoll_coordinator.service.search.ending import Cut
+from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.store import Store
 from atoll_core.logs import fields

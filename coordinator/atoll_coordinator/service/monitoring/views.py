@@ -15,7 +15,8 @@ from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job, Prepared
 from atoll_coordinator.service.jobs.queue import Line
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.ending import Improvement, Why
+from atoll_coordinator.service.search.cut import Improvement
+from atoll_coordinator.service.search.ending import Why
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_core import VERSION
 from atoll_core.config import JobConfig

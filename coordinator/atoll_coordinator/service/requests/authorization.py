@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 from atoll_core.wire.messages.clients import Cancel, Delete, Request
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.security.access_control import Role, RoleBindings
+from atoll_core.wire.security.role_bindings import Role, RoleBindings
 
 _MAY: Final[dict[Role, str]] = {
     "coordinator": "serve",

@@ -15,8 +15,9 @@ from atoll_coordinator.service.search.checkpoint_schedule import (
     interval_of,
     schedule_after,
 )
-from atoll_coordinator.service.search.collector import Collector, Limits, Measure, SearchState
-from atoll_coordinator.service.search.ending import Cut
+from atoll_coordinator.service.search.collector import Collector, Measure, SearchState
+from atoll_coordinator.service.search.cut import Cut
+from atoll_coordinator.service.search.ending import Limits
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.workers import (
     AssignmentStatus,

@@ -6,7 +6,7 @@ from typing import Annotated, Final
 from pydantic import Field
 
 from atoll_coordinator.service.search.collector import SearchState
-from atoll_coordinator.service.search.ending import Convergence, CutEntry, entries, stored
+from atoll_coordinator.service.search.cut import Convergence, CutEntry, entries, stored
 from atoll_core import ENGINE_REVISION
 from atoll_core.config import Frozen
 from atoll_core.wire.messages.workers import Placement, PullStates, States

@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from atoll_coordinator.service.search.ending import Convergence, Cut, Improvement, Why, stored
+from atoll_coordinator.service.search.cut import Convergence, Cut, Improvement, stored
+from atoll_coordinator.service.search.ending import Limits, Why, end_of
 from atoll_core.errors import AtollError, RemoteProtocolError
-from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.search.commit_order import Position
 from atoll_core.search.pareto import FrontEntry, merge, runners_up
 from atoll_core.wire.messages.workers import Addition, IslandReport
 
@@ -26,37 +27,6 @@ Measure = Callable[[tuple[FrontEntry, ...]], float]
 
 class DivergedError(AtollError):
     """Raised when two workers report different states of the same island and generation, which purity rules out."""
-
-
-@dataclass(frozen=True, slots=True)
-class Stagnation:
-    """After how many epochs without improvement a search ends.
-
-    These are `epochs`; if it `grows`, as many as had gone by with the last improvement, where that is more: what takes
-    the longer to get better is waited for the longer.
-    """
-
-    epochs: int
-    grows: bool = False
-
-    def is_due(self, epoch: int, improved_at: int) -> bool:
-        """Tell whether a search ends with `epoch` that has last improved in the epoch `improved_at`, both from 0."""
-        return epoch - improved_at >= (max(self.epochs, improved_at + 1) if self.grows else self.epochs)
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """When an archipelago ends by itself: epochs at most, epochs without improvement; and what counts at a hit.
-
-    `runners_up` are kept of each complexity. `has_law` ends it after the first epoch, which is for comparison.
-    """
-
-    islands: int
-    epochs: int
-    stagnation: Stagnation
-    commit_order: CommitOrder
-    runners_up: int = 0
-    has_law: bool = False
 
 
 @dataclass(slots=True)
@@ -248,7 +218,7 @@ class Collector:
         return [(epoch, island) for island in range(self.limits.islands) if (epoch, island) in self._filed]
 
     def _merge_epoch(self, epoch: int, seconds: float) -> None:
-        """Merge one complete epoch as far as it counts, then ask the rules of ending in their order."""
+        """Merge one complete epoch as far as it counts, then ask whether the search ends."""
         hit = self._hit(epoch)
         counted = [(report, self._needed(hit, report.island)) for report in self._release(epoch)]
         state = self.state
@@ -295,16 +265,9 @@ class Collector:
             self.state.improved_at = epoch
 
     def _end_if_due(self, epoch: int, hit: Position | None) -> None:
-        if hit is not None:
-            self._end("target", epoch * self.limits.commit_order.generations + hit.generation)
-        elif self.limits.has_law:
-            self._end("law")
-        elif self.limits.stagnation.is_due(epoch, self.state.improved_at):
-            self._end("stagnation")
-        elif epoch + 1 >= self.limits.epochs:
-            self._end("max-epochs")
-        elif self._pending is not None:
-            self._end(self._pending)
+        why = end_of(self.limits, epoch, self.state.improved_at, hit, self._pending)
+        if why is not None:
+            self._end(why, epoch * self.limits.commit_order.generations + hit.generation if hit is not None else None)
 
     def _end(self, why: Why, generation: int | None = None) -> None:
         state = self.state

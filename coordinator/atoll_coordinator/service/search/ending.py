@@ -1,90 +1,59 @@
-"""A cut: where the search of one equation ended and what it had found there. Durable once it is committed."""
+"""What ends the search of one equation: its target, a law, epochs without improvement, their number, or an order.
 
-from collections.abc import Mapping
-from typing import Annotated, Literal
+The end itself, and what had been found there, is a `cut`.
+"""
 
-from pydantic import Field
+from dataclasses import dataclass
+from typing import Literal
 
-from atoll_coordinator.model.refinement import Pool
-from atoll_core.config import Frozen
-from atoll_core.search.pareto import FrontEntry
+from atoll_core.search.commit_order import CommitOrder, Position
 
 Why = Literal["target", "law", "stagnation", "max-epochs", "max-time", "cancelled"]
 
 
-class CutEntry(Frozen):
-    """A `atoll_core.search.pareto.FrontEntry` as it is stored."""
+@dataclass(frozen=True, slots=True)
+class Stagnation:
+    """After how many epochs without improvement a search ends.
 
-    complexity: int
-    error: float
-    mse: float
-    epoch: int
-    generation: int
-    island: int
-    program: bytes
-
-
-class Improvement(Frozen):
-    """A `generation`, counted from the start of the search, in which an island found a lower `error` than before."""
-
-    generation: int
-    error: float
-
-
-class Convergence(Frozen):
-    """The improvements of one island, by rising generation and falling error."""
-
-    island: int
-    improvements: tuple[Improvement, ...]
-
-    @classmethod
-    def of(cls, improvements: Mapping[int, tuple[Improvement, ...]]) -> "tuple[Convergence, ...]":
-        """Return those of several islands, by their numbers."""
-        return tuple(cls(island=island, improvements=improvements[island]) for island in sorted(improvements))
-
-
-class Cut(Frozen):
-    """The end of one archipelago.
-
-    `epochs` are counted, so the last one is `epochs` - 1; `generation`, counted from the start of the search, is the
-    one that met the target (None: it was not met, and the last epoch counts to its end); `evaluations` are point
-    evaluations by part of all islands up to the cut; `seconds` run from the first epoch's start to the end of the last
-    slice that counts; `runners_up` are what was kept beside the front (`atoll_core.search.pareto.runners_up`);
-    `convergence` is that of each island.
+    These are `epochs`; if it `grows`, as many as had gone by with the last improvement, where that is more: what takes
+    the longer to get better is waited for the longer.
     """
 
-    variable: str
-    epochs: Annotated[int, Field(ge=0)]
-    generation: Annotated[int, Field(ge=0)] | None
-    why: Why
-    front: tuple[CutEntry, ...]
-    evaluations: dict[str, int]
-    seconds: float
-    runners_up: tuple[CutEntry, ...] = ()
-    convergence: tuple[Convergence, ...] = ()
+    epochs: int
+    grows: bool = False
 
-    def entries(self) -> tuple[FrontEntry, ...]:
-        """Return the front."""
-        return entries(self.front)
-
-    def pool(self) -> Pool:
-        """Return the front and the runners-up."""
-        return Pool(entries(self.front), entries(self.runners_up))
+    def is_due(self, epoch: int, improved_at: int) -> bool:
+        """Tell whether a search ends with `epoch` that has last improved in the epoch `improved_at`, both from 0."""
+        return epoch - improved_at >= (max(self.epochs, improved_at + 1) if self.grows else self.epochs)
 
 
-def entries(stored: tuple[CutEntry, ...]) -> tuple[FrontEntry, ...]:
-    """Return front members that were stored."""
-    return tuple(FrontEntry(**entry.model_dump()) for entry in stored)
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When an archipelago ends by itself: epochs at most, epochs without improvement; and what counts at a hit.
+
+    `runners_up` are kept of each complexity. `has_law` ends it after the first epoch, which is for comparison.
+    """
+
+    islands: int
+    epochs: int
+    stagnation: Stagnation
+    commit_order: CommitOrder
+    runners_up: int = 0
+    has_law: bool = False
 
 
-def stored(entry: FrontEntry) -> CutEntry:
-    """Return a front member as it is stored."""
-    return CutEntry(
-        complexity=entry.complexity,
-        error=entry.error,
-        mse=entry.mse,
-        epoch=entry.epoch,
-        generation=entry.generation,
-        island=entry.island,
-        program=entry.program,
-    )
+def end_of(limits: Limits, epoch: int, improved_at: int, hit: Position | None, ordered: Why | None) -> Why | None:
+    """Return why a search ends with `epoch`, which all islands have reported; None if it goes on.
+
+    The front last improved in the epoch `improved_at`, and the target was met at `hit`, if at all. `ordered` is an end
+    from outside, by time, that waited for a first epoch.
+    """
+    if hit is not None:
+        return "target"
+    if limits.has_law:
+        return "law"
+    if limits.stagnation.is_due(epoch, improved_at):
+        return "stagnation"
+    if epoch + 1 >= limits.epochs:
+        return "max-epochs"
+    return ordered

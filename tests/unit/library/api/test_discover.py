@@ -11,7 +11,7 @@ import pytest
 from atoll.api import discover
 from atoll.api.discover import config_of
 from atoll.cli.options.parser import build_parser, parse
-from atoll.cli.request import config_of as job_config
+from atoll.cli.request import config_of as configure
 from atoll_core.errors import RefusedError, UsageError
 from atoll_core.wire.messages.views import JobView
 from tests.unit.library.model.results import result
@@ -41,7 +41,7 @@ from tests.unit.library.model.results import result
     ],
 )
 def test_keywords_are_the_options_of_run(options: dict, words: list[str]) -> None:
-    assert config_of(options) == job_config(parse(["run", "data", *words]))
+    assert config_of(options) == configure(parse(["run", "data", *words]))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from atoll_coordinator.service.jobs.defaults import (
     resolve,
     stagnation_of,
 )
-from atoll_coordinator.service.search.collector import Stagnation
+from atoll_coordinator.service.search.ending import Stagnation
 from atoll_core.config import PAPER, BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset, Target
 

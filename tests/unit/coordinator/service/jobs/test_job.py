@@ -21,8 +21,9 @@ from atoll_coordinator.service.jobs.job import (
     measure_of,
 )
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
-from atoll_coordinator.service.search.collector import SearchState, Stagnation
-from atoll_coordinator.service.search.ending import Cut, stored
+from atoll_coordinator.service.search.collector import SearchState
+from atoll_coordinator.service.search.cut import Cut, stored
+from atoll_coordinator.service.search.ending import Stagnation
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.data.dataset import Dataset, Target

@@ -4,7 +4,7 @@ import pytest
 
 from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
-from atoll_coordinator.service.search.collector import Limits, Stagnation
+from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.workers import (

@@ -20,7 +20,7 @@ from atoll_coordinator.service.search.checkpoint_schedule import (
     schedule_after,
 )
 from atoll_coordinator.service.search.collector import SearchState
-from atoll_coordinator.service.search.ending import Improvement
+from atoll_coordinator.service.search.cut import Improvement
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.search.pareto import FrontEntry

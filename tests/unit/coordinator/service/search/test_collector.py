@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll_coordinator.service.search.collector import Collector, DivergedError, Limits, Stagnation, additions_of
-from atoll_coordinator.service.search.ending import Cut
+from atoll_coordinator.service.search.collector import Collector, DivergedError, additions_of
+from atoll_coordinator.service.search.cut import Cut
+from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.search.pareto import FrontEntry, merge

@@ -5,7 +5,8 @@ import pytest
 from atoll_coordinator.service.search import pull_budget as module
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
-from atoll_coordinator.service.search.collector import Limits, SearchState, Stagnation
+from atoll_coordinator.service.search.collector import SearchState
+from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_coordinator.service.search.pull_budget import MAX_PULLS, PullBudget
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.limits import CHUNK_SIZE

@@ -1,7 +1,7 @@
 """Longer leases for workers whose work is slow."""
 
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.collector import Limits, Stagnation
+from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_coordinator.service.workers.lease_backoff import MAX_FACTOR, LeaseBackoff
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.workers import Placement

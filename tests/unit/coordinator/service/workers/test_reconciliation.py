@@ -7,7 +7,7 @@ import pytest
 
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.collector import Limits, Stagnation
+from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_coordinator.service.workers.reconciliation import Correction, corrections
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.workers import (

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.collector import Limits, Stagnation
+from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import ABSENCE_S, Membership

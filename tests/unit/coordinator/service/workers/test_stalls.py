@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.collector import Limits, Stagnation
+from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.service.workers.stalls import PATIENCE_S, StallDetector, named, stall_of
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from atoll_core.expression.kernels.tape import functions_address
 from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, renew_trainer, use_best_predictor
-from atoll_island_worker.evolution.kernels.coevolution import most_disputed, train
 from atoll_island_worker.evolution.kernels.generation import COEVOLUTION, PARTS
 from atoll_island_worker.evolution.kernels.measured_rows import gather, padded_rows
 from atoll_island_worker.evolution.kernels.predictors import judge, judge_all, predictor_generation
+from atoll_island_worker.evolution.kernels.trainers import most_disputed, train
 from atoll_island_worker.evolution.structures import Coevolving, Fit, empty_rows, empty_scratch
 from tests.oracles import coevolution as oracle
 from tests.oracles import variation

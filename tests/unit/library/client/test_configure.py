@@ -6,14 +6,14 @@ import pytest
 
 from atoll.cli.options.job_id import job_id
 from atoll.cli.options.parser import parse
-from atoll.cli.request import config_of as job_config
+from atoll.cli.request import config_of as configure
 from atoll.client.options import epochs, names, seconds
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.errors import Field, UsageError
 
 
 def config_of(line: str) -> JobConfig:
-    return job_config(parse(["run", "data.csv", *line.split()]))
+    return configure(parse(["run", "data.csv", *line.split()]))
 
 
 def test_without_options_the_job_is_the_default_preset() -> None:

@@ -19,7 +19,7 @@ from atoll_core.expression.operators import BY_NAME
 from atoll_core.hints import did_you_mean
 
 
-def job_config(values: Mapping[str, Any], job_file: str | PathLike[str] | None = None) -> JobConfig:
+def configure(values: Mapping[str, Any], job_file: str | PathLike[str] | None = None) -> JobConfig:
     """Return the configuration that the values of options describe, by name; raises UsageError.
 
     None and False say that an option is not given.

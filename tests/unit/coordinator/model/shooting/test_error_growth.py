@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.shooting.lyapunov import growth_rate
+from atoll_coordinator.model.shooting.error_growth import growth_rate
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of

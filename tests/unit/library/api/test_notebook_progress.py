@@ -6,7 +6,7 @@ from types import ModuleType
 import pytest
 
 from atoll.api.discover import _opened
-from atoll.api.notebook import NotebookDisplay
+from atoll.api.notebook_progress import NotebookDisplay
 from atoll_core.wire.messages.views import JobView
 
 VIEW = JobView(
