@@ -42,7 +42,6 @@ from benchmarks.paper.figure1_runs import (
     pairs,
     run,
 )
-from benchmarks.paper.readings_runs import CHOSEN
 
 
 def draw(path: Path, functions: Sequence[Run], both: Sequence[tuple[Run, Run]]) -> None:
@@ -145,7 +144,7 @@ def _shown(its: Mean) -> str:
     option("--targets", type=whole, default=500, help="random targets (%(default)s)"),
     option("--generations", type=whole, default=6000, help="of a run, at most (%(default)s)"),
     option("--rows", type=whole, default=200, help="points of a target (%(default)s)"),
-    option("--reading", default=CHOSEN, help="of the paper, see benchmarks.paper.readings (%(default)s)"),
+    option("--reading", default="paper", help="of the paper, see benchmarks.paper.readings (%(default)s)"),
     *run_options(),
 )
 def main(options: Namespace) -> int:

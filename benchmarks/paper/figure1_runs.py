@@ -19,7 +19,7 @@ from atoll_island_worker.evolution.island import Island
 from benchmarks.paper.archipelago import problem_of
 from benchmarks.paper.population import Population, population
 from benchmarks.paper.random_targets import random_targets
-from benchmarks.paper.readings_runs import CHOSEN, config_of
+from benchmarks.paper.readings_runs import config_of
 
 Arm = Literal["predictors", "all rows"]
 ARMS: Final[tuple[Arm, Arm]] = ("predictors", "all rows")
@@ -49,7 +49,7 @@ class Task:
     targets: int
     generations: int
     rows: int
-    reading: str = CHOSEN
+    reading: str = "paper"
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Readings of the paper: under which of them do its published figures come out?
 
-``python -m benchmarks.paper.readings --reading first --reading log+fixed --resume readings.jsonl`` runs rows of Table I
+``python -m benchmarks.paper.readings --reading paper --reading seldom+scaled --resume runs.jsonl`` runs rows of Table I
 and equations of Table III under each reading (`benchmarks.paper.readings_runs`), one island after the other in this
 process, on several processes. A run of Table III has converged when an equation on its front has the right form with
 constants within 1 %, one of Table I when its error at 1,000 fresh points is below 1e-6; nothing is refined. The journal

@@ -4,19 +4,16 @@ Two presets: ``default`` (all of Atoll's additions) and ``paper`` (Table II of S
 Fields left ``None`` are resolved from the data when the job is prepared, see `atoll_coordinator.service`.
 """
 
-from collections.abc import Sequence
-from typing import Annotated, Any, Final, Literal, Self
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema
 
 Preset = Literal["default", "paper"]
 Loss = Literal["mae", "rmse"]
-ConstantSteps = Literal["relative", "normal", "log-uniform", "log-uniform relative"]
-Arguments = Literal["any node", "terminal or operator"]
-MutationUnit = Literal["node", "list"]
+ConstantSteps = Literal["relative", "log-uniform"]
 Agreement = Literal["difference", "relative"]
-CrowdingDistance = Literal["live nodes", "live nodes and constants", "all nodes", "outputs"]
 
 PAPER_TERMINALS = 7
 TERMINALS_BEYOND_VARIABLES = 5
@@ -48,6 +45,17 @@ class Frozen(BaseModel):
         schema = handler(source)
         _fail_fast(schema)
         return schema
+
+
+def _without(retired: Mapping[str, object]) -> Callable[[object], object]:
+    """Return what drops options that are gone where a file of an earlier version gives what is always done now."""
+
+    def drop(data: object) -> object:
+        if not isinstance(data, dict):
+            return data
+        return {name: value for name, value in data.items() if name not in retired or retired[name] != value}
+
+    return drop
 
 
 class Angle(Frozen):
@@ -94,10 +102,6 @@ class SpaceConfig(Frozen):
         default_factory=dict, description="per equation, the variables that it must have"
     )
     terminals: PositiveInt | None = Field(None, description="first nodes of a list; None: max(7, variables + 5)")
-    fixed_terminals: bool = Field(
-        False, description="the terminals are each variable once and constants; else each is drawn"
-    )
-    arguments: Arguments = Field("any node", description="what an argument is drawn from: earlier nodes")
     operator_nodes: Annotated[int, Field(ge=1, le=100)] = 25
     max_size: Annotated[int, Field(ge=1, le=120)] | None = Field(None, description="largest complexity on the front")
 
@@ -136,10 +140,7 @@ class EvolutionConfig(Frozen):
     islands: Annotated[int, Field(ge=1, le=1024)] = 8
     population: Annotated[int, Field(ge=4, le=4096, multiple_of=2)] = 64
     crossover: Probability = 0.75
-    mutation: Probability = Field(0.05, description="per node, or per list, of which one node is then changed")
-    mutation_unit: MutationUnit = "node"
-    crowding_distance: CrowdingDistance = Field("live nodes", description="what tells children and parents apart")
-    ties_replace: bool = Field(True, description="a child that is as good as its parent takes its place")
+    mutation: Probability = Field(0.05, description="per node")
     loss: Loss = "mae"
     constant_fit_steps: Annotated[int, Field(ge=0, le=100)] = Field(4, description="Levenberg-Marquardt steps a child")
     constant_fit_gate: Annotated[float, Field(gt=0.0)] = Field(
@@ -153,13 +154,6 @@ class EvolutionConfig(Frozen):
     runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
         None, description="next best of each complexity kept beside the front; None: 0, or 8 with noisy targets"
     )
-
-    @model_validator(mode="after")
-    def _compare_outputs_as_they_stand(self) -> Self:
-        """What a fit leaves of the target is not kept of each trial, so that outputs are known without fits only."""
-        if self.crowding_distance == "outputs" and (self.constant_fit_steps or self.linear_terms):
-            raise ValueError("crowding_distance is outputs, which needs constant_fit_steps 0 and linear_terms 0")
-        return self
 
 
 class PredictorConfig(Frozen):
@@ -199,9 +193,14 @@ class JobConfig(Frozen):
     preset: Preset = "default"
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     data: DataConfig = DataConfig()
-    space: SpaceConfig = SpaceConfig()
+    space: Annotated[SpaceConfig, BeforeValidator(_without({"fixed_terminals": False, "arguments": "any node"}))] = (
+        SpaceConfig()
+    )
     prior: PriorConfig = PriorConfig()
-    evolution: EvolutionConfig = EvolutionConfig()
+    evolution: Annotated[
+        EvolutionConfig,
+        BeforeValidator(_without({"mutation_unit": "node", "crowding_distance": "live nodes", "ties_replace": True})),
+    ] = EvolutionConfig()
     predictors: PredictorConfig = PredictorConfig()
     migration: MigrationConfig = MigrationConfig()
     budget: BudgetConfig = BudgetConfig()

@@ -1,13 +1,11 @@
 """Slow, obvious versions of variation and selection, by sets and Python's own lists."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from atoll_core.expression.kernels.tape import LANES
 from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE
 from atoll_core.search.seeding import Stream
 from atoll_island_worker.evolution.structures import Lists, Space
@@ -58,41 +56,6 @@ def distance(one: Sequence[Node], two: Sequence[Node]) -> int:
     return sum(a != b for a, b in zip(seen(one), seen(two), strict=True))
 
 
-def distance_with_constants(one: Sequence[Node], two: Sequence[Node]) -> int:
-    """Return the same where nodes that are live constants in both lists differ by their values, too."""
-    both = [i for i in live_of(one) & live_of(two) if one[i][0] == two[i][0] == CONSTANT]
-    return distance(one, two) + sum(one[i][3] != two[i][3] for i in both)
-
-
-def distance_of_all_nodes(one: Sequence[Node], two: Sequence[Node]) -> int:
-    """Return how many nodes, live or dead, differ in operator or one of both arguments."""
-    return sum(a[:3] != b[:3] for a, b in zip(one, two, strict=True))
-
-
-DISTANCES = (distance, distance_with_constants, distance_of_all_nodes)
-"""By their number in a space."""
-
-
-def are_straight(first: Values, second: Values, one: Values, two: Values) -> bool:
-    """Return whether children face the parents they began as, by what parents and children leave of the target.
-
-    Equal sums are common, so that they are rounded as the kernel's: blocks in order, a block's lanes by a tree.
-    """
-
-    def apart(a: Values, b: Values) -> float:
-        magnitudes = np.abs(a - b)
-        blocks = np.pad(magnitudes, (0, -len(magnitudes) % LANES)).reshape(-1, LANES)
-        total = 0.0
-        for block in blocks:
-            x = block
-            while len(x) > 1:
-                x = x[: len(x) // 2] + x[len(x) // 2 :]
-            total += float(x[0])
-        return total if math.isfinite(total) else math.inf
-
-    return apart(first, one) + apart(second, two) <= apart(first, two) + apart(second, one)
-
-
 def is_same(one: Sequence[Node], two: Sequence[Node]) -> bool:
     """Return whether two lists compute the same: the same live nodes, with the same constants."""
     return distance(one, two) == 0 and all(one[i][3] == two[i][3] for i in live_of(one) if one[i][0] == CONSTANT)
@@ -119,26 +82,17 @@ class Member:
     fitness: float
 
 
-def survivors(
-    parents: tuple[Member, Member],
-    children: tuple[Member, Member],
-    kind: int = 0,
-    ties: int = 1,
-    is_straight: bool | None = None,
-) -> tuple[Member, Member]:
+def survivors(parents: tuple[Member, Member], children: tuple[Member, Member]) -> tuple[Member, Member]:
     """Return who has the two places after deterministic crowding: a child no worse than the parent it resembles.
 
-    The children are paired with the parents so that the distances, of that kind, add up to less; a tie goes uncrossed.
-    Without `ties` a child must be better. `is_straight`, if given, says how they are paired.
+    The children are paired with the parents so that the distances add up to less; a tie goes uncrossed.
     """
     one, two = parents
-    between = DISTANCES[kind]
-    straight = between(one.nodes, children[0].nodes) + between(two.nodes, children[1].nodes)
-    across = between(one.nodes, children[1].nodes) + between(two.nodes, children[0].nodes)
-    rivals = children if (straight <= across if is_straight is None else is_straight) else children[::-1]
+    straight = distance(one.nodes, children[0].nodes) + distance(two.nodes, children[1].nodes)
+    across = distance(one.nodes, children[1].nodes) + distance(two.nodes, children[0].nodes)
+    rivals = children if straight <= across else children[::-1]
     winners = [
-        child if child.fitness < parent.fitness or (ties and child.fitness == parent.fitness) else parent
-        for parent, child in zip(parents, rivals, strict=True)
+        child if child.fitness <= parent.fitness else parent for parent, child in zip(parents, rivals, strict=True)
     ]
     return winners[0], winners[1]
 

@@ -9,10 +9,10 @@ from typing import Any, get_args
 import numpy as np
 
 from atoll_core.compilation.jit import entry_point
-from atoll_core.config import Arguments, ConstantSteps, CrowdingDistance, JobConfig, MutationUnit
+from atoll_core.config import ConstantSteps, JobConfig
 from atoll_core.data.dataset import FloatArray, Problem, Target
 from atoll_core.errors import LocalProtocolError
-from atoll_core.expression.kernels.tape import functions_address, padded
+from atoll_core.expression.kernels.tape import functions_address
 from atoll_core.expression.operators import COS, SIN
 from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.search.pareto import FrontEntry
@@ -86,10 +86,7 @@ class IslandSetup:
             threading.get_ident(), evolution.population, self.space.nodes, variables, self.sample, rows
         )
         # What stays known of the population from one call to the next is the island's own: islands take turns.
-        self.scratch = shared._replace(
-            settled=np.zeros(evolution.population, np.bool_),
-            outputs=np.zeros((evolution.population + 2, padded(self.sample) if self.space.distance == 3 else 0)),
-        )
+        self.scratch = shared._replace(settled=np.zeros(evolution.population, np.bool_))
         self._entries: dict[Callable[..., Any], Callable[..., Any]] = {}
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -171,11 +168,6 @@ def _space(problem: Problem, config: JobConfig) -> Space:
         mutation=evolution.mutation,
         steps=get_args(ConstantSteps).index(evolution.constant_steps),
         moves=evolution.constant_moves,
-        fixed=int(config.space.fixed_terminals),
-        arguments=get_args(Arguments).index(config.space.arguments),
-        unit=get_args(MutationUnit).index(evolution.mutation_unit),
-        distance=get_args(CrowdingDistance).index(evolution.crowding_distance),
-        ties=int(evolution.ties_replace),
     )
 
 

@@ -48,19 +48,9 @@ class Space(NamedTuple):
     crossover: float
     mutation: float
     steps: int = 0
-    """How a constant is moved, see `variation`."""
+    """How a constant is moved, see `variation`: 0: relative steps, 1: log-uniform ones."""
     moves: float = 0.5
     """Share of mutated constants that are moved; the others are drawn anew."""
-    fixed: int = 0
-    """1: the first terminals are the variables, one each, and the others constants."""
-    unit: int = 0
-    """What `mutation` is the probability of: 0: a change of each node, 1: a change of one node of the list."""
-    distance: int = 0
-    """What crowding compares: 0: live nodes, 1: live nodes with the values of constants, 2: all nodes, 3: outputs."""
-    arguments: int = 0
-    """0: an argument is any earlier node; 1: a terminal or an operator node, with equal odds."""
-    ties: int = 1
-    """1: a child as good as its parent replaces it; 0: only a better one."""
 
 
 class Fit(NamedTuple):
@@ -215,11 +205,6 @@ class Scratch(NamedTuple):
     settled: Booleans
     """(P,) of the island under way: no further step would change the individual's constants."""
     children: Lists
-    outputs: Floats
-    """(P + 2, padded rows) of the island under way: target less output of each individual and of the two children on
-    the predictor's rows; (P + 2, 0) where crowding does not compare outputs."""
-    measured: Ints
-    """(2,) row of `outputs` that belongs to each child."""
     child_loss: Floats
     child_settled: Booleans
     signature: Ints
@@ -308,8 +293,6 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
         order=np.zeros(population, np.int64),
         settled=np.zeros(population, np.bool_),
         children=empty_lists(2, nodes),
-        outputs=np.zeros((population + 2, 0)),
-        measured=np.zeros(2, np.int64),
         child_loss=np.zeros(2),
         child_settled=np.zeros(2, np.bool_),
         signature=np.zeros((population + 2, nodes), np.int64),

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from atoll_core.compilation.jit import inlined, kernel
-from atoll_core.expression.kernels.lanes import LANES, add_scaled, copy, move, place, total_magnitude
+from atoll_core.expression.kernels.lanes import move
 from atoll_core.expression.kernels.tape import Int, forward
 from atoll_core.expression.operators import CONSTANT, VARIABLE
 from atoll_island_worker.evolution.kernels.fit import collect_terms, fit, measure_plainly, residual_of
@@ -19,8 +19,6 @@ from atoll_island_worker.evolution.kernels.tape import compile_live, compile_tap
 from atoll_island_worker.evolution.kernels.variation import (
     copy_list,
     cross,
-    differing_constants,
-    differing_nodes,
     distance,
     is_unchanged,
     mutate,
@@ -130,14 +128,6 @@ def measure_all(
             lists, p, rows, options, INFINITY, scratch.tape, scratch.near, scratch.result, counters, part
         )
         scratch.settled[p] = scratch.near.settled[0]
-        _keep_output(scratch.outputs, p, scratch.near)
-
-
-@inlined
-def _keep_output(outputs: Floats, row: Int, work: Work) -> None:
-    """Keep what was measured last, as what it leaves of the target, in a row of `outputs` where these are wanted."""
-    for start in range(_ZERO, outputs.shape[1], LANES):
-        copy(place(outputs, row, start), place(work.residual, _ZERO, start))
 
 
 @kernel
@@ -193,10 +183,8 @@ def _distance(signature: Ints, i: Int, j: Int) -> int:
 
 
 @inlined
-def _is_straight(
-    parents: Lists, first: Int, second: Int, children: Lists, kind: Int, signature: Ints, signed: Ints, apart: Ints
-) -> bool:
-    """Return whether the two children face the parents they began as; all are signed, the children at rows `signed`.
+def _is_straight(first: Int, second: Int, signature: Ints, signed: Ints, apart: Ints) -> bool:
+    """Return whether the two children face the parents they began as; the children are signed at rows `signed`.
 
     Parents and children are matched by their distances; a tie goes uncrossed. `apart` comes to be the distances by
     signature of child 0 and then of child 1 from first and second parent.
@@ -204,47 +192,7 @@ def _is_straight(
     for q in range(2):
         apart[2 * q] = _distance(signature, first, signed[q])
         apart[2 * q + 1] = _distance(signature, second, signed[q])
-    straight, across = apart[0] + apart[3], apart[1] + apart[2]
-    if kind == 1:
-        one, two = signed[0], signed[1]
-        straight += differing_constants(parents, first, children, _ZERO, signature, first, one)
-        straight += differing_constants(parents, second, children, _ONE, signature, second, two)
-        across += differing_constants(parents, first, children, _ONE, signature, first, two)
-        across += differing_constants(parents, second, children, _ZERO, signature, second, one)
-    elif kind == 2:
-        straight = differing_nodes(parents, first, children, _ZERO) + differing_nodes(parents, second, children, _ONE)
-        across = differing_nodes(parents, first, children, _ONE) + differing_nodes(parents, second, children, _ZERO)
-    return bool(straight <= across)
-
-
-@inlined
-def _copy_output(outputs: Floats, i: Int, j: Int) -> None:
-    for start in range(_ZERO, outputs.shape[1], LANES):
-        copy(place(outputs, j, start), place(outputs, i, start))
-
-
-@inlined
-def _output_distance(outputs: Floats, i: Int, j: Int, rows: Rows, work: Work) -> float:
-    """Return the sum over rows of the absolute difference of two outputs; inf where one is not finite."""
-    if i == j:
-        return 0.0
-    total = 0.0
-    for start in range(_ZERO, outputs.shape[1], LANES):
-        out = place(work.residual, _ZERO, start)
-        copy(out, place(outputs, i, start))
-        add_scaled(out, -1.0, place(outputs, j, start))
-        total += total_magnitude(out, place(rows.mask, _ZERO, start))
-    return total if np.isfinite(total) else INFINITY
-
-
-@inlined
-def _is_straight_by_outputs(outputs: Floats, first: Int, second: Int, measured: Ints, rows: Rows, work: Work) -> bool:
-    """Return whether the two children face the parents they began as; their outputs are the rows `measured`."""
-    straight = _output_distance(outputs, first, measured[0], rows, work)
-    straight += _output_distance(outputs, second, measured[1], rows, work)
-    across = _output_distance(outputs, first, measured[1], rows, work)
-    across += _output_distance(outputs, second, measured[0], rows, work)
-    return bool(straight <= across)
+    return bool(apart[0] + apart[3] <= apart[1] + apart[2])
 
 
 @inlined
@@ -297,7 +245,7 @@ def advance(
     order, due = scratch.order, coevolution.due
     children, tape, near, result = scratch.children, scratch.tape, scratch.near, scratch.result
     signature, live, loss = scratch.signature, scratch.live, scratch.child_loss
-    signed, apart, outputs, measured = scratch.signed, scratch.apart, scratch.outputs, scratch.measured
+    signed, apart = scratch.signed, scratch.apart
     child_settled, settled = scratch.child_settled, scratch.settled
     due[0] = due[1] = False
     inherits = options.terms > 0 or options.steps > 0
@@ -315,39 +263,29 @@ def advance(
                 mutate(children, q, space, stream)
             for q in range(2):
                 signed[q] = _sign_child(lists, base if q == 0 else first + second - base, children, q, signature, live)
-            is_straight = _is_straight(lists, first, second, children, space.distance, signature, signed, apart)
+            is_straight = _is_straight(first, second, signature, signed, apart)
             ceiling = options.gate * max(fitness[first], fitness[second])
             for q in range(2):
                 child_settled[q] = True
                 one, two = apart[2 * q], apart[2 * q + 1]
                 if settled[first] and _inherits(lists, first, children, q, signature, signed[q], one):
                     loss[q] = fitness[first]
-                    measured[q] = first
                     counters[OFFSPRING] += 0 if inherits else rows.length
                 elif settled[second] and _inherits(lists, second, children, q, signature, signed[q], two):
                     loss[q] = fitness[second]
-                    measured[q] = second
                     counters[OFFSPRING] += 0 if inherits else rows.length
                 else:
                     loss[q] = develop_marked(
                         children, q, live[signed[q]], rows, options, ceiling, tape, near, result, counters, OFFSPRING
                     )
                     child_settled[q] = near.settled[0]
-                    measured[q] = population + q
-                    _keep_output(outputs, population + q, near)
-            if space.distance == 3:
-                is_straight = _is_straight_by_outputs(outputs, first, second, measured, rows, near)
             for q in range(2):
                 p = first if (q == 0) == is_straight else second
-                if loss[q] < fitness[p] or (loss[q] == fitness[p] and space.ties == 1):
+                if loss[q] <= fitness[p]:
                     if q == 0 and signed[1] == p:  # the second child's signature is about to be overwritten
                         signed[1] = population + 1
                         _copy_signature(signature, live, p, population + 1)
-                    if q == 0 and measured[1] == p:
-                        measured[1] = population + 1
-                        _copy_output(outputs, p, population + 1)
                     copy_list(lists, p, children, q)
-                    _copy_output(outputs, measured[q], p)
                     if signed[q] != p:
                         _copy_signature(signature, live, signed[q], p)
                     fitness[p] = loss[q]

@@ -17,8 +17,7 @@ _LOW = np.uint64(0xFFFFFFFF)
 _S32 = np.uint64(32)
 _STEP_EXPONENTS = (-5.0, 1.0)
 RELATIVE_STEPS = 0
-NORMAL_STEPS = 1
-LOG_UNIFORM_STEPS = 2
+LOG_UNIFORM_STEPS = 1
 
 
 @kernel
@@ -42,26 +41,20 @@ def random_constant(space: Space, stream: Stream) -> float:
 
 @kernel
 def _varied_constant(value: float, space: Space, stream: Stream) -> float:
-    """Return a constant near `value`: a normal step, of one size or of a log-uniform one.
+    """Return a constant near `value`: a normal step, of 0.3 of the value or of a log-uniform size.
 
-    By `space.steps` the step's size is 0: 0.3 of the value, 1: 1, 2: 10^u, 3: 10^u of the value, with u uniform in
-    `_STEP_EXPONENTS`, anew for each step: so that any accuracy in that range is as near as any other.
+    The latter is 10^u with u uniform in `_STEP_EXPONENTS`, anew for each step: so that any accuracy in that range is as
+    near as any other.
     """
     if space.steps == RELATIVE_STEPS:
         return value * (1.0 + 0.3 * normal(stream))
-    if space.steps == NORMAL_STEPS:
-        return value + normal(stream)
     exponent = _STEP_EXPONENTS[0] + (_STEP_EXPONENTS[1] - _STEP_EXPONENTS[0]) * uniform(stream)
-    step = strict_exp(2.302585092994046 * exponent) * normal(stream)
-    return value + step if space.steps == LOG_UNIFORM_STEPS else value * (1.0 + step)
+    return value + strict_exp(2.302585092994046 * exponent) * normal(stream)
 
 
 @inlined
 def _random_terminal(lists: Lists, p: Int, i: Int, space: Space, stream: Stream) -> None:
-    if i < space.variables and space.fixed == 1:
-        lists.code[p, i] = VARIABLE
-        lists.left[p, i] = i
-    elif space.fixed == 0 and uniform(stream) < 0.5:
+    if uniform(stream) < 0.5:
         lists.code[p, i] = VARIABLE
         lists.left[p, i] = below(stream, space.variables)
     else:
@@ -69,16 +62,6 @@ def _random_terminal(lists: Lists, p: Int, i: Int, space: Space, stream: Stream)
         lists.left[p, i] = 0
         lists.constants[p, i] = random_constant(space, stream)
     lists.right[p, i] = 0
-
-
-@inlined
-def _random_argument(i: Int, space: Space, stream: Stream) -> Int:
-    """Return a node before operator node `i`."""
-    if space.arguments == 0 or i == space.terminals:
-        return below(stream, i)
-    if uniform(stream) < 0.5:
-        return below(stream, space.terminals)
-    return space.terminals + below(stream, i - space.terminals)
 
 
 @inlined
@@ -99,8 +82,8 @@ def random_list(lists: Lists, p: Int, space: Space, stream: Stream) -> None:
             _random_terminal(lists, p, i, space, stream)
         else:
             lists.code[p, i] = space.operators[below(stream, space.operators.shape[0])]
-            lists.left[p, i] = _random_argument(i, space, stream)
-            lists.right[p, i] = _random_argument(i, space, stream)
+            lists.left[p, i] = below(stream, i)
+            lists.right[p, i] = below(stream, i)
 
 
 @inlined
@@ -115,9 +98,9 @@ def _mutate_node(lists: Lists, p: Int, i: Int, space: Space, stream: Stream) -> 
     if part == 0:
         lists.code[p, i] = space.operators[below(stream, space.operators.shape[0])]
     elif part == 1:
-        lists.left[p, i] = _random_argument(i, space, stream)
+        lists.left[p, i] = below(stream, i)
     else:
-        lists.right[p, i] = _random_argument(i, space, stream)
+        lists.right[p, i] = below(stream, i)
 
 
 @inlined
@@ -143,13 +126,8 @@ def mutate(lists: Lists, p: Int, space: Space, stream: Stream) -> None:
     """Change each node of list `p` with probability `space.mutation`: one of its operator and its two arguments.
 
     A terminal becomes another terminal; a constant is moved rather than replaced in a share of the cases. Which nodes
-    change is drawn first, two from one number, so that no branch hangs on each draw. With `space.unit` 1 the
-    probability is that of one change to the list, at a random node.
+    change is drawn first, two from one number, so that no branch hangs on each draw.
     """
-    if space.unit == 1:
-        if uniform(stream) < space.mutation:
-            _mutate_node(lists, p, below(stream, space.nodes), space, stream)
-        return
     threshold = np.uint64(space.mutation * 4294967296.0)
     for first in range(0, space.nodes, 64):
         last = min(first + 64, space.nodes)
@@ -248,28 +226,4 @@ def distance(signature: Ints, i: Int, j: Int) -> int:
     differing = 0
     for k in range(signature.shape[1]):
         differing += 1 if signature[i, k] != signature[j, k] else 0
-    return differing
-
-
-@inlined
-def differing_constants(parents: Lists, p: Int, children: Lists, q: Int, signature: Ints, i: Int, j: Int) -> int:
-    """Return the number of nodes, live constants in both lists, that differ in value; the signatures are `i`, `j`."""
-    differing = 0
-    for k in range(signature.shape[1]):
-        if signature[i, k] == CONSTANT + 1 and signature[j, k] == CONSTANT + 1:
-            differing += 1 if parents.constants[p, k] != children.constants[q, k] else 0
-    return differing
-
-
-@inlined
-def differing_nodes(parents: Lists, p: Int, children: Lists, q: Int) -> int:
-    """Return the number of nodes, live or dead, that differ in operator or arguments; constants are equal."""
-    differing = 0
-    for k in range(parents.code.shape[1]):
-        is_equal = (
-            parents.code[p, k] == children.code[q, k]
-            and parents.left[p, k] == children.left[q, k]
-            and parents.right[p, k] == children.right[q, k]
-        )
-        differing += 0 if is_equal else 1
     return differing

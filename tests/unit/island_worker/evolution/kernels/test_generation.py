@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from atoll_core.expression.kernels.tape import padded
 from atoll_core.expression.operators import CONSTANT
 from atoll_core.search.seeding import Stream
 from atoll_island_worker.evolution.kernels.generation import (
@@ -45,8 +44,6 @@ class Arena:
         self.lists = random_lists(POPULATION, SPACE, seed)
         self.fitness = np.full(POPULATION, np.inf)
         self.scratch = empty_scratch(POPULATION, SPACE.nodes, 2, ROWS, ROWS)
-        if self.space.distance == 3:
-            self.scratch = self.scratch._replace(outputs=np.zeros((POPULATION + 2, padded(ROWS))))
         self.counters = np.zeros(len(PARTS), np.int64)
         self.stream = stream_of(seed)
         self.remeasure()
@@ -174,59 +171,6 @@ def test_a_generation_is_that_of_the_definition(options):
 def donors(options, first, second):
     """Return the parents that a child may inherit from: without fits none."""
     return (first, second) if options is not PLAIN else ()
-
-
-@pytest.mark.parametrize(("kind", "ties"), [(0, 0), (1, 1), (2, 1)])
-def test_crowding_is_that_of_the_definition_in_other_readings(kind, ties):
-    arena, reference = Arena(PLAIN, distance=kind, ties=ties), Arena(PLAIN)
-    moved = 0
-    for _ in range(60 if kind == 1 else 8):
-        stream, before = Stream(int(arena.stream[0])), arena.members()
-        arena.generation()
-        after = arena.members()
-        order = stream.permutation(POPULATION)
-        children = empty_lists(2, SPACE.nodes)
-        for first, second in zip(order[::2], order[1::2], strict=True):
-            cross(children, reference.lists, first, second, SPACE, reference_stream := stream_of(stream._state))
-            for q in range(2):
-                mutate(children, q, SPACE, reference_stream)
-            stream = Stream(int(reference_stream[0]))
-            losses = [float(reference.develop(children, q, math.inf)) for q in range(2)]
-            born = tuple(oracle.Member(oracle.nodes_of(children, q), losses[q]) for q in range(2))
-            expected = oracle.survivors((before[first], before[second]), born, kind, ties)
-            assert (after[first], after[second]) == expected
-            moved += expected != oracle.survivors((before[first], before[second]), born)
-        for mine, theirs in zip(reference.lists, arena.lists, strict=True):
-            mine[...] = theirs
-    assert moved > 0
-
-
-def test_crowding_by_outputs_pairs_those_that_compute_alike():
-    """Distances are of outputs on the rows that measure; what is kept of them follows from the lists at any time."""
-    arena, reference = (Arena(PLAIN, distance=3) for _ in range(2))
-    moved = 0
-    for _ in range(12):
-        stream, before = Stream(int(arena.stream[0])), arena.members()
-        outputs = [reference.residual(reference.lists, p) for p in range(POPULATION)]
-        arena.generation()
-        after = arena.members()
-        order = stream.permutation(POPULATION)
-        children = empty_lists(2, SPACE.nodes)
-        for first, second in zip(order[::2], order[1::2], strict=True):
-            cross(children, reference.lists, first, second, SPACE, reference_stream := stream_of(stream._state))
-            for q in range(2):
-                mutate(children, q, SPACE, reference_stream)
-            stream = Stream(int(reference_stream[0]))
-            losses = [float(reference.develop(children, q, math.inf)) for q in range(2)]
-            born = tuple(oracle.Member(oracle.nodes_of(children, q), losses[q]) for q in range(2))
-            of_children = [reference.residual(children, q) for q in range(2)]
-            straight = oracle.are_straight(outputs[first], outputs[second], *of_children)
-            expected = oracle.survivors((before[first], before[second]), born, is_straight=straight)
-            assert (after[first], after[second]) == expected
-            moved += expected != oracle.survivors((before[first], before[second]), born)
-        for mine, theirs in zip(reference.lists, arena.lists, strict=True):
-            mine[...] = theirs
-    assert moved > 0
 
 
 def test_inheriting_a_loss_saves_evaluations_and_changes_nothing_else():
