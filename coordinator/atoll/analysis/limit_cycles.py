@@ -1,13 +1,12 @@
-"""Limit cycles: long simulations, the first near return to a Poincaré section, and the orbit near it that closes.
+"""Limit cycles: long simulations, the first near return to a Poincaré section, and Newton steps on the period map.
 
-That orbit is a boundary value problem in one period, with a phase condition and the period unknown. The derivative of
-the map over a period is the monodromy matrix, which the variational equations give (Guckenheimer and Holmes 1983,
-section 1.5). Its eigenvalues are the Floquet multipliers. In the plane the one beside 1 is exp of the divergence integrated over a period (Liouville), which
+Newton steps solve phi_T(x) = x together with a phase condition for x and T; the derivative of phi_T is the monodromy
+matrix, which the variational equations give (Guckenheimer and Holmes 1983, section 1.5). Its eigenvalues are the
+Floquet multipliers. In the plane the one beside 1 is exp of the divergence integrated over a period (Liouville), which
 keeps its digits where it is tiny. There, unstable cycles are found in backward time; beyond the plane only cycles that
 simulations come near are found.
 """
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -48,11 +47,6 @@ SMALLEST: Final = 1e-3
 
 _CLOSED: Final = 1e-8
 """Widths of the box by which a cycle may miss itself: ten times the error of the integration."""
-
-_RESIDUAL: Final = 1e-8
-"""Relative residual of the boundary value problem, by which the period is known to about 1e-10."""
-
-_MOST_NODES: Final = 20 * SAMPLES
 
 _NEUTRAL: Final = 1e-4
 """A multiplier nearer to 1, or to the unit circle, decides nothing: the root of `_CLOSED`, by which double multipliers
@@ -232,14 +226,26 @@ def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> fl
 
 
 def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> LimitCycle | None:
-    """Return the closed orbit near the course from `start` over about a `period`; None where there is none."""
-    closed = _solved(flow, start, period, box)
-    if closed is None:
-        return None
-    point, period = closed
-    end, monodromy, log_multiplier_product = transported(flow, point, period, box)
-    missed = (end - point) / box.widths
-    if not np.isfinite(monodromy).all() or not np.isfinite(end).all():
+    """Return the closed orbit that Newton steps reach from a guess of point and period; None where they do not."""
+    point, size = start.copy(), flow.size
+    phase = period * flow.rates(start) / box.widths
+    for round_ in range(12):
+        end, monodromy, log_multiplier_product = transported(flow, point, period, box)
+        missed = (end - point) / box.widths
+        if not np.isfinite(monodromy).all() or not np.isfinite(end).all():
+            return None
+        if np.abs(missed).max() < _CLOSED:
+            break
+        if round_ >= 5 and np.abs(missed).max() > 1e-2:
+            return None
+        matrix = np.zeros((size + 1, size + 1))
+        matrix[:size, :size] = monodromy - np.eye(size)
+        matrix[:size, size] = period * flow.rates(end) / box.widths
+        matrix[size, :size] = phase
+        step = np.linalg.lstsq(matrix, np.append(-missed, 0.0), rcond=1e-9)[0]
+        step *= min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-300))
+        point, period = point + step[:size] * box.widths, period * (1.0 + float(step[size]))
+    else:
         return None
     points = follow(flow, point, np.linspace(0.0, period, SAMPLES, endpoint=False), box.widths)
     extent = ((points.max(axis=0) - points.min(axis=0)) / box.widths).max()
@@ -250,38 +256,6 @@ def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> Lim
     if not cycle.is_isolated:  # of a family each course is one, and a small one that shrinks slowly misses little
         return cycle if miss <= _CLOSED * max(extent, _SMALL) else None
     return cycle if miss / np.abs(cycle.multipliers[1:] - 1.0).min() <= _KNOWN * extent else None
-
-
-def _solved(flow: Flow, start: FloatArray, period: float, box: Box) -> tuple[FloatArray, float] | None:
-    """Return a point and the period of the orbit that closes, as a boundary value problem in widths and periods."""
-    from scipy.integrate import solve_bvp
-
-    shares = np.linspace(0.0, 1.0, SAMPLES + 1)
-    course = follow(flow, start, period * shares, box.widths) / box.widths
-    normal = period * flow.rates(start) / box.widths
-    if not np.isfinite(course).all():
-        return None
-
-    def rates(_: FloatArray, states: FloatArray, stretch: FloatArray) -> FloatArray:
-        return stretch[0] * period * (flow.rates(states.T * box.widths) / box.widths).T
-
-    def derivatives(_: FloatArray, states: FloatArray, stretch: FloatArray) -> tuple[FloatArray, FloatArray]:
-        points = states.T * box.widths
-        by_states = stretch[0] * period * np.moveaxis(jacobian_in_widths(flow, points, box), 0, -1)
-        return by_states, (period * flow.rates(points) / box.widths).T[:, None, :]
-
-    def misses(first: FloatArray, last: FloatArray, _: FloatArray) -> FloatArray:
-        return np.append(last - first, normal @ (first - course[0]))
-
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        try:
-            solved = solve_bvp(
-                rates, misses, shares, course.T, [1.0], fun_jac=derivatives, tol=_RESIDUAL, max_nodes=_MOST_NODES
-            )
-        except (ValueError, np.linalg.LinAlgError):  # rates or derivatives without a value
-            return None
-    return (solved.y[:, 0] * box.widths, period * float(solved.p[0])) if solved.success else None
 
 
 def transported(flow: Flow, start: FloatArray, duration: float, box: Box) -> tuple[FloatArray, FloatArray, float]:
