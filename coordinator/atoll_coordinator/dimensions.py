@@ -107,11 +107,11 @@ class _Inference:
 
     def constants(self) -> tuple[Unit | None, ...]:
         """Return the unit of each constant, None where it is not determined."""
-        found = []
+        units = []
         for place in constant_places(self.program):
-            its = self._reduced(self._of_nodes[place])
-            found.append(None if any(_is_unknown(name) for name in its) else Unit.of(its))
-        return tuple(found)
+            powers = self._reduced(self._of_nodes[place])
+            units.append(None if any(_is_unknown(name) for name in powers) else Unit.of(powers))
+        return tuple(units)
 
     def _terms(self, index: int) -> list[int]:
         """Return the nodes that are added and subtracted at the top."""
@@ -128,8 +128,8 @@ class _Inference:
         return self._sums(left) if code == NEGATE else []
 
     def _parts(self, index: int) -> tuple[int, int, int]:
-        its = self.program
-        return int(its.operators[index]), int(its.left[index]), int(its.right[index])
+        program = self.program
+        return int(program.operators[index]), int(program.left[index]), int(program.right[index])
 
     def _node(self, index: int) -> Vector:
         code, left, right = self._parts(index)
@@ -188,23 +188,23 @@ class _Inference:
         factor = difference.pop(unknown)
         solution = {name: -power / factor for name, power in difference.items()}
         self._solved = {
-            name: _without_zeros(_substituted(its, unknown, solution)) for name, its in self._solved.items()
+            name: _without_zeros(_substituted(vector, unknown, solution)) for name, vector in self._solved.items()
         }
         self._solved[unknown] = solution
         return True
 
     def _reduced(self, vector: Vector) -> Vector:
-        found = dict(vector)
-        for name in [each for each in found if each in self._solved]:
-            found = _substituted(found, name, self._solved[name])
-        return _without_zeros(found)
+        reduced = dict(vector)
+        for name in [name for name in reduced if name in self._solved]:
+            reduced = _substituted(reduced, name, self._solved[name])
+        return _without_zeros(reduced)
 
     def _unit(self, index: int) -> str:
         """Return words for the unit of a node as far as it is known, in the symbols of those that were given."""
         written = {name: dict(unit.powers) for name, unit in self.given.items()}
-        its = _Inference(_part(self.program, index), self.names, written, {})
-        found = its._reduced(its._of_nodes[-1])
-        return "another unit" if any(map(_is_unknown, found)) else _said(Unit.of(found))
+        inference = _Inference(_part(self.program, index), self.names, written, {})
+        powers = inference._reduced(inference._of_nodes[-1])
+        return "another unit" if any(map(_is_unknown, powers)) else _said(Unit.of(powers))
 
     def _text(self, index: int) -> str:
         return to_infix(_part(self.program, index), self.names, digits=_DIGITS)
@@ -223,16 +223,16 @@ def _is_unknown(name: str) -> bool:
 
 
 def _combined(one: Vector, other: Vector, factor: Fraction) -> Vector:
-    found = dict(one)
+    combined = dict(one)
     for name, power in other.items():
-        found[name] = found.get(name, Fraction(0)) + factor * power
-    return _without_zeros(found)
+        combined[name] = combined.get(name, Fraction(0)) + factor * power
+    return _without_zeros(combined)
 
 
-def _substituted(vector: Vector, name: str, its: Vector) -> Vector:
-    found = dict(vector)
-    factor = found.pop(name, Fraction(0))
-    return _combined(found, its, factor) if factor else found
+def _substituted(vector: Vector, name: str, solution: Vector) -> Vector:
+    substituted = dict(vector)
+    factor = substituted.pop(name, Fraction(0))
+    return _combined(substituted, solution, factor) if factor else substituted
 
 
 def _without_zeros(vector: Vector) -> Vector:

@@ -66,16 +66,16 @@ class Unit:
 
     def times(self, other: "Unit", power: Fraction | int = 1) -> "Unit":
         """Return the product with a power of another unit."""
-        found = dict(self.powers)
-        for symbol, its in other.powers:
-            found[symbol] = found.get(symbol, Fraction(0)) + its * power
-        return Unit.of(found)
+        powers = dict(self.powers)
+        for symbol, exponent in other.powers:
+            powers[symbol] = powers.get(symbol, Fraction(0)) + exponent * power
+        return Unit.of(powers)
 
     def __str__(self) -> str:
         if not self.powers:
             return "1"
         # Numbers first: one right behind a symbol is read as its exponent.
-        ordered = sorted(self.powers, key=lambda each: not is_factor(each[0]))
+        ordered = sorted(self.powers, key=lambda item: not is_factor(item[0]))
         above = [_power(symbol, power) for symbol, power in ordered if power > 0]
         below = [_power(symbol, -power) for symbol, power in ordered if power < 0]
         divisor = below[0] if len(below) == 1 else f"({' '.join(below)})"
@@ -110,10 +110,10 @@ def parse_unit(text: str) -> Unit:
         tokens.append((match.lastgroup, match[match.lastgroup]))
         place = match.end()
     parser = _Parser(text, tokens)
-    found = parser.product()
+    unit = parser.product()
     if parser.left:
         raise UsageError(_fault(text))
-    return found
+    return unit
 
 
 def _fault(text: str) -> str:
@@ -136,7 +136,7 @@ class _Parser:
 
     def product(self) -> Unit:
         """Return the product up to a closing bracket or the end."""
-        found, side = NO_UNIT, 1
+        unit, side = NO_UNIT, 1
         while self.left and self._next() != ("sign", ")"):
             kind, value = self._next()
             if kind == "sign" and value in "*·⋅×.":
@@ -144,10 +144,10 @@ class _Parser:
             elif kind == "sign" and value == "/" and side > 0:
                 self._place, side = self._place + 1, -1
             else:
-                found, side = found.times(self._factor(), side), 1
+                unit, side = unit.times(self._factor(), side), 1
         if side < 0:
             raise UsageError(_fault(self._text))
-        return found
+        return unit
 
     def _next(self) -> tuple[str, str]:
         if not self.left:
@@ -188,17 +188,17 @@ class _Parser:
         kind, value = self._next()
         self._place += 1
         if (kind, value) == ("sign", "("):
-            found = self._number()
+            number = self._number()
             if self._next() == ("sign", "/"):
                 self._place += 1
                 divisor = self._number()
                 if not divisor:
                     raise UsageError(_fault(self._text))
-                found /= divisor
+                number /= divisor
             if self._next() != ("sign", ")"):
                 raise UsageError(_fault(self._text))
             self._place += 1
-            return found
+            return number
         if kind == "sign" and value in "+-−":
             return self._number() * (1 if value == "+" else -1)
         if kind == "number":
@@ -210,18 +210,18 @@ class _Parser:
 
 def _factored(number: Fraction, text: str) -> dict[str, Fraction]:
     """Return a number as powers of small primes; raises UsageError for any other."""
-    found: dict[str, Fraction] = {}
+    powers: dict[str, Fraction] = {}
     for part, sign in ((number.numerator, 1), (number.denominator, -1)):
         rest = part
         if rest <= 0:
             raise UsageError(_fault(text))
         for prime in _PRIMES:
             while rest % prime == 0:
-                found[str(prime)] = found.get(str(prime), Fraction(0)) + sign
+                powers[str(prime)] = powers.get(str(prime), Fraction(0)) + sign
                 rest //= prime
         if rest != 1:
             raise UsageError(_fault(text))
-    return found
+    return powers
 
 
 def is_factor(symbol: str) -> bool:
@@ -231,11 +231,11 @@ def is_factor(symbol: str) -> bool:
 
 def expanded(unit: Unit) -> dict[str, Fraction]:
     """Return a unit by the symbols of the SI, and powers of small primes for its factor."""
-    found: dict[str, Fraction] = {}
+    powers: dict[str, Fraction] = {}
     for symbol, power in unit.powers:
-        for base, its in _expanded(symbol).items():
-            found[base] = found.get(base, Fraction(0)) + its * power
-    return {base: power for base, power in found.items() if power}
+        for base, exponent in _expanded(symbol).items():
+            powers[base] = powers.get(base, Fraction(0)) + exponent * power
+    return {base: power for base, power in powers.items() if power}
 
 
 def _expanded(symbol: str) -> dict[str, Fraction]:
@@ -248,8 +248,8 @@ def _expanded(symbol: str) -> dict[str, Fraction]:
     for prefix, tens in _PREFIXES.items():
         rest = symbol.removeprefix(prefix)
         if rest != symbol and (rest in _BASE.split() or rest in _DERIVED):
-            found = _expanded(rest)
+            powers = _expanded(rest)
             for prime in ("2", "5"):
-                found[prime] = found.get(prime, Fraction(0)) + tens
-            return found
+                powers[prime] = powers.get(prime, Fraction(0)) + tens
+            return powers
     return {symbol: Fraction(1)}

@@ -88,7 +88,9 @@ def _refined(
         return summarize_process(chosen, preparation.dataset, config, candidates)
     if preparation.recording is None:
         return Refinement(_by_regression(preparation, config, candidates, deadline))
-    converged = {name: those for name, those in candidates.items() if _has_converged(preparation, config, name, those)}
+    converged = {
+        name: programs for name, programs in candidates.items() if _has_converged(preparation, config, name, programs)
+    }
     settled = _by_regression(preparation, config, converged, deadline)
     with ThreadPoolExecutor(usable_cores(os.environ)[0]) as executor:
         task = ModellingTask(
@@ -101,10 +103,10 @@ def _refined(
         model = None if selected is None else summarized(selected)
     if model is not None:
         remarks = stochastic_remarks(preparation.recording, model.simulation)
-        left_out = {name: those for name, those in candidates.items() if name not in model.equations}
+        left_out = {name: programs for name, programs in candidates.items() if name not in model.equations}
         alone = _by_regression(preparation, config, left_out, deadline)
         return replace(model, equations={**alone, **model.equations}, warnings=(*model.warnings, *remarks))
-    unsettled = {name: those for name, those in candidates.items() if name not in converged}
+    unsettled = {name: programs for name, programs in candidates.items() if name not in converged}
     rest = _by_regression(preparation, config, unsettled, deadline)
     warnings = (NOT_SIMULATED, *stochastic_remarks(preparation.recording, None))
     return Refinement({**settled, **rest}, warnings=warnings)

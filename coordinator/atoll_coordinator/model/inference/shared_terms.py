@@ -156,9 +156,9 @@ def _common(expansions: Sequence[Expansion | None]) -> dict[Shape, list[_Occurre
         for shape, occurrence in _occurrences(equation, expansion) if expansion is not None else ():
             occurrences.setdefault(shape, []).append(occurrence)
     return {
-        shape: those
-        for shape, those in occurrences.items()
-        if len(those) > 1 and len({occurrence.equation for occurrence in those}) == len(those)
+        shape: alike
+        for shape, alike in occurrences.items()
+        if len(alike) > 1 and len({occurrence.equation for occurrence in alike}) == len(alike)
     }
 
 
@@ -238,8 +238,8 @@ def _found(
     index = {place: number for number, place in enumerate(comparison.places(system))}
     estimates = _Estimates(index, system.values, comparison.inflation(free) * bounded_covariance(free.fit))
     stoichiometries = []
-    for shape, those in common.items():
-        estimates, fluxes = _alike(estimates, those, comparison.constant_nats, savings[shape])
+    for shape, alike in common.items():
+        estimates, fluxes = _alike(estimates, alike, comparison.constant_nats, savings[shape])
         for flux in fluxes:
             estimates = _with_multiples(estimates, flux, comparison.constant_nats)
             term = _stoichiometry(shape, flux)
@@ -248,11 +248,11 @@ def _found(
 
 
 def _alike(
-    estimates: _Estimates, those: Sequence[_Occurrence], constant_nats: float, saving: float
+    estimates: _Estimates, alike: Sequence[_Occurrence], constant_nats: float, saving: float
 ) -> tuple[_Estimates, list[_Flux]]:
     """Return terms of one shape by the numbers inside, which are the same where that shortens the description."""
     fluxes: list[_Flux] = []
-    for term in those:
+    for term in alike:
         for flux in fluxes:
             trial, nats = estimates, saving if term.inner else 0.0
             if flux.terms[0].layout != term.layout:
@@ -327,9 +327,9 @@ def _stoichiometry(shape: Shape, flux: _Flux) -> Stoichiometry | None:
 def _worthwhile(terms: Sequence[Stoichiometry], costs: Sequence[float]) -> tuple[Stoichiometry, ...]:
     """Return those terms that are worth the `costs` of expanding their equations, none of the rest being so."""
 
-    def gain(those: Sequence[Stoichiometry]) -> float:
-        expanded = {equation for term in those for equation in term.multiples}
-        return sum(term.nats for term in those) - sum(costs[equation] for equation in sorted(expanded))
+    def gain(terms: Sequence[Stoichiometry]) -> float:
+        expanded = {equation for term in terms for equation in term.multiples}
+        return sum(term.nats for term in terms) - sum(costs[equation] for equation in sorted(expanded))
 
     chosen = tuple(terms)
     while chosen:

@@ -55,8 +55,8 @@ class CandidateSet:
             "library": compared if len(compared) > 1 else (),
         }
         origins: dict[bytes, Origin] = {}
-        for origin, those in programs.items():
-            for program in those:
+        for origin, members in programs.items():
+            for program in members:
                 origins.setdefault(form(program), origin)
         return origins
 

@@ -32,8 +32,8 @@ class GroupedRows:
         self.count: Final = count
         by_equation = restrictions or {}
         self._fits = [
-            [LeastSquares(problem, restrictions=by_equation.get(index, NONE)) for problem in those]
-            for index, those in enumerate(problems)
+            [LeastSquares(problem, restrictions=by_equation.get(index, NONE)) for problem in group_problems]
+            for index, group_problems in enumerate(problems)
         ]
         self._known: dict[tuple[int, bytes], FloatArray] = {}
 

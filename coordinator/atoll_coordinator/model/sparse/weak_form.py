@@ -66,7 +66,7 @@ class WeakForm:
     derivatives, times the weights of the trapezoidal rule.
     """
 
-    its: Measured
+    measured: Measured
     target: int
     first: Ints
     bump: FloatArray
@@ -80,11 +80,11 @@ class WeakForm:
     @property
     def sides(self) -> FloatArray:
         """The left sides (W,)."""
-        return np.asarray(-self._sums(self.slope, self.its.values[self.target : self.target + 1])[0])
+        return np.asarray(-self._sums(self.slope, self.measured.values[self.target : self.target + 1])[0])
 
     def columns(self, terms: Sequence[Term]) -> FloatArray:
         """Return the integrals (K, W) of the terms, products of variables."""
-        powers = _powers(self.its.values, self.its.noise, max(map(len, terms), default=0))
+        powers = _powers(self.measured.values, self.measured.noise, max(map(len, terms), default=0))
         return self._sums(self.bump, np.array([_product(term, powers) for term in terms]))
 
     def integrals(self, values: FloatArray) -> FloatArray:
@@ -93,8 +93,8 @@ class WeakForm:
 
     def variances(self, terms: Sequence[Term], coefficients: Sequence[float]) -> FloatArray:
         """Return the variance (W,) of what the sum of terms leaves in each window, to first order in the noise."""
-        powers = _powers(self.its.smoothed, np.zeros(len(self.its.noise)), max(map(len, terms), default=0))
-        places = range(len(self.its.noise))
+        powers = _powers(self.measured.smoothed, np.zeros(len(self.measured.noise)), max(map(len, terms), default=0))
+        places = range(len(self.measured.noise))
         return self.variances_of(np.array([_slope(terms, coefficients, powers, place) for place in places]))
 
     def variances_of(self, slopes: FloatArray) -> FloatArray:
@@ -102,7 +102,7 @@ class WeakForm:
 
         What decides which laws there are is summed in a fixed order: they may end a search.
         """
-        squares = self.its.noise * self.its.noise
+        squares = self.measured.noise * self.measured.noise
         own = squares[self.target]
         variances = own * self._sums(self.slope * self.slope, np.ones((1, slopes.shape[1])))[0]
         variances += 2.0 * own * self._sums(self.slope * self.bump, slopes[self.target : self.target + 1])[0]
@@ -116,14 +116,14 @@ class WeakForm:
         return sums
 
 
-def weak_form(its: Measured, target: int, half: int) -> WeakForm | None:
+def weak_form(measured: Measured, target: int, half: int) -> WeakForm | None:
     """Return the weak form with windows of ``2 half + 1`` rows; None where trajectories are too short for any."""
     length, step = 2 * half + 1, max(1, round(half * SETTINGS.sparse.step * 2.0))
-    first = [row for start, end in its.ranges for row in range(start, end - length + 1, step)]
+    first = [row for start, end in measured.ranges for row in range(start, end - length + 1, step)]
     if not first:
         return None
     rows = np.array(first, dtype=np.int64)
-    times = its.times[rows[:, None] + np.arange(length)]
+    times = measured.times[rows[:, None] + np.arange(length)]
     width = (times[:, -1:] - times[:, :1]) / 2.0
     place = (times - times[:, :1]) / width - 1.0
     steps = np.diff(times, axis=1)
@@ -134,7 +134,7 @@ def weak_form(its: Measured, target: int, half: int) -> WeakForm | None:
     inside = np.maximum(1.0 - place * place, 0.0)
     below = _power(inside, order - 1)
     bump, slope = below * inside, -2.0 * order * place * below / width
-    return WeakForm(its, target, rows, bump * weights, slope * weights)
+    return WeakForm(measured, target, rows, bump * weights, slope * weights)
 
 
 def _power(values: FloatArray, exponent: int) -> FloatArray:

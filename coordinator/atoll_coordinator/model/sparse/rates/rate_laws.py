@@ -53,12 +53,12 @@ def _sums(rows: RateRows, columns: Sequence[int], operators: Collection[int]) ->
     beginnings: list[Sequence[Atom]] = [*low]
     for _ in range(SETTINGS.sparse.pursued_functions):
         longer = [extended(rows, begun, columns, operators) for begun in beginnings]
-        yield _shortest(rows, [atoms for those in longer for atoms in those])
-        beginnings = [those[0] for those in longer if those]
+        yield _shortest(rows, [atoms for group in longer for atoms in group])
+        beginnings = [group[0] for group in longer if group]
     for atoms in high:
         yield _shortest(rows, [atoms])
     exchanged = [extended(rows, _without_first(begun), columns, operators) for begun in beginnings]
-    yield _shortest(rows, [atoms for those in exchanged for atoms in those])
+    yield _shortest(rows, [atoms for group in exchanged for atoms in group])
 
 
 def _without_first(atoms: Sequence[Atom]) -> list[Atom]:

@@ -115,18 +115,18 @@ def pruned(rows: RateRows, best: RateSum) -> RateSum:
     return best
 
 
-def polished(rows: RateRows, its: RateSum) -> RateSum:
+def polished(rows: RateRows, rate_sum: RateSum) -> RateSum:
     """Return the sum with its inner constants fitted: Gauss and Newton's steps, halved until the scale is less."""
-    inner = [place for place, atom in enumerate(its.atoms) if atom.shape.has_constant]
+    inner = [place for place, atom in enumerate(rate_sum.atoms) if atom.shape.has_constant]
     for _ in range(SETTINGS.effort.steps if inner else 0):
-        following = _stepped(rows, its, inner)
+        following = _stepped(rows, rate_sum, inner)
         if following is None:
             break
-        is_settled = following.scale > (1.0 - SETTINGS.common.negligible) * its.scale
-        its = following
+        is_settled = following.scale > (1.0 - SETTINGS.common.negligible) * rate_sum.scale
+        rate_sum = following
         if is_settled:
             break
-    return its
+    return rate_sum
 
 
 def _stepped(rows: RateRows, rate_sum: RateSum, inner: Sequence[int]) -> RateSum | None:

@@ -140,13 +140,13 @@ def _unresolved(terms: Terms, places: Ints, coefficients: FloatArray, quadrature
     return 0.5 * math.fsum(np.log(np.maximum(ratios, 1.0)).tolist()) / len(others)
 
 
-def eliminated(its: WindowSum | None) -> WindowSum | None:
+def eliminated(window_sum: WindowSum | None) -> WindowSum | None:
     """Return the best sum on the way to a single term, the least significant one going first (Wald's test)."""
-    best = its
-    while its is not None and len(its.kept) > 1:
-        its = _without_least(its)
-        if its is not None and best is not None and its.nats < best.nats:
-            best = its
+    best = window_sum
+    while window_sum is not None and len(window_sum.kept) > 1:
+        window_sum = _without_least(window_sum)
+        if window_sum is not None and best is not None and window_sum.nats < best.nats:
+            best = window_sum
     return best
 
 
@@ -212,11 +212,11 @@ def _promising(window_sum: WindowSum) -> list[int]:
     return [others[place] for place in np.argsort(-gains, kind="stable")[: SETTINGS.windows.promising].tolist()]
 
 
-def polished(its: WindowSum) -> WindowSum:
+def polished(window_sum: WindowSum) -> WindowSum:
     """Return the sum with its inner constants fitted, as a library of its own: steps, halved until it is shorter."""
-    best: WindowSum | None = fitted(Terms(its.terms.rows, its.atoms), range(len(its.kept)))
+    best: WindowSum | None = fitted(Terms(window_sum.terms.rows, window_sum.atoms), range(len(window_sum.kept)))
     if best is None:
-        return its
+        return window_sum
     for _ in range(SETTINGS.effort.steps if any(atom.shape.has_constant for atom in best.atoms) else 0):
         following = _stepped(best)
         if following is None:
