@@ -98,7 +98,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_suggest(verbs)
     _add_export(verbs)
     _add_options(add_doctor(_verb, verbs), "data")
-    _verb(verbs, "schema", "print what a --config file may hold, as JSON schema")
+    schema = _verb(verbs, "schema", "print what a --config file or a result file may hold, as JSON schema")
+    schema.add_argument("file", nargs="?", choices=("config", "result"), default="config", help="default: config")
     completion = _verb(verbs, "completion", "print what makes a shell complete commands and options")
     completion.add_argument("shell", choices=SHELLS, help="where the printed lines are to be read")
     return parser

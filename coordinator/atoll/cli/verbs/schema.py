@@ -1,7 +1,7 @@
-"""``coordinator schema``: what a job file may hold, as JSON schema for editors and checkers."""
+"""``coordinator schema``: what job files and result files may hold, as JSON schema for editors and checkers."""
 
 import argparse
-from typing import Final
+from typing import Any, Final
 
 from atoll.cli.exit_codes import DONE
 from atoll.terminal.output import as_json, say
@@ -11,8 +11,17 @@ _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
 def schema(options: argparse.Namespace) -> int:
-    """Print the schema of ``--config`` files; return the exit code."""
-    del options
-    described = {key: value for key, value in JobConfig.model_json_schema().items() if key != "title"}
-    say(as_json({"$schema": _DIALECT, "title": "Job file of coordinator run and submit", **described}))
+    """Print the schema of ``--config`` files or of ``result.json``; return the exit code."""
+    say(as_json(_of_results() if options.file == "result" else _of_job_files()))
     return DONE
+
+
+def _of_results() -> dict[str, Any]:
+    from atoll_coordinator.result.result import json_schema
+
+    return json_schema()
+
+
+def _of_job_files() -> dict[str, Any]:
+    described = {key: value for key, value in JobConfig.model_json_schema().items() if key != "title"}
+    return {"$schema": _DIALECT, "title": "Job file of coordinator run and submit", **described}
