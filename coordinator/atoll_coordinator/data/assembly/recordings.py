@@ -1,6 +1,7 @@
 """The recording of a job, put together from what was measured and how it was smoothed. Pure."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,48 +34,13 @@ def build_recording(
     """
     roles, whole, rows = measurements.roles, measurements.trajectories, measurements.row_count
     assert whole is not None
-    slopes = [estimate_input_slopes(whole.times, parts) for parts in inputs]
-    if roles.time in roles.inputs:
-        slopes[roles.inputs.index(roles.time)] = [np.ones(len(times)) for times in whole.times]
-    measured = _stack([np.concatenate(parts) for parts in whole.states.values()], rows)
-    smoothed = _stack([estimate.values for estimate in estimates], rows)
-    velocities = _stack([estimate.velocity for estimate in estimates], rows)
-    rates = _stack([estimate.derivative for estimate in estimates], rows)
-    rate_errors = _stack([estimate.total_uncertainty for estimate in estimates], rows)
-    input_values = _stack([np.concatenate(parts) for parts in inputs], rows)
-    input_slopes = _stack([np.concatenate(parts) for parts in slopes], rows)
-    robustness_weights = None
-    if any(estimate.robustness_weights is not None for estimate in estimates):
-        ones = np.ones(rows)
-        by_state = [estimate.robustness_weights for estimate in estimates]
-        robustness_weights = _stack([ones if of_state is None else of_state for of_state in by_state], rows)
-    is_known = np.array([estimate.is_known for estimate in estimates])
-    trajectories = [
-        Trajectory(
-            name,
-            times,
-            _part(measured, place),
-            _part(smoothed, place),
-            _part(velocities, place),
-            _part(input_values, place),
-            _part(input_slopes, place),
-            held_out,
-            None if robustness_weights is None else _part(robustness_weights, place),
-            None if weights is None else _part(weights, place),
-            None if is_known.all() else np.ascontiguousarray(is_known[:, slice(*place)]),
-            _part(rates, place),
-            _part(rate_errors, place),
-            group,
-        )
-        for name, times, place, held_out, group in zip(
-            whole.names,
-            whole.times,
-            measurements.ranges,
-            measurements.held_out,
-            measurements.groups or [""] * len(whole.names),
-            strict=True,
-        )
-    ]
+    columns = _Columns(
+        _stack([np.concatenate(parts) for parts in whole.states.values()], rows),
+        _stack([np.concatenate(parts) for parts in inputs], rows),
+        _stack([np.concatenate(parts) for parts in _input_slopes(measurements, inputs)], rows),
+        weights,
+        estimates,
+    )
     smoothing = [
         _describe_smoothing(state, estimate, len(uncertain), excluded)
         for state, estimate, uncertain, excluded in zip(
@@ -90,10 +56,71 @@ def build_recording(
         roles.order,
         whole.offset,
         tuple(smoothing),
-        tuple(trajectories),
+        tuple(_trajectories(measurements, columns)),
         roles.offsets,
         measurements.group_names,
     )
+
+
+def _input_slopes(measurements: Measurements, inputs: Sequence[Sequence[FloatArray]]) -> list[list[FloatArray]]:
+    """Return the derivative of each input along each trajectory."""
+    roles, whole = measurements.roles, measurements.trajectories
+    assert whole is not None
+    slopes = [estimate_input_slopes(whole.times, parts) for parts in inputs]
+    if roles.time in roles.inputs:
+        slopes[roles.inputs.index(roles.time)] = [np.ones(len(times)) for times in whole.times]
+    return slopes
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """What is known of all rows: `measured` (S, R), `inputs` and `input_slopes` (U, R), `weights` (R,), estimates."""
+
+    measured: FloatArray
+    inputs: FloatArray
+    input_slopes: FloatArray
+    weights: FloatArray | None
+    estimates: Sequence[StateEstimate]
+
+    def robustness_weights(self) -> FloatArray | None:
+        """Return those of all states (S, R), 1 where a state has none; None where no state has any."""
+        by_state = [estimate.robustness_weights for estimate in self.estimates]
+        if all(of_state is None for of_state in by_state):
+            return None
+        rows = self.measured.shape[1]
+        return _stack([np.ones(rows) if of_state is None else of_state for of_state in by_state], rows)
+
+
+def _trajectories(measurements: Measurements, columns: _Columns) -> Iterator[Trajectory]:
+    """Yield each trajectory with its range of all columns."""
+    whole, rows, estimates = measurements.trajectories, measurements.row_count, columns.estimates
+    assert whole is not None
+    smoothed = _stack([estimate.values for estimate in estimates], rows)
+    velocities = _stack([estimate.velocity for estimate in estimates], rows)
+    rates = _stack([estimate.derivative for estimate in estimates], rows)
+    rate_errors = _stack([estimate.total_uncertainty for estimate in estimates], rows)
+    is_known = np.array([estimate.is_known for estimate in estimates])
+    robustness_weights = columns.robustness_weights()
+    groups = measurements.groups or [""] * len(whole.names)
+    for name, times, place, held_out, group in zip(
+        whole.names, whole.times, measurements.ranges, measurements.held_out, groups, strict=True
+    ):
+        yield Trajectory(
+            name,
+            times,
+            _part(columns.measured, place),
+            _part(smoothed, place),
+            _part(velocities, place),
+            _part(columns.inputs, place),
+            _part(columns.input_slopes, place),
+            held_out,
+            None if robustness_weights is None else _part(robustness_weights, place),
+            None if columns.weights is None else _part(columns.weights, place),
+            None if is_known.all() else np.ascontiguousarray(is_known[:, slice(*place)]),
+            _part(rates, place),
+            _part(rate_errors, place),
+            group,
+        )
 
 
 def _describe_smoothing(
