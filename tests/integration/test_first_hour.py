@@ -78,3 +78,10 @@ def test_nothing_breaks_identified_laws_are_found_and_none_is_made_up(name: str,
         outcome = played(CASES[name], tmp_path)
     assert is_as_it_should_be([outcome]), line(outcome)
     assert all(its.is_found for its in outcome.equations if its.is_identified), line(outcome)
+
+
+@pytest.mark.slow
+def test_an_epidemic_with_noise_is_right_and_not_doubtful(tmp_path: Path) -> None:
+    with np.errstate(all="ignore"):
+        outcome = played(CASES["S + I + R = 1, 1 % of noise"], tmp_path)
+    assert [(its.is_found, its.verdict) for its in outcome.equations] == [(True, "good")] * 3, line(outcome)

@@ -43,6 +43,8 @@ print(json.dumps({
     "equations": [str(each) for each in found[0].equations],
     "threads": threading.active_count(),
     "host": host,
+    "endpoint": session._services[2].endpoint,
+    "mode": Path(session._services[2].endpoint.partition("/")[2]).parent.stat().st_mode & 0o777,
     "killed": len(killed),
     "is_same": session._services[2]._process.pid == host,
 }))
@@ -93,6 +95,8 @@ def test_two_calls_give_the_digest_of_the_command_line_and_leave_nothing(tmp_pat
         assert found["digests"] == [digest_of_run] * calls
         assert found["equations"] == ["dx/dt = x*(3 - x - 2*y)", "dy/dt = y*(2 - x - y)"]
         assert found["threads"] == 1
+        assert found["endpoint"].startswith("unixsock-stream/")  # in a folder that no other user can enter
+        assert found["mode"] == 0o700
         assert (found["killed"], found["is_same"]) == (2 * (calls - 1), True)  # workers that die are replaced
         assert all_gone(found["host"])
         assert sorted(tmp_path.iterdir()) == before

@@ -265,7 +265,7 @@ def _half(measured: Measured, span: int | None, variables: int) -> int:
 
 def _nats_of(form: WeakForm, program: Program) -> float:
     """Return the nats of another program by the same criterion; infinite where it has no finite value."""
-    measured = form.its
+    measured = form.measured
     steps = np.diag(measured.noise)[:, :, None]
     with np.errstate(all="ignore"):
         values = values_of(program, measured.values)

@@ -171,6 +171,21 @@ def test_of_many_states_none_is_near_the_corners_and_none_stays_near_one_end():
     assert (np.ptp(starts, axis=0) > 0.2 * np.ptp(cloud, axis=1)).all()
 
 
+def test_ten_right_pendulums_are_relied_upon():
+    """In a corner of the box of all ten, each would be at its largest angle and speed, and most would turn over."""
+    count, angles = 10, [f"a{index}" for index in range(10)]
+    names = (*angles, *(f"s{index}" for index in range(count)))
+    squares = 1.0 + 0.15 * np.arange(count)
+    pendulums = Known(names, lambda _, z: [*z[count:], *(-squares * np.sin(z[:count]))])
+    start = [*np.linspace(1.5, 2.6, count), *np.zeros(count)]
+    its = measurements(pendulums, [start], 0.1 * np.arange(300.0))
+    right = system(
+        pendulums, *names[count:], *(f"-{c!r}*sin({a})" for a, c in zip(angles, squares.tolist(), strict=True))
+    )
+    for each in foretell(its, right, [], 1e-6):
+        assert (each.starts, each.followed, each.probability) == (12, 12, 1.0)
+
+
 def test_however_long_a_process_rests_the_way_there_is_begun_from():
     resting = measurements(SWING, [[1.0, 0.0]], np.linspace(0.0, 400.0, 4001))
     assert np.median(np.linalg.norm(spread_of(resting), axis=1)) > 0.2
