@@ -8,11 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from benchmarks.corpus.qualities import measure, quality
 from benchmarks.corpus.systems import CorpusSystem, DivergedError, draw_system, named_system, solution
 from benchmarks.harness.systems import Sampled, table_of
-from benchmarks.judging.fractions import FloatArray
 from benchmarks.noise.data import Path
 
 OURS: Final = "atoll"

@@ -11,7 +11,7 @@ from atoll_core.errors import UsageError
 from benchmarks.corpus.cases import LEAST_T, Case, Key
 from benchmarks.corpus.lengths import excess_of_truth
 from benchmarks.harness.stopwatch import Stopwatch
-from benchmarks.judging.fits import judge_form
+from benchmarks.judging.forms import judge_form
 from benchmarks.judging.generalisation import GOOD_R2, field_of, simulated
 from benchmarks.judging.rules import Kind, right_ones
 
@@ -23,7 +23,7 @@ MOST_LOOKED_AT: Final = 60
 class EquationOutcome:
     """How one equation came out.
 
-    `form` and `extra` are those of `benchmarks.judging.fits`; `t` is the smallest estimate over standard error of a
+    `form` and `extra` are those of `benchmarks.judging.forms`; `t` is the smallest estimate over standard error of a
     constant that the data allow (infinite without constants); `elsewhere` says where the true form is when it is not
     shown: "candidates" or "front", `nats` how much longer its description is there; `r2` is that of the state along
     all fresh trajectories together, -inf where the model cannot be simulated, None where there are none.

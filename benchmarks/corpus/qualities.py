@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from benchmarks.corpus.systems import CorpusSystem, solution
-from benchmarks.judging.fractions import FloatArray
 
 NEIGHBOURS: Final = 0.9
 """Correlation of neighbouring rows of ``ar1``."""

@@ -14,12 +14,12 @@ from typing import Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 from atoll_core.expression.text.parsing import from_infix
 from benchmarks.corpus.families import FAMILIES, NAMED, Box, Family
 from benchmarks.corpus.random_equations import random_family
-from benchmarks.judging.fractions import FloatArray
 from benchmarks.judging.generalisation import Field, field_of
 
 SIMPLE: Final = (0.1, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 8.0, 10.0, 20.0)

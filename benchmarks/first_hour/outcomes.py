@@ -12,7 +12,7 @@ from atoll_core.expression.text.parsing import from_infix
 from benchmarks.first_hour.cases import Case
 from benchmarks.first_hour.tables import Columns
 from benchmarks.judging.errors import finite, values_on
-from benchmarks.judging.fits import judge_form
+from benchmarks.judging.forms import judge_form
 from benchmarks.judging.rules import Kind
 
 CONFIDENT: Final = ("exact", "good")

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.judging.fractions import FloatArray
+from atoll_core.data.dataset import FloatArray
 
 Columns = dict[str, FloatArray]
 Rates = Callable[[float, FloatArray], Sequence[float]]

@@ -1,8 +1,8 @@
 """Is what was found right? Needs the truth, and nothing of a search.
 
-``rules`` has the answer of every rule by which an equation has the true form or not: ``forms`` decides whether a model
-is exact in form (``rewriting`` and ``angles`` bring it to ``fractions`` first), ``fits`` by a fit whether an equation
-has the truth's form, however its constants are. ``errors`` measures how far it is from the truth; ``verdict`` judges an
-equation of a result, ``coverage`` its intervals, ``generalisation`` its predictions from fresh initial conditions;
+``rules`` has the answer of every rule by which an equation has the true form or not: ``forms`` decides by a fit whether
+it is exact in form, or has the truth's form however its constants are. ``errors`` measures how far it is from the
+truth; ``verdict`` judges an equation of a result, ``coverage`` its intervals, ``generalisation`` its predictions from
+fresh initial conditions;
 ``equivalents`` are other ways to write known truths; ``writings`` counts how short the equations are that are shown.
 """

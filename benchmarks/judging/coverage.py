@@ -13,10 +13,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 from atoll_core.expression.text.parsing import from_infix
-from benchmarks.judging.fractions import FloatArray
 
 EXACT: Final = 1e-8
 """Error of the fit over the target's deviation (root mean square) below which the fit is exact."""

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
-from benchmarks.judging.fractions import FloatArray
 
 
 def _forms(text: str) -> dict[str, tuple[str, ...]]:

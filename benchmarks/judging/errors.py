@@ -5,10 +5,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
-from benchmarks.judging.fractions import FloatArray
 
 
 def values_on(text: str, columns: Mapping[str, FloatArray]) -> FloatArray:

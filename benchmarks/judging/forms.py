@@ -1,243 +1,407 @@
-"""Is a model exact in form? The checker behind every claim that an equation was found.
+"""Has an equation the form of the truth? Decided by fitting: is there a choice of constants that makes them equal?
 
 ``python -m benchmarks.judging.forms MODEL TRUTH [--data FILE.csv]``
 
-Model and truth are written as fractions of polynomials (`benchmarks.judging.rewriting`). Terms that contribute less
-than `NEGLIGIBLE` of the target's standard deviation on the data are dropped. The model is exact in form when it equals,
-within the same `NEGLIGIBLE` per term, a fraction with the truth's monomials and no others, whose coefficients, after
-dividing by one that the truth has, all lie within the tolerance of the truth's.
+Every number of the truth and every coefficient of one that is not written gets a factor. An equation has the truth's
+form when some positive factors make the truth equal to it, to a millionth of the derivative's deviation, on the
+measured states without errors and on points of the box around them: whatever the dress, and with constants as errors
+leave them.
 
-A model may have a polynomial factor in numerator and denominator that cancels, as a sum of two fractions has. So the
-fraction N'/D' with the truth's monomials is sought that makes N D' - D N' vanish, N/D being the model: a linear problem
-in the coefficients of N' and D'. Its residual must be negligible monomial by monomial, not only in sum over the data:
-a model that merely approximates the truth does not pass. A factor that cancels only nearly leaves a residual, too.
-Constants inside sin, cos and other functions are coefficients like all others: they may differ by the tolerance.
-The truth must be written in lowest terms.
+`compare` asks whether it is exact in form: no factor is farther from 1 than a tolerance, and it is no approximation. An
+approximation goes another way beyond the box, as polynomials do that stand for a sine, or has functions that are hardly
+bent on it, as sines of small angles that stand for their angles.
+
+`judge_form` takes any constants, and counts what is too much: parts of little effect without which the form is still
+right are extra terms. When the form is not the truth's, the equation is written as a sum of products, and the
+smallest summands are left out one after the other: an equation that has the form then had so many extra terms.
 """
 
+import ast
 import csv
-import math
 import re
 import sys
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from scipy.linalg import qr
+from scipy.optimize import least_squares
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.command_line import option, program
-from benchmarks.judging.fractions import (
-    Atoms,
-    FloatArray,
-    Fraction,
-    Monomial,
-    Polynomial,
-    TooLargeError,
-    UndefinedError,
-)
-from benchmarks.judging.rewriting import Rewritten, rewrite
+from benchmarks.judging.errors import error_on, values_on
 from benchmarks.judging.rules import NO_EQUATION, Form, Kind
 
 NEGLIGIBLE: Final = 1e-6
-"""Share of the target's standard deviation below which a term counts as absent."""
+"""Largest difference, over the derivative's deviation, between two writings of one function."""
 
+LITTLE: Final = 1e-3
+"""Largest effect, over the derivative's deviation, of a part that the truth's constants can take over: a crumb."""
+
+VANISHED: Final = 1e-3
+"""A factor below this: the term is missing."""
+
+MOST_EXTRA: Final = 10
+MOST_SUMMANDS: Final = 60
+POINTS: Final = 150
+"""Rows among the measured ones, and as many in the box."""
+
+LEAST_FINITE: Final = 0.5
 FRESH_POINTS: Final = 1_000
-SLACK: Final = 3.0
-"""How often the effect of a small change of the truth's angles the same change of the model's angles may have."""
+FAR: Final = 30.0
+"""Half widths of the box that far points lie from its middle, at most."""
+
+AGREEMENT: Final = 1e-4
+"""Largest relative difference at a far point; of those where both have a value, `MOST` must agree."""
+
+MOST: Final = 0.9
+FLAT: Final = 0.02
+"""A function whose argument varies by less on the box is its tangent there, to about a millionth."""
+
+_REDUNDANT: Final = 1e-8
+"""Numerics: singular values below this share of the largest are those of factors that can stand in for one another."""
+
+_FAR: Final = 1e150
+_FUNCTIONS: Final[dict[str, Any]] = {
+    "sin": np.sin, "cos": np.cos, "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "abs": np.abs, "tanh": np.tanh,
+    "tan": np.tan, "cot": lambda value: 1.0 / np.tan(value), "inv": lambda value: 1.0 / value,
+    "square": lambda value: value * value, "pow": np.power, "inverse": lambda value: 1.0 / value,
+}  # fmt: skip
 
 
-class _DifferentError(Exception):
-    """Raised with the sentence that says why the forms differ."""
-
-    kind: Kind = "other"
-
-
-class _MissingError(_DifferentError):
-    """Raised where a term of the truth is missing."""
-
-    kind = "missing"
+_REASONS: Final[Mapping[Kind, str]] = {
+    "right": "the same form",
+    "missing": "a term is missing",
+    "other": "no constants make the truth equal to it",
+}
 
 
-def compare(
-    model: str | None, truth: str, data: Mapping[str, FloatArray], target_sd: float, tolerance: float = 0.01
-) -> Form:
-    """Compare `model` with `truth`, both infix text over the names of `data`.
+_APPROXIMATE: Final = "it only approximates the truth"
 
-    Args:
-        model: the expression that was found, None where there is none.
-        truth: the expression sought, in lowest terms.
-        data: the rows on which contributions are measured: by name, R values each.
-        target_sd: standard deviation of the target, in its units.
-        tolerance: largest relative difference of a coefficient.
+
+def compare(found: str | None, truth: str, columns: Mapping[str, FloatArray], tolerance: float = 0.01) -> Form:
+    """Tell whether `found` is exact in form: the truth with constants that differ by at most a relative `tolerance`.
+
+    Both are infix text over the names of `columns`, (R,) values without errors.
 
     Raises:
-        UsageError: one of the texts is no expression over `data`'s names.
+        UsageError: one of the texts is no expression over these names.
     """
-    if model is None:
+    if found is None:
         return NO_EQUATION
     with np.errstate(all="ignore"):
-        function_error = _function_error(model, truth, data)
+        function_error = _function_error(found, truth, columns)
+        points = _points(columns)
+        model = _Model(truth, points)
         try:
-            difference = _constants_error(model, truth, data, target_sd, tolerance)
-        except _DifferentError as different:
-            return Form(different.kind, reason=str(different), function_error=function_error)
-        except TooLargeError:
-            return Form("other", reason="too many terms to compare", function_error=function_error)
-        except UndefinedError:
-            return Form("other", reason="a division by zero", function_error=function_error)
+            tree = _parsed(found)
+            kind = model.match(_evaluated(tree, points))
+            is_flat = _flat_calls(tree, points) > _flat_calls(_parsed(truth), points)
+            if kind == "right" and (is_flat or not model.agrees(tree, _far_points(columns))):
+                return Form("other", reason=_APPROXIMATE, function_error=function_error)
+        except (SyntaxError, RecursionError, ValueError, TypeError, MemoryError, OverflowError, ZeroDivisionError):
+            kind = "other"
+        if kind != "right":
+            return Form(kind, reason=_REASONS[kind], function_error=function_error)
+        difference = model.largest_difference()
     is_within = difference <= tolerance
-    reason = "the same form" if is_within else f"a constant differs by {difference:.3g}"
+    reason = _REASONS["right"] if is_within else f"a constant differs by {difference:.3g}"
     return Form("right" if is_within else "near", None, reason, difference, function_error)
 
 
-def _constants_error(
-    model: str, truth: str, data: Mapping[str, FloatArray], target_sd: float, tolerance: float
-) -> float:
-    """Return the largest relative difference of a coefficient; raises _DifferentError."""
-    both = rewrite(truth, model, data, tolerance)
-    scale = _Scale(both.atoms, target_sd)
-    sought, found = scale.without_negligible(both.truth), scale.without_negligible(both.model)
-    if not sought.numerator:
-        raise _DifferentError("the truth is zero")
-    if not found.numerator:
-        raise _MissingError("a term is missing: everything")
-    _check_arguments(model, data, both, found, scale)
-    if not _has_same_monomials(found, sought):
-        found = _in_form_of(sought, found, scale)
-    return max(_largest_difference(found, sought, scale), both.angle_difference, both.argument_difference)
+def judge_form(found: str | None, truth: str, columns: Mapping[str, FloatArray], *, with_extra: bool = True) -> Form:
+    """Compare the form of `found` with that of `truth`, both over the names of `columns`, (R,) values without errors.
 
-
-class _Scale:
-    """Measures how much a term contributes on the data, as root mean square over the target's deviation."""
-
-    def __init__(self, atoms: Atoms, target_sd: float) -> None:
-        self.atoms = atoms
-        self._target_sd = target_sd
-
-    def values(self, fraction: Fraction) -> FloatArray:
-        return self.atoms.evaluate(fraction.numerator) / self.atoms.evaluate(fraction.denominator)
-
-    def contribution(self, values: FloatArray) -> float:
-        finite = values[np.isfinite(values)]
-        return float(np.sqrt(np.mean(finite**2))) / self._target_sd if len(finite) else math.inf
-
-    def contributions(self, polynomial: Polynomial, factor: FloatArray) -> Polynomial:
-        return {
-            monomial: self.contribution(coefficient * self.atoms.value(monomial) * factor)
-            for monomial, coefficient in polynomial.items()
-        }
-
-    def sensitivity(self, fraction: Fraction, difference: float) -> float:
-        """Return what a relative `difference` of each base angle contributes, summed over the angles."""
-        before = self.values(fraction)
-        total = 0.0
-        for number in self.atoms.scalable:
-            self.atoms.scale_argument(number, 1.0 + difference)
-            total += self.contribution(self.values(fraction) - before)
-            self.atoms.scale_argument(number, 1.0)
-        return total
-
-    def without_negligible(self, fraction: Fraction) -> Fraction:
-        below = 1.0 / self.atoms.evaluate(fraction.denominator)
-        above = self._kept(fraction.numerator, below)
-        return Fraction(above, self._kept(fraction.denominator, self.values(fraction) * below))
-
-    def _kept(self, polynomial: Polynomial, factor: FloatArray) -> Polynomial:
-        sizes = self.contributions(polynomial, factor)
-        return {monomial: value for monomial, value in polynomial.items() if sizes[monomial] >= NEGLIGIBLE}
-
-
-def _check_arguments(
-    model: str, data: Mapping[str, FloatArray], both: Rewritten, found: Fraction, scale: _Scale
-) -> None:
-    """Refuse a model whose angles or other arguments differ from the truth's by little, but to great effect.
-
-    A difference of two sines of nearly equal angles vanishes when both are taken for the same angle.
+    Without `with_extra`, extra terms are not looked for.
     """
-    if max(both.angle_difference, both.argument_difference) <= NEGLIGIBLE:
-        return
-    actual = values_of(from_infix(model, tuple(data)), np.array([*data.values()]))
-    error = scale.contribution(actual - scale.values(found))
-    allowed = SLACK * (scale.sensitivity(found, both.angle_difference) + both.argument_difference) + NEGLIGIBLE
-    if not error <= allowed:
-        raise _DifferentError(f"arguments differ from the truth's, by {error:.3g} of the target's deviation")
+    if found is None:
+        return NO_EQUATION
+    points = _points(columns)
+    with np.errstate(all="ignore"):
+        model = _Model(truth, points)
+        try:
+            values = _evaluated(_parsed(found), points)
+            kind = model.match(values)
+            if kind == "right":
+                needless = _needless(model, _parsed(found), points)
+                return Form("extra" if needless else "right", needless)
+            extra = None if not with_extra else _extra(model, _parsed(found), points)
+        except (SyntaxError, RecursionError, ValueError, KeyError, TypeError, MemoryError):
+            return Form("other")
+    return Form(kind) if extra is None else Form("extra", extra)
 
 
-def _has_same_monomials(left: Fraction, right: Fraction) -> bool:
-    return left.numerator.keys() == right.numerator.keys() and left.denominator.keys() == right.denominator.keys()
+def _extra(model: "_Model", tree: ast.expr, points: Mapping[str, FloatArray]) -> int | None:
+    """Return the number of smallest summands without which the form is right; None when there is none."""
+    summands = _merged([_evaluated(each, points) for each in _expanded(tree)][:MOST_SUMMANDS])
+    summands.sort(key=lambda each: -model.size(each))
+    for left_out in range(1, min(MOST_EXTRA, len(summands) - 1) + 1):
+        if model.match(sum(summands[: len(summands) - left_out], np.zeros(1))) == "right":
+            return left_out
+    return None
 
 
-def _in_form_of(form: Fraction, model: Fraction, scale: _Scale) -> Fraction:
-    """Return the fraction with the monomials of `form` that equals `model`; raises _DifferentError if there is none."""
-    above, below = sorted(form.numerator), sorted(form.denominator)
-    products = [scale.atoms.multiply(model.numerator, {monomial: 1.0}) for monomial in below]
-    products += [scale.atoms.multiply(model.denominator, {monomial: -1.0}) for monomial in above]
-    monomials = sorted({monomial for product in products for monomial in product})
-    size = 1.0 / (scale.atoms.evaluate(model.denominator) * scale.atoms.evaluate(form.denominator))
-    weights = scale.contributions(dict.fromkeys(monomials, 1.0), size)
-    matrix = np.array([[weights[row] * product.get(row, 0.0) for product in products] for row in monomials])
-    solution = _null_vector(matrix)
-    found = Fraction(
-        dict(zip(above, solution[len(below) :], strict=True)), dict(zip(below, solution[: len(below)], strict=True))
-    )
-    _check_residual(matrix @ solution, monomials, _normalizer(found, form, scale), scale.atoms)
+def _needless(model: "_Model", tree: ast.expr, points: Mapping[str, FloatArray]) -> int:
+    """Return how many summands and factors can be left out, one after the other, with little effect."""
+    found = 0
+    values = _evaluated(tree, points)
+    while True:
+        for shorter in _shorter(tree):
+            if model.has_little_effect(values, _evaluated(shorter, points)):
+                tree, found = shorter, found + 1
+                break
+        else:
+            return found
+
+
+def _shorter(node: ast.expr) -> Iterator[ast.expr]:
+    """Yield `node` with one operand of a sum or product left out, the outermost first; numeric factors stay."""
+    match node:
+        case ast.BinOp(left, operator, right):
+            if isinstance(operator, ast.Add | ast.Sub):
+                yield left
+                yield right if isinstance(operator, ast.Add) else ast.UnaryOp(ast.USub(), right)
+            elif isinstance(operator, ast.Mult | ast.Div):
+                yield from [left] if not _is_number(right) else []
+                yield from [right] if isinstance(operator, ast.Mult) and not _is_number(left) else []
+            yield from (ast.BinOp(each, operator, right) for each in _shorter(left))
+            yield from (ast.BinOp(left, operator, each) for each in _shorter(right))
+        case ast.UnaryOp(operator, operand):
+            yield from (ast.UnaryOp(operator, each) for each in _shorter(operand))
+        case ast.Call(function, [argument]):
+            yield from (ast.Call(function, [each], []) for each in _shorter(argument))
+
+
+def _is_number(node: ast.expr) -> bool:
+    return isinstance(node.operand if isinstance(node, ast.UnaryOp) else node, ast.Constant)
+
+
+class _Model:
+    """The truth with a factor at every number, and at every summand."""
+
+    def __init__(self, truth: str, points: Mapping[str, FloatArray]) -> None:
+        names: list[str] = []
+        tree = ast.fix_missing_locations(_with_factors(_parsed(truth), names))
+        self._names = names
+        self._run = _compiled(tree)
+        self._points = points
+        target = self._values(np.ones(len(names)))
+        self._kept = np.isfinite(target)
+        self._scale = float(np.std(target[self._kept])) or 1.0
+        self._weight = 1.0 / (self._scale + np.abs(target))
+        self._factors = np.ones(len(names))
+        self._jacobian = np.zeros((0, len(names)))
+
+    def has_little_effect(self, before: FloatArray, after: FloatArray) -> bool:
+        """Tell whether a change of values is small, and leaves the form right."""
+        if not (np.isfinite(after) >= np.isfinite(before)).all():
+            return False
+        change = self.size(after - before) / self._scale
+        return change <= NEGLIGIBLE or (change <= LITTLE and self.match(after) == "right")
+
+    def size(self, values: FloatArray) -> float:
+        """Return the root mean square of some values, as far as they are finite."""
+        finite = np.broadcast_to(values, self._kept.shape)
+        finite = finite[np.isfinite(finite)]
+        return float(np.sqrt((finite**2).mean())) if len(finite) else np.inf
+
+    def match(self, values: FloatArray) -> Kind:
+        """Say whether factors make the truth equal to `values`: all of them positive, or some zero, or not at all."""
+        values = np.broadcast_to(values, self._kept.shape)
+        kept = self._kept & np.isfinite(values)
+        if not kept.sum() > LEAST_FINITE * self._kept.sum():
+            return "other"
+
+        def residuals(factors: FloatArray) -> FloatArray:
+            left = ((self._values(factors) - values) * self._weight)[kept]
+            return np.nan_to_num(left, nan=_FAR, posinf=_FAR, neginf=-_FAR).clip(-_FAR, _FAR)
+
+        start = np.ones(len(self._names))
+        if not np.abs(residuals(start)).max() < _FAR:
+            return "other"
+        try:
+            fit = least_squares(residuals, start, "3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200)
+        except (ValueError, np.linalg.LinAlgError):
+            return "other"
+        if not float(np.sqrt((fit.fun**2).mean())) <= NEGLIGIBLE:
+            return "other"
+        self._factors, self._jacobian = fit.x, fit.jac
+        return "right" if (fit.x > VANISHED).all() else "missing"
+
+    def agrees(self, tree: ast.expr, points: Mapping[str, FloatArray]) -> bool:
+        """Tell whether the truth with the factors of the last match has the values of an equation at other points."""
+        sought = self._run({**points, **dict(zip(self._names, self._factors.tolist(), strict=True))})
+        found = _evaluated(tree, points)
+        scale = self._scale + np.abs(sought)
+        seen = np.isfinite(scale) & np.isfinite(found)
+        differences = np.abs(found - sought)[seen] / scale[seen]
+        return not len(differences) or bool((differences <= AGREEMENT).mean() >= MOST)
+
+    def largest_difference(self) -> float:
+        """Return the largest difference from 1 of the factors that the last match, which was right, has found.
+
+        Of factors that can stand in for one another, as those of a numerator and its denominator, that of the largest
+        effect is taken as 1.
+        """
+        logarithms, effects = np.log(self._factors), self._jacobian * self._factors
+        _, sizes, directions = np.linalg.svd(effects, full_matrices=False)
+        redundant = directions[sizes <= _REDUNDANT * sizes.max(initial=0.0)]
+        if len(redundant):
+            _, _, order = qr(redundant * np.linalg.norm(effects, axis=0), mode="economic", pivoting=True)
+            ones = order[: len(redundant)]
+            logarithms = logarithms - redundant.T @ np.linalg.solve(redundant[:, ones].T, logarithms[ones])
+        return float(np.abs(np.expm1(logarithms)).max(initial=0.0))
+
+    def _values(self, factors: FloatArray) -> FloatArray:
+        values = self._run({**self._points, **dict(zip(self._names, factors.tolist(), strict=True))})
+        return np.broadcast_to(np.asarray(values, dtype=np.float64), next(iter(self._points.values())).shape)
+
+
+def _points(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return rows of `columns`, evenly chosen, and random points of the box around all."""
+    rng = np.random.default_rng(0)
+    rows = np.linspace(0, len(next(iter(columns.values()))) - 1, POINTS).round().astype(np.int64)
+    return {
+        name: np.concatenate([values[rows], rng.uniform(values.min(), values.max(), POINTS)])
+        for name, values in columns.items()
+    }
+
+
+def _flat_calls(tree: ast.expr, points: Mapping[str, FloatArray]) -> int:
+    """Return the number of functions whose argument varies, but hardly."""
+    calls = [node.args[0] for node in ast.walk(tree) if isinstance(node, ast.Call) and node.args]
+    spans = [float(np.ptp(values[np.isfinite(values)])) for values in (_evaluated(each, points) for each in calls)]
+    return sum(0.0 < span < FLAT for span in spans)
+
+
+def _far_points(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return random points of the box around all rows, made `FAR` times as wide."""
+    rng = np.random.default_rng(1)
+    middles = {name: (0.5 * (values.min() + values.max()), 0.5 * np.ptp(values)) for name, values in columns.items()}
+    return {name: middle + FAR * half * rng.uniform(-1.0, 1.0, POINTS) for name, (middle, half) in middles.items()}
+
+
+def _parsed(text: str) -> ast.expr:
+    return ast.parse(text.replace("^", "**"), mode="eval").body
+
+
+def _compiled(tree: ast.expr) -> Callable[[Mapping[str, Any]], Any]:
+    code = compile(ast.Expression(tree), "equation", "eval")
+    space = {"__builtins__": {}, "pi": np.pi, **_FUNCTIONS}
+    return lambda values: eval(code, space, dict(values))  # of numbers, names, operators and the functions above
+
+
+def _evaluated(tree: ast.expr, points: Mapping[str, FloatArray]) -> FloatArray:
+    values = np.asarray(_compiled(ast.fix_missing_locations(tree))(points), dtype=np.float64)
+    return np.broadcast_to(values, next(iter(points.values())).shape)
+
+
+def _with_factors(node: ast.expr, names: list[str], *, is_summand: bool = True) -> ast.expr:
+    """Return `node` with a factor at each number but whole exponents, and at each summand that has no number."""
+    match node:
+        case ast.BinOp(left, ast.Add() | ast.Sub() as operator, right):
+            return ast.BinOp(_with_factors(left, names), operator, _with_factors(right, names))
+        case ast.UnaryOp(operator, operand):
+            return ast.UnaryOp(operator, _with_factors(operand, names, is_summand=is_summand))
+        case ast.Constant():
+            return _times_factor(node, names)
+    inner = _with_factors_inside(node, names)
+    return inner if not is_summand or _has_number(node) else _times_factor(inner, names)
+
+
+def _with_factors_inside(node: ast.expr, names: list[str]) -> ast.expr:
+    match node:
+        case ast.BinOp(left, ast.Pow(), ast.Constant(int())):
+            return ast.BinOp(_with_factors(left, names, is_summand=False), ast.Pow(), node.right)
+        case ast.BinOp(left, operator, right):
+            return ast.BinOp(
+                _with_factors(left, names, is_summand=False), operator, _with_factors(right, names, is_summand=False)
+            )
+        case ast.Call(function, arguments):
+            return ast.Call(function, [_with_factors(argument, names) for argument in arguments], [])
+    return node
+
+
+def _has_number(node: ast.expr) -> bool:
+    """Tell whether a product has a number among its factors, which then has a factor of its own."""
+    match node:
+        case ast.Constant():
+            return True
+        case ast.UnaryOp(_, operand):
+            return _has_number(operand)
+        case ast.BinOp(left, ast.Mult() | ast.Div(), right):
+            return _has_number(left) or _has_number(right)
+    return False
+
+
+def _times_factor(node: ast.expr, names: list[str]) -> ast.expr:
+    names.append(f"factor_{len(names)}_")
+    return ast.BinOp(ast.Name(names[-1], ast.Load()), ast.Mult(), node)
+
+
+def _expanded(node: ast.expr) -> Iterator[ast.expr]:
+    """Yield the summands of `node`, products and whole powers of sums multiplied out."""
+    match node:
+        case ast.BinOp(left, ast.Add(), right):
+            yield from _expanded(left)
+            yield from _expanded(right)
+        case ast.BinOp(left, ast.Sub(), right):
+            yield from _expanded(left)
+            yield from (ast.UnaryOp(ast.USub(), each) for each in _expanded(right))
+        case ast.UnaryOp(ast.USub(), operand):
+            yield from (ast.UnaryOp(ast.USub(), each) for each in _expanded(operand))
+        case ast.BinOp(left, ast.Mult(), right):
+            yield from _products([*_expanded(left)], [*_expanded(right)])
+        case ast.BinOp(left, ast.Div(), right):
+            yield from (ast.BinOp(each, ast.Div(), right) for each in _expanded(left))
+        case ast.BinOp(left, ast.Pow(), ast.Constant(int(times))) if 1 < times <= 4:
+            parts = [*_expanded(left)]
+            total = parts
+            for _ in range(times - 1):
+                total = [*_products(total, parts)]
+            yield from total
+        case _:
+            yield node
+
+
+def _products(left: Sequence[ast.expr], right: Sequence[ast.expr]) -> Iterator[ast.expr]:
+    for one in left:
+        for other in right:
+            yield ast.BinOp(one, ast.Mult(), other)
+
+
+def _merged(summands: Sequence[FloatArray]) -> list[FloatArray]:
+    """Add up summands that are multiples of one another."""
+    found: list[FloatArray] = []
+    for values in summands:
+        for place, other in enumerate(found):
+            if _is_multiple(values, other):
+                found[place] = other + values
+                break
+        else:
+            found.append(values)
     return found
 
 
-def _null_vector(matrix: FloatArray) -> list[float]:
-    """Return the vector of length one in scaled columns that `matrix` makes smallest."""
-    lengths = np.sqrt((matrix**2).sum(axis=0))
-    if not np.isfinite(lengths).all() or not lengths.all():
-        raise _DifferentError("terms that are not finite on the data")
-    columns = matrix / lengths
-    square = np.vstack([columns, np.zeros((max(0, columns.shape[1] - columns.shape[0]), columns.shape[1]))])
-    _, _, directions = np.linalg.svd(square, full_matrices=False)
-    return [float(value) for value in directions[-1] / lengths]
+def _is_multiple(left: FloatArray, right: FloatArray) -> bool:
+    kept = np.isfinite(left) & np.isfinite(right)
+    norms = float(np.linalg.norm(left[kept]) * np.linalg.norm(right[kept]))
+    return norms > 0.0 and abs(float(left[kept] @ right[kept])) >= (1.0 - 1e-12) * norms
 
 
-def _check_residual(residual: FloatArray, monomials: Sequence[Monomial], normalizer: float, atoms: Atoms) -> None:
-    """Refuse when a monomial is left over that contributes."""
-    worst = int(np.argmax(np.abs(residual)))
-    left = abs(float(residual[worst])) * abs(normalizer)
-    if not left < NEGLIGIBLE:
-        name = atoms.text(monomials[worst])
-        raise _DifferentError(f"not the truth's terms: {name} is left over, {left:.3g} of the target's deviation")
+def _function_error(found: str, truth: str, columns: Mapping[str, FloatArray]) -> float | None:
+    """Return the root mean square difference over the truth's deviation, on fresh points of the range of each column.
 
-
-def _normalizer(found: Fraction, form: Fraction, scale: _Scale) -> float:
-    """Return the factor that makes the largest coefficient of the denominator equal to that of `form`."""
-    size = scale.contributions(form.denominator, np.ones(scale.atoms.rows))
-    pivot = max(sorted(size), key=lambda monomial: size[monomial])
-    value = found.denominator.get(pivot, 0.0)
-    return form.denominator[pivot] / value if value else math.inf
-
-
-def _largest_difference(found: Fraction, sought: Fraction, scale: _Scale) -> float:
-    factor = _normalizer(found, sought, scale)
-    largest = 0.0
-    for part, whole in ((found.numerator, sought.numerator), (found.denominator, sought.denominator)):
-        for monomial, coefficient in whole.items():
-            relative = factor * part.get(monomial, 0.0) / coefficient
-            if not abs(relative) > NEGLIGIBLE:
-                raise _MissingError(f"a term is missing: {scale.atoms.text(monomial)}")
-            largest = max(largest, abs(relative - 1.0))
-    return largest
-
-
-def _function_error(model: str, truth: str, data: Mapping[str, FloatArray]) -> float | None:
-    """Return the difference on fresh points, drawn uniformly from the range of each column."""
+    None where it is not finite.
+    """
     generator = np.random.default_rng(0)
-    fresh = np.array([generator.uniform(np.min(column), np.max(column), FRESH_POINTS) for column in data.values()])
-    found, sought = (values_of(from_infix(text, tuple(data)), fresh) for text in (model, truth))
-    defined = np.isfinite(sought)
-    error = (
-        float(np.sqrt(np.mean((found - sought)[defined] ** 2)) / np.std(sought[defined])) if defined.any() else math.nan
-    )
-    return error if math.isfinite(error) else None
+    fresh = {name: generator.uniform(values.min(), values.max(), FRESH_POINTS) for name, values in columns.items()}
+    values_on(found, fresh)  # raises UsageError, which `error_on` takes for no error
+    defined = np.isfinite(values_on(truth, fresh))
+    return error_on(found, truth, {name: values[defined] for name, values in fresh.items()}) if defined.any() else None
 
 
 def _shown(value: float | None) -> str:
@@ -262,7 +426,6 @@ def _uniform(*texts: str) -> dict[str, FloatArray]:
     option("model"),
     option("truth"),
     option("--data", type=Path, help="CSV with the variables as columns; default: uniform on [0.5, 2.5]"),
-    option("--deviation", type=float, help="standard deviation of the target; default: the truth's"),
     option("--tolerance", type=float, default=0.01, help="relative, for each coefficient (0.01)"),
     description="Is a model exact in form?",
 )
@@ -270,10 +433,7 @@ def main(options: Namespace) -> int:
     """Compare two expressions on the command line; exit code 0 when they have the same form, else 1."""
     data = _read(options.data) if options.data else _uniform(options.model, options.truth)
     try:
-        deviation = options.deviation or float(
-            np.std(values_of(from_infix(options.truth, tuple(data)), np.array([*data.values()])))
-        )
-        verdict = compare(options.model, options.truth, data, deviation, options.tolerance)
+        verdict = compare(options.model, options.truth, data, options.tolerance)
     except UsageError as error:
         print(error, file=sys.stderr)
         return 2

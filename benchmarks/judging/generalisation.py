@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import (
     ABS,
@@ -28,7 +29,6 @@ from atoll_core.expression.operators import (
     VARIABLE,
 )
 from atoll_core.expression.text.parsing import from_infix
-from benchmarks.judging.fractions import FloatArray
 from benchmarks.noise.data import Path
 
 GOOD_R2: Final = 0.9

@@ -1,8 +1,8 @@
 """The one answer to the question whether a found equation has the true form, whichever rule gives it.
 
-A rule is a function of the text that was found. `benchmarks.judging.forms.compare` compares term by term and constant
-by constant, `benchmarks.judging.fits.judge_form` fits the truth's constants, and `benchmarks.peers.srbench.assess` is
-SRBench's own; they need not agree on what is nearly right, and each published figure names the rule that it is by.
+A rule is a function of the text that was found: `benchmarks.judging.forms` fits the truth's constants, which are then
+to be the truth's (`compare`) or any (`judge_form`), and `benchmarks.peers.srbench.assess` is SRBench's own. They need
+not agree on what is nearly right, and each published figure names the rule that it is by.
 """
 
 from collections.abc import Callable, Iterable, Mapping

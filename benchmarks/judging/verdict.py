@@ -119,9 +119,8 @@ def _verdict(question: Question, result: Mapping[str, Any], equation: Mapping[st
 def _rule(question: Question, variable: str) -> Rule:
     dataset = question.dataset
     columns: dict[str, FloatArray] = dict(zip(dataset.names, dataset.inputs, strict=True))
-    deviation = dataset.problem(variable).target.standard_deviation
     truth = question.truths[variable]
-    return lambda expression: compare(expression, truth, columns, deviation, TOLERANCE)
+    return lambda expression: compare(expression, truth, columns, TOLERANCE)
 
 
 COLUMNS: Final = Columns(

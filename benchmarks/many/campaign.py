@@ -17,7 +17,7 @@ from benchmarks.harness.jobs import configured
 from benchmarks.harness.journal import read
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.harness.systems import table_of
-from benchmarks.judging.fits import judge_form
+from benchmarks.judging.forms import judge_form
 from benchmarks.many.systems import SYSTEMS, sampled
 
 Key = tuple[str, float, int]
@@ -26,7 +26,7 @@ Key = tuple[str, float, int]
 
 @dataclass(frozen=True)
 class Outcome:
-    """One search: the form of each equation (see `benchmarks.judging.fits`), its verdict, what was shown.
+    """One search: the form of each equation (see `benchmarks.judging.forms`), its verdict, what was shown.
 
     `seconds` are those of the job, `phases` those of its states, `processor` processor seconds of these.
     """

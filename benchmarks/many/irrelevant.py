@@ -23,7 +23,7 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.search.pareto import FrontEntry
 from benchmarks.harness.systems import table_of
-from benchmarks.judging.fits import judge_form
+from benchmarks.judging.forms import judge_form
 from benchmarks.many.systems import System, lorenz96, sampled
 
 

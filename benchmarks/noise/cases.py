@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from atoll.terminal.output import clipped, note, say, shortened, table
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import DataConfig
+from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from benchmarks.harness.campaign import attempt
 from benchmarks.harness.jobs import configured
@@ -19,7 +20,6 @@ from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.stopwatch import Stopwatch, largest_child_mb
 from benchmarks.harness.systems import Sampled, table_of, trajectories, with_noise
 from benchmarks.harness.tables import percent
-from benchmarks.judging.fractions import FloatArray
 from benchmarks.noise.data import Case, Key
 from benchmarks.noise.data import Path as Course
 from benchmarks.noise.judging import search

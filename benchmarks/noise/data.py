@@ -13,11 +13,11 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.systems import RUNS, SYSTEMS, Sampled, System, drawn, solutions, table_of, with_noise
-from benchmarks.judging.fractions import FloatArray
 from benchmarks.noise.odd_systems import ODD
 
 STEP: Final = 0.1

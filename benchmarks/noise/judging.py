@@ -161,12 +161,9 @@ def _is_found(key: Key, form: Form) -> bool:
 
 
 def _rule(case: Case, name: str) -> Rule:
-    slope = case.slope(name)
-    deviation = float(np.std(slope[np.isfinite(slope)]))
-
     def rule(text: str | None) -> Form:
         try:
-            return compare(text, case.truths[name], case.clean, deviation, FREE)
+            return compare(text, case.truths[name], case.clean, FREE)
         except UsageError as error:
             return Form("other", reason=str(error))
 

@@ -203,7 +203,7 @@ def _of_table3(task: Task, states: Sequence[bytes] | None = None) -> tuple[Archi
         if not entry.error < CLOSE * deviation:
             return None
         text = to_infix(Program.from_bytes(entry.program, len(data)), problem.names)
-        return text if compare(text, TRUTH[system][variable], data, deviation).is_right else None
+        return text if compare(text, TRUTH[system][variable], data).is_right else None
 
     config = config_of(task.reading, task.seed, ("+", "-", "*", "/", "sin", "cos"))
     return Archipelago(problem, config, states), STRIDE, is_right

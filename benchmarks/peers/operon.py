@@ -23,9 +23,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import AtollError, UsageError
 from benchmarks.harness.command_line import option, program
-from benchmarks.judging.fractions import FloatArray
 
 THREADS: Final = 2
 POPULATION: Final = 1000

@@ -19,9 +19,8 @@ import numpy as np
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_core.config import PRESETS, JobConfig
-from atoll_core.data.dataset import Target
+from atoll_core.data.dataset import FloatArray, Target
 from atoll_core.data.table import Table
-from benchmarks.judging.fractions import FloatArray
 from benchmarks.peers.operon import FIT_STEPS, THREADS
 
 OPERON: Final = "operon"

@@ -18,8 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-from benchmarks.judging.fractions import FloatArray
 from benchmarks.judging.generalisation import field_of, simulated
 from benchmarks.noise.data import Case, Key, Path
 

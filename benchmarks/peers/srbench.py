@@ -24,11 +24,11 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.terminal.output import note, say, table
+from atoll_core.data.dataset import FloatArray
 from benchmarks.harness.command_line import option, program
 from benchmarks.judging.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UNCREDITED, rows_of
 from benchmarks.judging.errors import values_on
 from benchmarks.judging.forms import compare
-from benchmarks.judging.fractions import FloatArray
 from benchmarks.judging.rules import NO_EQUATION, Form
 
 STRICT: Final = 1e-3
@@ -126,7 +126,7 @@ def assess(
 
 def compare_strictly(expression: str | None, truth: str, columns: Mapping[str, FloatArray], labels: FloatArray) -> Form:
     """Judge whether `expression` has the truth's terms and all its constants; arguments and errors as for `assess`."""
-    return compare(expression, truth, columns, float(np.std(labels)), STRICT)
+    return compare(expression, truth, columns, STRICT)
 
 
 def coefficient_of_determination(expression: str, columns: Mapping[str, FloatArray], labels: FloatArray) -> float:

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import DataConfig
+from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError
-from benchmarks.judging.fractions import FloatArray
 
 LABEL: Final = "label"
 

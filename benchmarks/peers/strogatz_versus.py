@@ -8,12 +8,12 @@ from typing import Any
 
 from atoll.terminal.output import error_text, note, say, table
 from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches
 from benchmarks.harness.tables import grouped
 from benchmarks.judging.errors import finite, values_on
-from benchmarks.judging.fractions import FloatArray
 from benchmarks.peers import operon
 from benchmarks.peers.operon import search_apart
 from benchmarks.peers.strogatz_files import LABEL, rows_of

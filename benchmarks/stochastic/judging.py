@@ -67,7 +67,7 @@ def judge(
         values = process.values(truth, states)
         rms = float(np.sqrt(np.mean(values * values)))
         away = process.values(text, states) - values
-        is_right = compare(text, truth, columns, rms, ANY_CONSTANT).is_right
+        is_right = compare(text, truth, columns, ANY_CONSTANT).is_right
         is_covered = _covered(equation, process.names, columns, values) if is_right else ()
         error = float(np.sqrt(np.mean(away * away))) / rms
         judged.append(Judged(case, seed, name, text, verdict, is_right, error, is_covered))

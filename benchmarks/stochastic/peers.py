@@ -67,7 +67,7 @@ def estimate(python: str, case: str, seed: int) -> list[Estimate]:
             away = results[f"{method}:{name}"] - values
             seen = away[np.isfinite(away)]
             text = texts[name] if is_form else None
-            is_right = compare(text, truth, columns, rms, ANY_CONSTANT).is_right if text else None
+            is_right = compare(text, truth, columns, ANY_CONSTANT).is_right if text else None
             error = float(np.sqrt(np.mean(seen * seen))) / rms
             found.append(Estimate(case, seed, name, method, error, is_right, text))
     return found

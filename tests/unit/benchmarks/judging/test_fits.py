@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.judging.fits import judge_form
+from benchmarks.judging.forms import judge_form
 from benchmarks.judging.rules import Form
 
 RNG = np.random.default_rng(5)

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from atoll_core.errors import UsageError
-from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.text.parsing import from_infix
 from benchmarks.judging.forms import compare, main
 from benchmarks.judging.rules import Form
 
@@ -330,16 +328,15 @@ CHANGED = [(truth, text, True) for truth, (_, good, _) in CASES.items() for text
 CHANGED += [(truth, text, False) for truth, (_, _, bad) in CASES.items() for text in bad]
 
 
-def data_for(truth: str) -> tuple[dict[str, np.ndarray], float]:
+def data_for(truth: str) -> dict[str, np.ndarray]:
     place = CASES[truth][0]
     names = ("v", "a") if place == "glider" else ("x", "y")
     generator = np.random.default_rng(3)
-    data = {name: generator.uniform(*span, 400) for name, span in zip(names, RANGES[place], strict=True)}
-    return data, float(np.std(values_of(from_infix(truth, names), np.array([*data.values()]))))
+    return {name: generator.uniform(*span, 400) for name, span in zip(names, RANGES[place], strict=True)}
 
 
 def judge(model: str, truth: str, tolerance: float = 0.01) -> Form:
-    return compare(model, truth, *data_for(truth), tolerance)
+    return compare(model, truth, data_for(truth), tolerance)
 
 
 @pytest.mark.parametrize(("truth", "text", "is_same"), CHANGED)
@@ -370,9 +367,8 @@ def test_units_do_not_matter():
     generator = np.random.default_rng(5)
     data = {"x": generator.uniform(1e-7, 8e-6, 300), "y": generator.uniform(1e5, 8e6, 300)}
     truth = "3*x - 2e-6*x*y - 1e6*x**2"
-    sd = float(np.std(values_of(from_infix(truth, ("x", "y")), np.array([*data.values()]))))
-    assert compare("x*(3 - 2e-6*y - 1e6*x)", truth, data, sd).is_right
-    assert not compare("x*(3 - 2e-6*y - 1e6*x) + 1e-8", truth, data, sd).is_right
+    assert compare("x*(3 - 2e-6*y - 1e6*x)", truth, data).is_right
+    assert not compare("x*(3 - 2e-6*y - 1e6*x) + 1e-8", truth, data).is_right
 
 
 @pytest.mark.parametrize(
@@ -385,7 +381,7 @@ def test_units_do_not_matter():
         ("exp(1.1*x)", "exp(x)", False),
         ("log(2*x*y)", "log(x*y + y*x)", True),
         ("log(x + y)", "log(x*y)", False),
-        ("sqrt(x + y)", "(x + y)**0.5", False),
+        ("sqrt(x + y)", "(x + y)**0.5", True),
         ("sin(x/y)", "cos(x/y - 1.5707963267948966)", True),
         ("sin(x/(1 + y))", "sin(2*x/(2 + 2*y))", True),
         ("sin(x/(1 + y))", "sin(x/(2 + y))", False),
@@ -403,16 +399,30 @@ def test_units_do_not_matter():
 def test_other_functions_follow_their_rules(model, truth, is_same):
     generator = np.random.default_rng(7)
     data = {name: generator.uniform(0.5, 2.5, 300) for name in ("x", "y")}
-    sd = float(np.std(values_of(from_infix(truth, ("x", "y")), np.array([*data.values()]))))
-    assert compare(model, truth, data, sd).is_right is is_same
+    assert compare(model, truth, data).is_right is is_same
 
 
 def test_an_approximation_that_is_good_on_the_data_is_not_the_form():
     data = {"x": np.linspace(-0.3, 0.3, 200)}
     series = "x - x**3/6 + x**5/120"
-    verdict = compare(series, "sin(x)", data, float(np.std(np.sin(data["x"]))))
+    verdict = compare(series, "sin(x)", data)
     assert verdict.function_error < 1e-6
     assert not verdict.is_right
+    assert "approximates" in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("model", "truth"),
+    [
+        ("7496633.21435*cos(0.000115495981615*x) - 7496633.21435 - sin(y)", "-0.05*x**2 - sin(y)"),
+        ("1000*sin(0.001*x) - y", "x - y"),
+    ],
+)
+def test_small_angles_in_place_of_powers_are_another_form(model, truth):
+    generator = np.random.default_rng(8)
+    data = {name: generator.uniform(-1.0, 1.0, 300) for name in ("x", "y")}
+    assert compare(truth, truth, data).is_right
+    assert compare(model, truth, data).kind == "other"
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.corpus.cases import Key, make_case
-from benchmarks.judging.fits import judge_form
+from benchmarks.judging.forms import judge_form
 from benchmarks.peers import operon_models
 from benchmarks.peers.operon_models import solve, without_small_offset
 
