@@ -1,4 +1,4 @@
-"""Mail between islands: an inbox of immigrants, and what comes before its placement. Pure; what is lost can be pulled.
+"""Mail between islands: a mailbox of immigrants, and what comes before its placement. Pure; what is lost is pulled.
 
 Blocks are filed by (epoch, destination, source), each once: so the order in which mail arrives cannot matter.
 """
@@ -14,7 +14,7 @@ MAX_PENDING: Final = 256
 """Messages kept of terms whose placement has not come yet."""
 
 
-class Inbox:
+class Mailbox:
     """The immigrants that came for the islands of a shard and have not been handed over."""
 
     def __init__(self) -> None:

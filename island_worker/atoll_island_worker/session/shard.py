@@ -28,7 +28,7 @@ from atoll_island_worker.session.actions import Send, SendReport
 from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
 from atoll_island_worker.session.events import Computed, Snapshot
 from atoll_island_worker.session.local_island import PULL_AFTER_S, LocalIsland
-from atoll_island_worker.session.mail import Inbox
+from atoll_island_worker.session.mail import Mailbox
 from atoll_island_worker.session.retransmit_buffer import RetransmitBuffer
 from atoll_island_worker.session.state_transfer import StateTransfer
 
@@ -50,7 +50,7 @@ class Shard:
         self.waited_s = 0.0
         self.duplicates = 0
         self._transfer = StateTransfer(placement, mine if first else ())
-        self._inbox = Inbox()
+        self._mailbox = Mailbox()
         self._buffer = RetransmitBuffer(placement, self.islands)
         self._others = tuple(dict.fromkeys(name for name in placement.workers if name != worker))
 
@@ -101,7 +101,7 @@ class Shard:
         local.step("begin")
         blocks = state = None
         if local.epoch > self.placement.epoch:
-            blocks = self._inbox.blocks(local.epoch - 1, island, local.needs)
+            blocks = self._mailbox.blocks(local.epoch - 1, island, local.needs)
         elif local.epoch > 0:
             state = self._transfer.hand_over(island)
         return Task(
@@ -119,7 +119,7 @@ class Shard:
         local = self.islands[taken.key.island]
         if taken.is_at_barrier:
             local.step("reach barrier")
-            self._inbox.forget(local.epoch - 1, local.index)
+            self._mailbox.forget(local.epoch - 1, local.index)
             self._end_late_islands()
         if taken.key.epoch <= self.commit:
             return False
@@ -145,7 +145,7 @@ class Shard:
     def computed(self, done: Computed) -> list[Send | SendReport]:
         """File what an island computed: report it, and send emigrants or the statement of a hit."""
         local = self.islands[done.key.island]
-        self._inbox.forget(done.key.epoch - 1, local.index)
+        self._mailbox.forget(done.key.epoch - 1, local.index)
         actions = self._depart(local, done)
         self._end_late_islands()
         if done.key.epoch <= self.stop_epoch:
@@ -172,7 +172,7 @@ class Shard:
         local = self.islands[island]
         if local.epoch == self.placement.epoch or local.needs <= self.islands.keys():
             return False
-        self._inbox.keep_only(local.epoch - 1, island, self.islands)
+        self._mailbox.keep_only(local.epoch - 1, island, self.islands)
         local.step("reject")
         local.pull_at = None
         self._end_late_islands()
@@ -247,14 +247,14 @@ class Shard:
     def validate(self) -> None:
         """Check the invariants; raises LocalProtocolError."""
         for local in self.islands.values():
-            have = self._inbox.sources(local.epoch - 1, local.index)
+            have = self._mailbox.sources(local.epoch - 1, local.index)
             complete = local.epoch == self.placement.epoch or local.needs <= have
             _require(local.state != "ready" or complete, f"island {local.index} is ready without its immigrants")
             _require(local.state != "waiting" or not complete, f"island {local.index} waits for nothing")
             _require(local.epoch < self.placement.epochs, f"island {local.index} is beyond the last epoch")
         _require(all(epoch >= self.placement.epoch for epoch in self._buffer.epochs_sent()), "emigrants are too old")
         _require(all(epoch > self.commit for epoch in self._buffer.snapshots()), "snapshots of a commit are kept")
-        is_young = (epoch >= self.islands[island].epoch - 1 for epoch, island in self._inbox.filed())
+        is_young = (epoch >= self.islands[island].epoch - 1 for epoch, island in self._mailbox.filed())
         _require(all(is_young), "old immigrants are kept")
 
     def _key(self, local: LocalIsland) -> TaskKey:
@@ -308,11 +308,11 @@ class Shard:
         if is_late or local.state == "stopped":
             self.duplicates += 1
             return
-        self.duplicates += not self._inbox.file(epoch, block)
+        self.duplicates += not self._mailbox.file(epoch, block)
         self._complete(local)
 
     def _complete(self, local: LocalIsland) -> None:
-        if local.state == "waiting" and local.needs <= self._inbox.sources(local.epoch - 1, local.index):
+        if local.state == "waiting" and local.needs <= self._mailbox.sources(local.epoch - 1, local.index):
             local.step("complete")
 
     def _end_late_islands(self) -> None:
@@ -337,7 +337,7 @@ class Shard:
             raise RemoteProtocolError(f"worker {sender} spoke for island {island}, which is placed elsewhere")
 
     def _pulls_of(self, local: LocalIsland) -> list[tuple[str, PullMigrants]]:
-        have = self._inbox.sources(local.epoch - 1, local.index)
+        have = self._mailbox.sources(local.epoch - 1, local.index)
         missing: dict[str, list[int]] = {}
         for source in sorted(local.needs - have - self.islands.keys()):
             missing.setdefault(self.placement.workers[source], []).append(source)
