@@ -157,8 +157,8 @@ PLAN: Final = (
         "1600-1604", 4, (35.0, 7.0), _verdicts, resumes="--out",
     ),
     Measurement(
-        "flows", "benchmarks.dysts run --data {dysts} --noise 1 --seed 2000 --max-time 60", "", "", 70, (20.0, 20.0),
-        _flows, ("dysts",), resumes="--resume",
+        "flows", "benchmarks.dysts run --polynomial --data {dysts} --noise 1 --seed 2000 --max-time 60", "", "", 70,
+        (20.0, 20.0), _flows, ("dysts",), resumes="--resume",
     ),
 )  # fmt: skip
 """In the order of what they tell for the time they take."""

@@ -44,6 +44,9 @@ def _parser() -> argparse.ArgumentParser:
     showing.add_argument("resume", type=Path, metavar="FILE")
     for each in (making, running, showing):
         each.add_argument("--systems", nargs="+", help="default: all")
+        each.add_argument(
+            "--polynomial", dest="systems", action="store_const", const=POLYNOMIAL, help="the 70 of the published table"
+        )
     for each in (running, showing):
         each.add_argument("--published", type=Path, metavar="CSV", help="published errors by flow")
     return parser
