@@ -128,15 +128,15 @@ def _systems(runs: Runs) -> dict[str, str]:
 
 PLAN: Final = (
     Measurement(
-        "table3", "benchmarks.paper.table3 --derivatives given --max-time 60", "0-4", "0", 14, (3.0, 1.5), _table3,
+        "table3", "benchmarks.paper.table3 --derivatives given --max-time 60", "0-4", "0", 14, (2.0, 1.0), _table3,
     ),
     Measurement(
-        "labels", "benchmarks.peers.strogatz --data {strogatz} --noise 0 --max-time 30", "0-9", "0-1", 14, (6.0, 3.0),
+        "labels", "benchmarks.peers.strogatz --data {strogatz} --noise 0 --max-time 30", "0-9", "0-1", 14, (3.0, 1.0),
         _labels, ("strogatz",),
     ),
     Measurement(
         "noisy-labels", "benchmarks.peers.strogatz --data {strogatz} --noise 0.01 --max-time 30", "20-21", "20", 14,
-        (14.0, 7.5), _labels, ("strogatz",),
+        (10.0, 5.0), _labels, ("strogatz",),
     ),
     Measurement(
         "race", "benchmarks.peers.strogatz --data {strogatz} --versus operon --max-time 12", "0-9", "0-1", 14,
@@ -146,15 +146,15 @@ PLAN: Final = (
         "beside",
         "benchmarks.corpus --in-turn --states 1 2 --trajectories 4 --workers 1 --qualities exact rk45-1e-6 noise-0.001 "
         "noise-0.01 noise-0.05 ar1-0.01 proportional-0.01",
-        "1000-1007", "1000-1007", 2, (6.0, 6.0), _identifiable, resumes="--out",
+        "1000-1007", "1000-1007", 2, (8.0, 8.0), _identifiable, resumes="--out",
     ),
     Measurement(
-        "yeast", "benchmarks.many run --systems yeast --noise 0 --max-time 600", "1000-1002", "1000", 1, (6.0, 3.0),
+        "yeast", "benchmarks.many run --systems yeast --noise 0 --max-time 600", "1000-1002", "1000", 1, (9.0, 3.0),
         _systems, resumes="--resume",
     ),
     Measurement(
-        "verdicts", "benchmarks.corpus --in-turn --states 1 2 --trajectories 1 4 --max-time 240", "1600-1647",
-        "1600-1604", 4, (35.0, 7.0), _verdicts, resumes="--out",
+        "verdicts", "benchmarks.corpus --in-turn --states 1 2 --trajectories 1 4 --max-time 240", "1600-1628",
+        "1600-1603", 4, (45.0, 7.0), _verdicts, resumes="--out",
     ),
     Measurement(
         "flows", "benchmarks.dysts run --polynomial --data {dysts} --noise 1 --seed 2000 --max-time 60", "", "", 70,
