@@ -30,15 +30,16 @@ def explain_excluded_rows(
     lengths = [len(part) for part in times]
     cut_off = mark_ends(lengths) if estimate.is_interpolated else np.zeros(sum(lengths))
     weights = np.ones(sum(lengths)) if estimate.robustness_weights is None else estimate.robustness_weights
+    is_known = estimate.is_known
     excluded: list[ExcludedRow] = []
     first = 0
     for number, part in enumerate(times):
-        known = np.flatnonzero(estimate.is_known[first : first + len(part)]).tolist()
+        known = np.flatnonzero(is_known[first : first + len(part)]).tolist()
         ends, gaps = _near_ends(len(part), known, estimate), _near_gaps(part)
         for row in range(len(part)):
             place = first + row
             is_outlier = weights[place] == 0.0
-            is_missing = not estimate.is_known[place]
+            is_missing = not is_known[place]
             if place not in searched or not (place in uncertain or cut_off[place] or is_outlier or is_missing):
                 continue
             reason: Reason = "jump"

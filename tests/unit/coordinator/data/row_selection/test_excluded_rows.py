@@ -68,3 +68,12 @@ def test_the_ends_of_clean_states_are_left_out_whatever_their_uncertainty():
 def test_rows_that_are_held_out_are_not_counted():
     times = [np.arange(30.0), np.arange(30.0)]
     assert excluded(times, estimate(60, 9), [5, 40], searched=range(30)) == [(0, 5, "jump")]
+
+
+def test_what_is_known_of_all_rows_is_not_asked_again_for_each(monkeypatch):
+    """It takes as long as all rows: a million of them took hours."""
+    asked = []
+    known = StateEstimate.is_known.fget
+    monkeypatch.setattr(StateEstimate, "is_known", property(lambda its: asked.append(1) or known(its)))
+    excluded([np.arange(500.0), np.arange(500.0)], estimate(1000, 21), [3])
+    assert len(asked) == 1
