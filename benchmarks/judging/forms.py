@@ -8,8 +8,8 @@ measured states without errors and on points of the box around them: whatever th
 leave them.
 
 `compare` asks whether it is exact in form: no factor is farther from 1 than a tolerance, and it is no approximation. An
-approximation goes another way beyond the box, as polynomials do that stand for a sine, or has functions that are hardly
-bent on it, as sines of small angles that stand for their angles.
+approximation goes another way beyond the box, as polynomials do that stand for a sine and crumbs of a high degree, or
+has functions that are hardly bent on it, as sines of small angles that stand for their angles.
 
 `judge_form` takes any constants, and counts what is too much: parts of little effect without which the form is still
 right are extra terms. When the form is not the truth's, the equation is written as a sum of products, and the
@@ -102,11 +102,11 @@ def compare(found: str | None, truth: str, columns: Mapping[str, FloatArray], to
             is_flat = _flat_calls(tree, points) > _flat_calls(_parsed(truth), points)
             if kind == "right" and (is_flat or not model.agrees(tree, _far_points(columns))):
                 return Form("other", reason=_APPROXIMATE, function_error=function_error)
+            difference = model.largest_difference() if kind == "right" else 0.0
         except (SyntaxError, RecursionError, ValueError, TypeError, MemoryError, OverflowError, ZeroDivisionError):
             kind = "other"
         if kind != "right":
             return Form(kind, reason=_REASONS[kind], function_error=function_error)
-        difference = model.largest_difference()
     is_within = difference <= tolerance
     reason = _REASONS["right"] if is_within else f"a constant differs by {difference:.3g}"
     return Form("right" if is_within else "near", None, reason, difference, function_error)
@@ -252,7 +252,7 @@ class _Model:
         if len(redundant):
             _, _, order = qr(redundant * np.linalg.norm(effects, axis=0), mode="economic", pivoting=True)
             ones = order[: len(redundant)]
-            logarithms = logarithms - redundant.T @ np.linalg.solve(redundant[:, ones].T, logarithms[ones])
+            logarithms = logarithms - redundant.T @ np.linalg.lstsq(redundant[:, ones].T, logarithms[ones])[0]
         return float(np.abs(np.expm1(logarithms)).max(initial=0.0))
 
     def _values(self, factors: FloatArray) -> FloatArray:

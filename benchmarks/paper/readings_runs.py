@@ -2,7 +2,8 @@
 
 A reading is a set of fields of the configuration. Those that change one thing have a name; several are joined by `+`,
 and what comes later wins. All of them begin from preset ``paper``, the reading under which most figures come out (ADR
-0042); what it was chosen among and cannot be set any more, revision 0047528d still measures.
+0042). What it was chosen among and cannot be set any more, revision 0047528d still measures; journals of that time are
+of other readings, though names are alike.
 """
 
 import pickle

@@ -124,7 +124,7 @@ def assess(
     return Form("right" if ways else "other", reason=reason, r_squared=r_squared)
 
 
-def compare_strictly(expression: str | None, truth: str, columns: Mapping[str, FloatArray], labels: FloatArray) -> Form:
+def compare_strictly(expression: str | None, truth: str, columns: Mapping[str, FloatArray]) -> Form:
     """Judge whether `expression` has the truth's terms and all its constants; arguments and errors as for `assess`."""
     return compare(expression, truth, columns, STRICT)
 
@@ -161,7 +161,7 @@ def main(options: Namespace) -> int:
         columns, labels = rows_of(name)
         for form, *expected in expectations(name):
             found = assess(form, truth, columns, labels)
-            both = [found.is_right, compare_strictly(form, truth, columns, labels).is_right]
+            both = [found.is_right, compare_strictly(form, truth, columns).is_right]
             credited += all(both) and all(expected)
             surprises += both != expected
             rows.append((name, form, *("yes" if each else "no" for each in both), found.reason))

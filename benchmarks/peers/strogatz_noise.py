@@ -103,7 +103,7 @@ def outcome(result: Mapping[str, Any], rows: Split, key: tuple[str, int, float],
     """Judge the equation in `result` (the contents of a result.json) of the search `key`: file, seed and level."""
     (equation,) = result["equations"]
     file, seed, level = key
-    strictly = partial(compare_strictly, truth=truth, columns=rows.columns, labels=rows.labels)
+    strictly = partial(compare_strictly, truth=truth, columns=rows.columns)
     text = equation["expression"] or None
     by_srbench, strict = assess(text, truth, rows.columns, rows.labels), strictly(text)
     return Outcome(

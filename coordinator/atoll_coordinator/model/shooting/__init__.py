@@ -4,7 +4,7 @@
 - `system`: several programs as one system whose constants can be fitted
 - `multiple_shooting`: the estimator of constants and initial states; `fit_cache` remembers fits
 - `trajectory_fit`: what it returns
-- `lyapunov`: how fast errors grow along a fitted system
+- `error_growth`: how fast errors grow along a fitted system
 - `error_model`: errors that go together, as fits weigh them; `variance`: errors that grow with the value;
   `independence`: how many independent numbers trajectories hold
 - `covariance`: how well a fit determines its constants

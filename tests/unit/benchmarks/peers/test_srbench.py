@@ -25,7 +25,7 @@ def _shared(monkeypatch, comparer):
 def judged(name, form):
     truth = EQUIVALENTS[name][0]
     arguments = (form, truth, *rows_of(name))
-    return assess(*arguments).is_right, compare_strictly(*arguments).is_right
+    return assess(*arguments).is_right, compare_strictly(*arguments[:3]).is_right
 
 
 @pytest.mark.slow
@@ -38,7 +38,7 @@ def test_every_truth_is_credited_in_another_form(name):
 def test_the_strict_rule_judges_all_forms(name):
     truth = EQUIVALENTS[name][0]
     for form, _, exact in expectations(name):
-        assert compare_strictly(form, truth, *rows_of(name)).is_right is exact, form
+        assert compare_strictly(form, truth, rows_of(name)[0]).is_right is exact, form
 
 
 @pytest.mark.slow
