@@ -242,7 +242,7 @@ def _gains(value: float, error: float, others: Sequence[float] = ()) -> dict[flo
     Among them are those that are simple as factors of one of `others`: they are half as probable as the others
     together, and only of interest where none of these is more probable than any number.
     """
-    if value == 0.0:
+    if value == 0.0 or not math.isfinite(value) or not math.isfinite(error):  # no number is near
         return {}
     least = math.log(error * math.sqrt(2.0 * math.pi)) + math.log(continuum_density(value))
     own = _priced(simple_numbers(value, error), value, error, least)

@@ -7,7 +7,7 @@ import pytest
 
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.rounding import round_constants, round_estimates
+from atoll_coordinator.model.regression.rounding import decisions, round_constants, round_estimates
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, simple_numbers
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem, Target
@@ -173,3 +173,10 @@ def test_simple_numbers_are_rarely_false_where_all_constants_have_random_digits(
 def test_constants_that_only_their_sum_is_known_of_are_no_division_by_zero():
     rounding = round_estimates(np.array([1.0, 2.0, 3.0]), 0.01 * np.ones((3, 3)))
     assert np.isfinite(rounding.values).all()
+
+
+@pytest.mark.parametrize("mean", [math.inf, -math.inf])
+def test_no_number_is_near_an_estimate_that_overflows(mean):
+    with np.errstate(all="ignore"):  # as in the processes that refine
+        considered = decisions(np.array([2.0, mean]), np.diag([1e-6, 1.0]))
+    assert {index for decision in considered for index, _ in decision.numbers} == {0}
