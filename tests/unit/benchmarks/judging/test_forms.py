@@ -414,6 +414,21 @@ def test_an_approximation_that_is_good_on_the_data_is_not_the_form():
 @pytest.mark.parametrize(
     ("model", "truth"),
     [
+        ("sin({c}*x)/{c}", "x"),
+        ("tanh({c}*x)/{c}", "x"),
+        ("(1 - cos({c}*x))*2/{c}**2", "x**2"),
+        ("(exp({c}*x) + exp(-{c}*x) - 2)/{c}**2", "x**2"),
+    ],
+)
+def test_no_angle_is_so_small_that_a_function_passes_for_a_power(model, truth):
+    data = {"x": np.random.default_rng(3).uniform(-1.0, 1.0, 300)}
+    for c in np.geomspace(1e-5, 1.0, 120).tolist():
+        assert not compare(model.format(c=c), truth, data).is_right, c
+
+
+@pytest.mark.parametrize(
+    ("model", "truth"),
+    [
         ("7496633.21435*cos(0.000115495981615*x) - 7496633.21435 - sin(y)", "-0.05*x**2 - sin(y)"),
         ("1000*sin(0.001*x) - y", "x - y"),
     ],
