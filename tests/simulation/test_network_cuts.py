@@ -6,7 +6,6 @@ from tests.simulation.bus.faults import Partition, Plan
 from tests.simulation.harness.simulated_cluster import World, comparable, patiently
 from tests.simulation.test_same_answer import FEW_SEEDS, answer, config, undisturbed
 
-
 CUT_S = 0.8
 """When a cut begins: in the midst of the search, which ends after 1.2 s where nothing is cut."""
 
