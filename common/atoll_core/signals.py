@@ -89,7 +89,7 @@ def _exit(number: int, frame: FrameType | None) -> NoReturn:
 
 def end_at_interrupts() -> None:
     """Have Ctrl-C end the process at once until `raise_interrupts` is called, unless a parent has it ignored."""
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, _end_at_once)
 
 
