@@ -187,9 +187,10 @@ class MultipleShooting:
             return None
         if errors.is_correlation_sought:
             errors, here = self._reweighted(here, layout, errors)
-        damping = FIRST_DAMPING
+        damping, rounding = FIRST_DAMPING, self._rounding(segments)
         for _ in takewhile(lambda _: not self.deadline.is_over, range(steps)):
-            step = _solved(here, damping, system.held(here.gradient))
+            least = max(SETTINGS.effort.settled * here.cost, float((rounding / errors.sigmas**2).sum()))
+            step = _solved(here, damping, least, system.held(here.gradient))
             there = None
             if step is not None:
                 moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
@@ -244,6 +245,15 @@ class MultipleShooting:
     def _consistent(self, squares: FloatArray) -> FloatArray:
         consistency = self.measurements.consistency
         return np.asarray(squares if consistency is None else squares / consistency)
+
+    def _rounding(self, segments: Ints) -> FloatArray:
+        """Return the sum of squares (O,) that rounding leaves, of which the simulated states have some more each row.
+
+        No step is worth less: a solution in closed form leaves nothing else, and its fit would follow that for long.
+        """
+        since = np.arange(self.measurements.rows) - np.repeat(segments[:, 0], segments[:, 1] - segments[:, 0])
+        squares = (np.finfo(np.float64).eps * self._measured) ** 2 * (1 + since)
+        return np.asarray((self.measurements.weights * squares).sum(axis=1))
 
     def _reweighted(self, here: _Equations, layout: Innovations, errors: ErrorModel) -> tuple[ErrorModel, _Equations]:
         """Return the errors as these residuals have them, and the equations under them.
@@ -452,13 +462,14 @@ def _row_steps(measurements: Measurements) -> FloatArray:
 
 
 def _solved(
-    here: _Equations, damping: float, held: npt.NDArray[np.bool_] | None = None
+    here: _Equations, damping: float, least: float, held: npt.NDArray[np.bool_] | None = None
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the step of the constants (P,) and of the initial states (G, D); None when there is none worth a look.
 
     Constants that are `held` do not move.
 
-    Were the equations linear, it would lower the cost by twice its product with the gradient at most.
+    Were the equations linear, it would lower the cost by twice its product with the gradient at most; it is worth a
+    look where that is `least` or more.
     """
     if held is not None and held.any():
         here = _without(here, held)
@@ -467,7 +478,7 @@ def _solved(
         here.normal, here.coupling, here.own, here.gradient, here.own_gradient, damping, change, moves
     )  # fmt: skip
     promise = 2.0 * float((here.gradient * change).sum() + (here.own_gradient * moves).sum()) if solved else 0.0
-    return (change, moves) if SETTINGS.effort.settled * here.cost <= promise < math.inf else None
+    return (change, moves) if least <= promise < math.inf else None
 
 
 def _without(here: _Equations, held: npt.NDArray[np.bool_]) -> _Equations:

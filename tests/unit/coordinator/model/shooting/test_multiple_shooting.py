@@ -301,3 +301,27 @@ def test_states_of_any_units_have_the_same_fit(x_unit, y_unit):
     fit = MultipleShooting(there, 1e-8).fit(system(SWING, *texts), None, 20)
     values = fit.system.values * np.array([y_unit / x_unit, x_unit / y_unit, 1.0])
     assert np.abs(values) == pytest.approx([1.0, 2.0, 0.3], rel=1e-6)
+
+
+class ClosedForm(Known):
+    """The system of `TURN`, whose solutions are known but for their rounding."""
+
+    def values(self, start, times):
+        grown = np.exp(-0.01 * times)
+        x = start[0] * grown * np.cos(times)
+        return np.array([x, -0.01 * x - start[0] * grown * np.sin(times)])
+
+
+TURN = ClosedForm(("x", "y"), lambda _, z: [z[1], -1.0001 * z[0] - 0.02 * z[1]])
+
+
+@pytest.mark.parametrize("rows", [200, 500, 1000, 2000])
+def test_nothing_is_fitted_to_the_rounding_of_a_solution_in_closed_form(rows):
+    """Each stage integrates where it begins, takes a step, and perhaps some more; some twenty would follow rounding."""
+    its = measurements(TURN, [[1.0, -0.01]], 0.02 * np.arange(rows))
+    estimator = MultipleShooting(its, 1e-12)
+    fit = fit_in_stages(estimator, system(TURN, "y", "-1.0001*x - 0.02*y"), (30, 150, None), 40)
+    assert sizes(fit) == pytest.approx([0.02, 1.0001], rel=1e-9)
+    once = MultipleShooting(its, 1e-12)
+    once.fit(fit.system, None, 0, fit.starts, fit.errors)
+    assert estimator.work <= 3 * 4 * once.work
