@@ -459,14 +459,26 @@ def _carried_bands(final: Final, comparison: ModelComparison, fit: TrajectoryFit
 def _chaos(final: Final) -> Chaos | None:
     """Return what is known of a model whose initial states are of no use for a whole trajectory, else None.
 
-    Nor is there chaos where errors grow no faster than the trajectories do: growth has no attractor to stay on.
+    Nor is there chaos where errors grow no faster than the trajectories do: growth has no attractor to stay on. Errors
+    of a phase grow in proportion to time, which is fast at first; whole trajectories can be fitted all the same.
     """
     fit, comparison = final.free.fit, final.comparison
     rate = growth_rate(fit)
     for growth in (rate, rate - speed_growth(fit)):
         if predictable_rows(fit, comparison, growth) >= longest(final.task):
             return None
+    if _fits_in_whole(final):
+        return None
     return look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
+
+
+def _fits_in_whole(final: Final) -> bool:
+    """Tell whether what is shown, its constants fitted again, describes whole trajectories up to their noise."""
+    task = replace(final.task, piece=longest(final.task))
+    measurements = task.measurements(task.variables).thinned(final.comparison.estimator.measurements.rows)
+    comparison = task.compare(measurements, task.variables)
+    model = comparison.fit_model(final.shown, SETTINGS.effort.brief_steps, (final.task.piece, None))
+    return model is not None and comparison.excess(model) <= SETTINGS.inference.excess
 
 
 def _predictions(final: Final, errors: Errors, *, is_near: bool) -> list[Prediction] | None:

@@ -101,7 +101,8 @@ def _fitted_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
     begun = _begun(short, lists)
     if begun is None:
         return None
-    rows = predictable_rows(begun.model.fit, begun.comparison)
+    predictable = predictable_rows(begun.model.fit, begun.comparison, growth_rate(begun.model.fit))
+    rows = int(min(max(predictable, SETTINGS.shooting.lengths[1]), SETTINGS.shooting.piece))
     is_of_rates = all(laws[0].is_of_rates for laws in task.laws.values() if laws)
     if _rows(task) <= SETTINGS.selection.compared_rows and rows >= longest(task) and not is_of_rates:
         return None
@@ -120,20 +121,16 @@ def _fitted_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
     return SelectedModel(task, comparison, comparison.fit_beside(best, best.programs) or best, lists)
 
 
-def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison, rate: float | None = None) -> int:
+def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison, rate: float) -> float:
     """Return over how many rows errors as large as the noise stay small: half of where they are as large as the state.
 
-    With errors that grow e-fold in T, those of the relative size e reach the state's after T ln(1/e). `rate` is 1/T,
-    that of all errors unless given.
+    With errors that grow e-fold in T, those of the relative size e reach the state's after T ln(1/e). `rate` is 1/T;
+    infinite where errors do not grow.
     """
-    rate = growth_rate(fit) if rate is None else rate
     measurements = comparison.estimator.measurements
     size = float(np.clip(measurements.relative_noise.max(), _LEAST_SIZE, 0.1))
     step = float(np.median(np.diff(measurements.times)))
-    if not rate > 0.0:
-        return SETTINGS.shooting.piece
-    rows = 0.5 * math.log(1.0 / size) / rate / max(step, 1e-300)
-    return int(min(max(rows, SETTINGS.shooting.lengths[1]), SETTINGS.shooting.piece))
+    return 0.5 * math.log(1.0 / size) / rate / max(step, 1e-300) if rate > 0.0 else math.inf
 
 
 def _programs(task: ModellingTask, name: str) -> list[Program]:

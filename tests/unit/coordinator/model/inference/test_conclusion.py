@@ -305,6 +305,18 @@ def test_with_order_2_positions_alone_are_measured():
     assert all(each.values.shape == (1, 40) for each in its.simulation.trajectories)
 
 
+@pytest.mark.parametrize(("system", "start", "candidates"), [
+    (SWING, [4.0, 0.0], {"x": ("y",), "y": ("-2*x - 0.3*y",)}),
+    (Known(("x", "y"), lambda _, z: [z[0] - z[0] * z[1], z[0] * z[1] - z[1]]), [2.5, 1.0],
+     {"x": ("x - x*y",), "y": ("x*y - y",)}),
+], ids=["damped", "conservative"])  # fmt: skip
+def test_a_trajectory_longer_than_what_is_simulated_at_a_stretch_is_no_chaos(system, start, candidates):
+    """Where errors shrink, or grow as slowly as those of a phase do, initial states are of use however long it is."""
+    its = refined(system, [start], candidates, times=0.03 * np.arange(700.0), noise=0.05, config=NOTHING_ELSE)
+    assert SETTINGS.shooting.piece < 700
+    assert its.chaos is None
+
+
 @pytest.mark.parametrize(("noise", "grades"), [(0.0, {"exact"}), (0.01, {"good"})])
 def test_growth_that_was_measured_to_go_on_is_no_doubt(noise, grades):
     """Begun from the middle of what was measured it leads far beyond; that is what growth is, and no chaos."""
