@@ -3,7 +3,7 @@
 import argparse
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
 from atoll_core.errors import AtollError, UsageError
@@ -29,7 +29,9 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **settings: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings)
 
-    def parse_args(self, args: Any = None, namespace: Any = None) -> argparse.Namespace:  # type: ignore[override]
+    def parse_args(  # type: ignore[override]  # of the overloads this one is used
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> argparse.Namespace:
         """Parse the words; raises UsageError, and for an unknown option says which one may have been meant."""
         options: argparse.Namespace
         options, left = self.parse_known_args(args, namespace)
@@ -118,8 +120,8 @@ def seconds(text: str) -> float:
     raise argparse.ArgumentTypeError(f"a number of seconds was expected, but {text!r} was given")
 
 
-def add_log_options(parser: Any) -> None:
-    """Add ``--log-format`` and ``--log-level`` to an ``argparse`` parser; see `atoll_core.logs.configure`."""
+def add_log_options(parser: argparse.ArgumentParser) -> None:
+    """Add ``--log-format`` and ``--log-level`` to a parser; see `atoll_core.logs.configure`."""
     parser.add_argument(
         "--log-format", choices=LOG_FORMATS, default="text", help="form of the log on stderr (default: text)"
     )

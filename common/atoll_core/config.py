@@ -5,7 +5,7 @@ Fields left ``None`` are resolved from the data when the job is prepared, see `a
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema
@@ -23,7 +23,7 @@ _SEQUENCES: Final = frozenset({"list", "tuple", "set", "frozenset"})
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-def _fail_fast(schema: Any) -> None:
+def _fail_fast(schema: object) -> None:
     if isinstance(schema, dict):
         if schema.get("type") in _SEQUENCES:
             schema["fail_fast"] = True

@@ -8,7 +8,7 @@ import json
 import logging
 import sys
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Final
 
 _KEY: Final = "atoll_fields"
 
@@ -45,7 +45,7 @@ class JsonLines(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line; a traceback is the field `exception`."""
-        said: dict[str, Any] = {
+        said: dict[str, object] = {
             "time": _time(record), "level": record.levelname.lower(), "logger": record.name,
             "event": record.getMessage(),
         }  # fmt: skip

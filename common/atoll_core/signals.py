@@ -8,10 +8,13 @@ import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
 
 if TYPE_CHECKING:
     import threading
+
+Handler = Callable[[int, FrameType | None], object]
+"""Takes the number of a signal and the frame that it interrupts."""
 
 INTERRUPTED: Final = 130
 """Exit code after Ctrl-C."""
@@ -27,7 +30,7 @@ def termination_signals() -> list[signal.Signals]:
 
 
 @contextmanager
-def handling(handlers: Mapping[signal.Signals, Any]) -> Iterator[None]:
+def handling(handlers: Mapping[signal.Signals, Handler]) -> Iterator[None]:
     """Handle signals so inside."""
     before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:

@@ -9,12 +9,14 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+AnyArray = npt.NDArray[Any]
+"""An array of numbers or texts of any type."""
 IntArray = npt.NDArray[np.int64]
 
 CLEAN_UNCERTAINTY: Final = 1e-3

@@ -14,13 +14,13 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from atoll_core.data.dataset import FloatArray
+from atoll_core.data.dataset import AnyArray, FloatArray
 from atoll_core.errors import DataError, RemoteProtocolError
 from atoll_core.wire.codec import BROKEN, decode_arrays, encode_arrays
 
 IntArray = npt.NDArray[np.int64]
 S = TypeVar("S", bound=np.generic)
-C = TypeVar("C", list[Any], dict[str, Any])
+C = TypeVar("C", list[Any], dict[str, Any])  # read from msgpack, each item is looked at
 MANY = 5
 """So many rows are named in a message before it says how many there are in all."""
 
@@ -191,7 +191,7 @@ def _origin(since: object, seconds: object) -> Origin:
     return Origin(_texts([since])[0], float(seconds))
 
 
-def _numbers(array: npt.NDArray[Any], kind: type[S], dimensions: int) -> npt.NDArray[S]:
+def _numbers(array: AnyArray, kind: type[S], dimensions: int) -> npt.NDArray[S]:
     if array.dtype != kind or array.ndim != dimensions:
         raise TypeError(f"an array of {array.dtype} with {array.ndim} dimensions was found")
     return np.ascontiguousarray(array)

@@ -22,6 +22,7 @@ def function_of(programs: Sequence[Program], variables: int, functions: Function
 
     It raises what `functions` and divisions do where there is no value.
     """
+    # What the values are depends on the arguments and on `functions`, and the text is compiled here: hence Any.
     builder = ProgramBuilder()
     outputs = [builder.copy(program.nodes())[-1] for program in programs]
     uses = Counter(argument for code, *pair, _ in builder.nodes for argument in pair[: ARITY[code]]) + Counter(outputs)

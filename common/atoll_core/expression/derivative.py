@@ -7,7 +7,7 @@ are differentiated as variables, see `with_variables`.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.evaluation import value_of
@@ -120,7 +120,7 @@ class _Part:
         return self.under(MULTIPLY, other)
 
 
-def _call(code: int) -> Callable[..., Any]:
+def _call(code: int) -> "Callable[..., _Part]":
     return lambda part, *others: part.under(code, *others)
 
 

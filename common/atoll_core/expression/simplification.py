@@ -5,7 +5,7 @@ the canonical program: nodes in the order in which a reader meets them, left ope
 """
 
 from collections.abc import Callable, Iterable
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -15,14 +15,15 @@ from atoll_core.expression.program import Node, Program
 _COMMUTATIVE: Final = frozenset({ADD, MULTIPLY})
 
 
-def _strict(name: str) -> Callable[..., Any]:
+def _strict(name: str) -> Callable[..., float]:
     """Return the kernels' elementary function of that name."""
 
-    def function(*arguments: Any) -> Any:
+    def function(*arguments: float) -> float:
         # Imported here: it loads the compiler, which programs that only print expressions do not need.
         from atoll_core.expression.kernels import elementary
 
-        return getattr(elementary, f"strict_{name}")(*arguments)
+        value: float = getattr(elementary, f"strict_{name}")(*arguments)
+        return value
 
     return function
 

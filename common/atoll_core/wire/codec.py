@@ -17,12 +17,11 @@ import numpy.typing as npt
 from pydantic import TypeAdapter, ValidationError
 
 from atoll_core.config import Frozen
-from atoll_core.data.dataset import Dataset, FloatArray, Target
+from atoll_core.data.dataset import AnyArray, Dataset, FloatArray, Target
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire.bus.interface import MAX_PAYLOAD
 
 M = TypeVar("M")
-AnyArray = npt.NDArray[Any]
 
 MAX_NESTING: Final = 32
 MAX_ITEMS: Final = 2_000_000

@@ -64,19 +64,19 @@ class _Sympy(Renderer["sympy.Expr"]):
 
         match form.kind:
             case Kind.NAME:
-                return self._symbols[form.content]
+                return self._symbols[form.index]
             case Kind.NUMBER:
-                value, name = form.content
+                value, name = form.number
                 return sympy.Integer(1) if name else sympy.Float(repr(value))
             case Kind.CALL:
-                function = getattr(sympy, "Abs" if form.content == ABS else INFIX.call(form.content))
+                function = getattr(sympy, "Abs" if form.code == ABS else INFIX.call(form.code))
                 return cast("sympy.Expr", function(self.signed(form.parts[0])))
             case Kind.GROUP:
                 return self.signed(form.parts[0])
             case Kind.SUM:
                 return sum(map(self.signed, form.terms[1:]), self.signed(form.terms[0]))
             case Kind.NATURAL:
-                return self.plain(form.parts[0]) ** form.content
+                return self.plain(form.parts[0]) ** form.exponent
         left, right = map(self.signed, form.parts)
         return (
             left * right if form.kind is Kind.PRODUCT else left / right if form.kind is Kind.QUOTIENT else left**right
@@ -119,9 +119,9 @@ class _Latex(_Typeset):
     def of(self, form: Form) -> str:
         match form.kind:
             case Kind.NAME:
-                return _latex_name(self._names[form.content])
+                return _latex_name(self._names[form.index])
             case Kind.NUMBER:
-                mantissa, power = _number(form.content[0], self._digits)
+                mantissa, power = _number(form.number[0], self._digits)
                 return rf"{mantissa} \cdot 10^{{{power}}}" if power else mantissa
             case Kind.CALL:
                 return self._called(form)
@@ -138,18 +138,18 @@ class _Latex(_Typeset):
             case Kind.QUOTIENT:
                 return rf"\frac{{{self._open(form.parts[0])}}}{{{self._open(form.parts[1])}}}"
             case Kind.NATURAL:
-                return f"{self._base(form.parts[0])}^{{{form.content}}}"
+                return f"{self._base(form.parts[0])}^{{{form.exponent}}}"
             case Kind.POWER:
                 base, exponent = form.parts
                 return f"{self._base(base)}^{{{self._open(exponent)}}}"
 
     def _called(self, form: Form) -> str:
         (argument,) = form.parts
-        if form.content == SQRT:
+        if form.code == SQRT:
             return rf"\sqrt{{{self.signed(argument)}}}"
-        if form.content == ABS:
+        if form.code == ABS:
             return rf"\left|{self.signed(argument)}\right|"
-        return rf"\{INFIX.call(form.content)}{self._bracketed(argument)}"
+        return rf"\{INFIX.call(form.code)}{self._bracketed(argument)}"
 
     def _bracketed(self, operand: Signed) -> str:
         return rf"\left({self.signed(operand)}\right)"
@@ -168,9 +168,9 @@ class _MathML(_Typeset):
     def of(self, form: Form) -> str:
         match form.kind:
             case Kind.NAME:
-                return _mathml_name(self._names[form.content])
+                return _mathml_name(self._names[form.index])
             case Kind.NUMBER:
-                mantissa, power = _number(form.content[0], self._digits)
+                mantissa, power = _number(form.number[0], self._digits)
                 raised = f"<msup><mn>10</mn><mn>{power}</mn></msup>"
                 return f"<mrow><mn>{mantissa}</mn><mo>\u00b7</mo>{raised}</mrow>" if power else f"<mn>{mantissa}</mn>"
             case Kind.CALL:
@@ -188,18 +188,18 @@ class _MathML(_Typeset):
             case Kind.QUOTIENT:
                 return f"<mfrac>{self._open(form.parts[0])}{self._open(form.parts[1])}</mfrac>"
             case Kind.NATURAL:
-                return f"<msup>{self._base(form.parts[0])}<mn>{form.content}</mn></msup>"
+                return f"<msup>{self._base(form.parts[0])}<mn>{form.exponent}</mn></msup>"
             case Kind.POWER:
                 base, exponent = form.parts
                 return f"<msup>{self._base(base)}{self._open(exponent)}</msup>"
 
     def _called(self, form: Form) -> str:
         (argument,) = form.parts
-        if form.content == SQRT:
+        if form.code == SQRT:
             return f"<msqrt>{self.signed(argument)}</msqrt>"
-        if form.content == ABS:
+        if form.code == ABS:
             return f"<mrow><mo>|</mo>{self.signed(argument)}<mo>|</mo></mrow>"
-        return f"<mrow><mi>{INFIX.call(form.content)}</mi><mo>\u2061</mo>{self._bracketed(argument)}</mrow>"
+        return f"<mrow><mi>{INFIX.call(form.code)}</mi><mo>\u2061</mo>{self._bracketed(argument)}</mrow>"
 
     def _bracketed(self, operand: Signed) -> str:
         return f"<mrow><mo>(</mo>{self.signed(operand)}<mo>)</mo></mrow>"
@@ -207,7 +207,7 @@ class _MathML(_Typeset):
 
 def _stands_alone(operand: Signed) -> bool:
     """Tell whether a part may be raised to a power without brackets."""
-    is_digits = operand.is_constant and "e" not in f"{operand.form.content[0]:g}"
+    is_digits = operand.is_constant and "e" not in f"{operand.form.number[0]:g}"
     return not operand.negative and (operand.is_atom or is_digits)
 
 

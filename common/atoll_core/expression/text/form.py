@@ -10,7 +10,7 @@ from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
-from typing import Any, Final, Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 from atoll_core.expression.operators import (
     ADD,
@@ -50,18 +50,47 @@ class Kind(Enum):
     POWER = "any other power"
 
 
+Content = int | tuple[float, str] | None
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Form:
     """A part as it is written, without its sign. Equal parts of one program are one object.
 
     `parts` are the signed operands: of a sum its terms, of a product, a quotient or a power both of its sides (a
-    natural one has its base alone). `content` is the index of a variable; the value of a number with its name, ""
-    where it has none; the code of a function; the exponent of a natural power.
+    natural one has its base alone). `content` says which variable, number, function or natural power it is: see
+    `index`, `number`, `code` and `exponent`, of which each kind has one; None for the other kinds.
     """
 
     kind: Kind
     parts: "tuple[Signed, ...]" = ()
-    content: Any = None
+    content: Content = None
+
+    @property
+    def index(self) -> int:
+        """The index of a variable."""
+        return self._whole
+
+    @property
+    def code(self) -> int:
+        """The code of a function, or of a quotient of functions."""
+        return self._whole
+
+    @property
+    def exponent(self) -> int:
+        """The exponent of a natural power."""
+        return self._whole
+
+    @property
+    def number(self) -> tuple[float, str]:
+        """The value of a number, and its name, "" where it has none."""
+        assert isinstance(self.content, tuple)
+        return self.content
+
+    @property
+    def _whole(self) -> int:
+        assert isinstance(self.content, int)
+        return self.content
 
     @property
     def terms(self) -> "tuple[Signed, ...]":
@@ -179,7 +208,7 @@ class _Writer:
     quotients: frozenset[int]
     forms: dict[Hashable, Form] = field(default_factory=dict)
 
-    def form(self, kind: Kind, *parts: Signed, content: Hashable = None) -> Form:
+    def form(self, kind: Kind, *parts: Signed, content: Content = None) -> Form:
         key = (kind, parts, content)
         if key not in self.forms:
             self.forms[key] = Form(kind, parts, content)
@@ -239,7 +268,7 @@ class _Writer:
     def _divided(self, left: Signed, right: Signed) -> Signed:
         left, right, is_negative = self._operands(left, right)
         above, below = left.form, right.form
-        code = _QUOTIENTS.get((above.content, below.content)) if above.kind is below.kind is Kind.CALL else None
+        code = _QUOTIENTS.get((above.code, below.code)) if above.kind is below.kind is Kind.CALL else None
         if code in self.quotients and above.parts == below.parts:
             return Signed(self.form(Kind.CALL, *above.parts, content=code), is_negative)
         return Signed(self.form(Kind.QUOTIENT, left, right), is_negative)
@@ -257,6 +286,6 @@ class _Writer:
             return self.form(Kind.NATURAL, left, content=2)
         for power, factor in ((left.form, right), (right.form, left)):
             is_next = power.kind is Kind.NATURAL and power.parts == (factor,) and factor.is_atom
-            if is_next and power.content < LARGEST_POWER:
-                return self.form(Kind.NATURAL, factor, content=power.content + 1)
+            if is_next and power.exponent < LARGEST_POWER:
+                return self.form(Kind.NATURAL, factor, content=power.exponent + 1)
         return None

@@ -107,12 +107,12 @@ class _Text(Renderer[str]):
     def of(self, form: Form) -> str:
         match form.kind:
             case Kind.NAME:
-                return str(self._names[form.content])
+                return str(self._names[form.index])
             case Kind.NUMBER:
-                value, name = form.content
+                value, name = form.number
                 return str(name) or self._number(value)
             case Kind.CALL:
-                return f"{self._notation.call(form.content)}({self.signed(form.parts[0])})"
+                return f"{self._notation.call(form.code)}({self.signed(form.parts[0])})"
             case Kind.GROUP:
                 return f"({self.signed(form.parts[0])})"
             case Kind.SUM:
@@ -123,7 +123,7 @@ class _Text(Renderer[str]):
                 sign = "*" if form.kind is Kind.PRODUCT else "/"
                 return f"{self.plain(form.parts[0])}{sign}{self._factor(form.parts[1])}"
             case Kind.NATURAL:
-                return self._notation.natural.format(self._base(form.parts[0]), form.content)
+                return self._notation.natural.format(self._base(form.parts[0]), form.exponent)
             case Kind.POWER:
                 write = self.signed if self._notation.is_call else self._closed
                 return self._notation.power.format(*map(write, form.parts))

@@ -20,7 +20,8 @@ from atoll_core.expression.evaluation import value_of
 from atoll_core.expression.operators import ABS, ADD, COS, EXP, LOG, POW, SIN, SQRT, TANH, VARIABLE
 
 Atom: TypeAlias = tuple[Any, ...]
-"""``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``."""
+"""``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``: the code tells what follows,
+which no type can say."""
 Monomial: TypeAlias = tuple[tuple[Atom, int], ...]
 Sum: TypeAlias = tuple[tuple[Monomial, float], ...]
 

@@ -21,7 +21,7 @@ told of those already there.
 
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Final, Protocol, Self
 
 MAX_PAYLOAD: Final = 64 * 1024 * 1024
 
@@ -36,11 +36,14 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """Somebody asks for `key`, which we serve; answer with `Bus.reply`, once, also from another thread."""
+    """Somebody asks for `key`, which we serve; answer with `Bus.reply`, once, also from another thread.
+
+    `handle` is the bus's own, and means nothing to others.
+    """
 
     key: str
     payload: bytes
-    handle: Any
+    handle: object
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, Self, cast
 
 import zenoh
 from zenoh.handlers import Callback
@@ -171,7 +171,7 @@ class ZenohBus:
 
     def reply(self, query: Query, payload: bytes | None) -> None:
         """See `Bus.reply`."""
-        handle = query.handle
+        handle = cast(zenoh.Query, query.handle)  # see `_on_query`
         if payload is not None:
             check_payload(query.key, payload)
             self._call(lambda: handle.reply(query.key, payload))
@@ -269,7 +269,7 @@ class _Answer:
             self._inbox.add(Reply(self._token, payload))
 
 
-_FIRMLY: Final[dict[str, Any]] = {
+_FIRMLY: Final[dict[str, Any]] = {  # keywords of several functions of zenoh, whose types differ
     "congestion_control": zenoh.CongestionControl.BLOCK,
     "priority": zenoh.Priority.DATA,
 }

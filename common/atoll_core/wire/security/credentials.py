@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal, TypedDict, cast
 
 from atoll_core.command_line import TLS_OPTIONS
 from atoll_core.errors import RefusedError, UsageError
@@ -59,13 +59,22 @@ class Credentials:
     expires: float | None = None
 
 
-def credentials_of(options: Mapping[str, Any], environ: Mapping[str, str], use: Use) -> Credentials | None:
+class _Certificate(TypedDict, total=False):
+    """What ssl tells of a certificate, as far as it is used here: names by kind, times as OpenSSL writes them."""
+
+    subject: tuple[tuple[tuple[str, str], ...], ...]
+    subjectAltName: tuple[tuple[str, str], ...]
+    notBefore: str
+    notAfter: str
+
+
+def credentials_of(options: Mapping[str, object], environ: Mapping[str, str], use: Use) -> Credentials | None:
     """Return what the options ``tls_ca``, ``tls_cert``, ``tls_key``, or the environment, name; None without any.
 
     Raises:
         UsageError: one is missing, or they cannot work.
     """
-    files = {}
+    files: dict[str, object] = {}
     for option, (variable, _) in TLS_OPTIONS.items():
         files[option] = options.get(option.lstrip("-").replace("-", "_")) or environ.get(variable)
     missing = [f"{option} (or {TLS_OPTIONS[option][0]})" for option, file in files.items() if not file]
@@ -182,10 +191,10 @@ def _names_there(host: str, port: int, credentials: Credentials) -> str:
     context.load_verify_locations(credentials.authority)
     try:
         with _connected(context, host, port) as connection:
-            shown = connection.getpeercert() or {}
+            shown = cast(_Certificate, connection.getpeercert() or {})
     except OSError:
         return "other names"
-    names: Any = shown.get("subjectAltName", ())
+    names = shown.get("subjectAltName", ())
     return ", ".join(_plain(kind, name) for kind, name in names)[:300] or "no name at all"
 
 
@@ -215,7 +224,7 @@ def _check_contents(file: Path, option: str, mark: str, expected: str) -> str:
     return text
 
 
-def _shown(authority: Path, certificate: Path, key: Path, use: Use) -> dict[str, Any]:
+def _shown(authority: Path, certificate: Path, key: Path, use: Use) -> _Certificate:
     """Return what a verifier that trusts `authority` reads in our certificate; raises UsageError."""
     try:
         try:
@@ -230,7 +239,7 @@ def _shown(authority: Path, certificate: Path, key: Path, use: Use) -> dict[str,
         raise UsageError(f"{certificate} cannot be used for TLS ({error.reason or error}); make a new one") from error
 
 
-def _handshake(authority: Path, certificate: Path, key: Path, use: Use, flags: int) -> dict[str, Any]:
+def _handshake(authority: Path, certificate: Path, key: Path, use: Use, flags: int) -> _Certificate:
     """Let a verifier in memory look at our certificate, and return what it sees. Raises ssl.SSLError."""
     server = _context(ssl.PROTOCOL_TLS_SERVER, certificate, key)
     client = _context(ssl.PROTOCOL_TLS_CLIENT, certificate, key)
@@ -248,7 +257,7 @@ def _handshake(authority: Path, certificate: Path, key: Path, use: Use, flags: i
         for end in ends:
             with contextlib.suppress(ssl.SSLWantReadError):
                 end.do_handshake()
-    return dict(ends[0 if use == "serve" else 1].getpeercert() or {})
+    return cast(_Certificate, ends[0 if use == "serve" else 1].getpeercert() or {})
 
 
 def _context(protocol: int, certificate: Path, key: Path) -> ssl.SSLContext:
@@ -269,7 +278,7 @@ def _no_password() -> Callable[[], str]:
     return lambda: ""
 
 
-def _check_dates(certificate: Path, shown: Mapping[str, Any]) -> None:
+def _check_dates(certificate: Path, shown: _Certificate) -> None:
     now, first, last = time.time(), shown.get("notBefore"), shown.get("notAfter")
     if last is not None and now > ssl.cert_time_to_seconds(last):
         raise UsageError(f"the certificate {certificate} has expired ({last}); renew it with deploy/tls/make-authority")
