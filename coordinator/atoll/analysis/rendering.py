@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from typing import Any, Final
+from typing import Final
 
 from atoll.analysis.analysis import Analysis
 from atoll.analysis.continuation import Branch
@@ -16,7 +16,7 @@ from atoll_core.data.dataset import FloatArray
 SCHEMA: Final = 1
 
 
-def as_data(analysis: Analysis) -> dict[str, Any]:
+def as_data(analysis: Analysis) -> dict[str, object]:
     """Return the analysis as dictionaries, lists, texts and numbers; null is not finite, or unknown."""
     names, box, constants = analysis.field.states, analysis.box, analysis.field.parameters
     return {
@@ -65,7 +65,7 @@ def _complex(values: Iterable[complex]) -> list[list[float | None]]:
     return [_list((value.real, value.imag)) for value in values]
 
 
-def _fixed_point(fixed: FixedPoint) -> dict[str, Any]:
+def _fixed_point(fixed: FixedPoint) -> dict[str, object]:
     return {
         "point": _list(fixed.point),
         "kind": fixed.kind,
@@ -74,7 +74,7 @@ def _fixed_point(fixed: FixedPoint) -> dict[str, Any]:
     }
 
 
-def _cycle(cycle: LimitCycle) -> dict[str, Any]:
+def _cycle(cycle: LimitCycle) -> dict[str, object]:
     return {
         "period": cycle.period,
         "is_stable": cycle.is_stable,
@@ -86,7 +86,7 @@ def _cycle(cycle: LimitCycle) -> dict[str, Any]:
     }
 
 
-def _lyapunov(analysis: Analysis) -> dict[str, Any] | None:
+def _lyapunov(analysis: Analysis) -> dict[str, object] | None:
     spectrum = analysis.lyapunov
     if spectrum is None:
         return None
@@ -99,9 +99,9 @@ def _lyapunov(analysis: Analysis) -> dict[str, Any] | None:
     }
 
 
-def _basins(analysis: Analysis) -> dict[str, Any]:
+def _basins(analysis: Analysis) -> dict[str, object]:
     basins = analysis.basins
-    data: dict[str, Any] = {
+    data: dict[str, object] = {
         "attractors": [attractor_text(attractor) for attractor in basins.attractors],
         "starts": len(basins.reached),
         "duration": basins.duration,
@@ -120,7 +120,7 @@ def _basins(analysis: Analysis) -> dict[str, Any]:
     return data
 
 
-def _motion(motion: Motion) -> dict[str, Any]:
+def _motion(motion: Motion) -> dict[str, object]:
     return {
         "amplitudes": _list(motion.amplitudes),
         "period": motion.period,
@@ -128,7 +128,7 @@ def _motion(motion: Motion) -> dict[str, Any]:
     }
 
 
-def _comparison(comparison: Comparison, analysis: Analysis) -> dict[str, Any]:
+def _comparison(comparison: Comparison, analysis: Analysis) -> dict[str, object]:
     return {
         "trajectory": comparison.name,
         "is_bounded": comparison.is_bounded,
@@ -142,7 +142,7 @@ def _comparison(comparison: Comparison, analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def _continuation(analysis: Analysis) -> dict[str, Any] | None:
+def _continuation(analysis: Analysis) -> dict[str, object] | None:
     parameter = analysis.continuation_parameter
     if parameter is None:
         return None
@@ -158,7 +158,7 @@ def _continuation(analysis: Analysis) -> dict[str, Any] | None:
     }
 
 
-def _branch(branch: Branch) -> dict[str, Any]:
+def _branch(branch: Branch) -> dict[str, object]:
     return {
         "values": _list(branch.values),
         "points": [_list(point) for point in branch.points],
@@ -170,7 +170,7 @@ def _branch(branch: Branch) -> dict[str, Any]:
     }
 
 
-def _cycle_branch(branch: CycleBranch) -> dict[str, Any]:
+def _cycle_branch(branch: CycleBranch) -> dict[str, object]:
     return {
         "values": _list(branch.values),
         "periods": [cycle.period for cycle in branch.cycles],

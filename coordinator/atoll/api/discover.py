@@ -5,7 +5,7 @@ import os
 import uuid
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final, Self
 
 from atoll.api.notebook_progress import NotebookDisplay, is_notebook
 from atoll.api.session import check_service, local_address
@@ -94,14 +94,14 @@ class Job:
 
 
 def discover(
-    data: Any,
+    data: object,
     *,
     connect: str | None = None,
     tls: Mapping[str, str | Path] | None = None,
     workers: int | None = None,
     progress: bool | None = None,
     priority: int = 0,
-    **options: Any,
+    **options: object,
 ) -> Model:
     """Find the equations behind `data` and return them as a model.
 
@@ -134,13 +134,13 @@ def discover(
 
 
 def submit(
-    data: Any,
+    data: object,
     *,
     connect: str | None = None,
     tls: Mapping[str, str | Path] | None = None,
     workers: int | None = None,
     priority: int = 0,
-    **options: Any,
+    **options: object,
 ) -> Job:
     """Submit `data` as a job and return it at once; arguments are those of `discover`."""
     if isinstance(priority, bool) or not isinstance(priority, int) or priority not in _PRIORITIES:
@@ -160,7 +160,7 @@ def submit(
     return job
 
 
-def config_of(options: Mapping[str, Any]) -> JobConfig:
+def config_of(options: Mapping[str, object]) -> JobConfig:
     """Return the configuration that keyword arguments describe, as the options of ``run`` do; raises UsageError."""
     values = dict(options)
     job_file = values.pop("config", None)

@@ -5,14 +5,16 @@ Letters: N rows, D states, U inputs.
 
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import JsonValue
 
 from atoll.api.discover import discover
 from atoll.api.tables import numbers_of
 from atoll.model.arguments import numbers
+from atoll.model.driving import GivenInputs
 from atoll.model.equations import DIGITS
 from atoll.model.model import Model
 from atoll_core.data.dataset import FloatArray
@@ -29,17 +31,17 @@ class Discoverer:
     many states there are.
     """
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options: object) -> None:
         """Take the options of `atoll.discover`, such as ``seed``, ``operators``, ``connect``, ``progress``."""
         self._options = dict(options)
         self.model_: Model | None = None
 
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
+    def get_params(self, deep: bool = True) -> dict[str, object]:
         """Return the options, as scikit-learn's tools ask for them."""
         del deep
         return dict(self._options)
 
-    def set_params(self, **options: Any) -> Self:
+    def set_params(self, **options: object) -> Self:
         """Change options."""
         self._options |= options
         return self
@@ -48,7 +50,12 @@ class Discoverer:
         return f"Discoverer({', '.join(f'{name}={value!r}' for name, value in self._options.items())})"
 
     def fit(
-        self, x: Any, t: Any = 1.0, u: Any = None, x_dot: Any = None, feature_names: Sequence[str] | None = None
+        self,
+        x: npt.ArrayLike,
+        t: npt.ArrayLike = 1.0,
+        u: npt.ArrayLike | None = None,
+        x_dot: npt.ArrayLike | None = None,
+        feature_names: Sequence[str] | None = None,
     ) -> Self:
         """Find the equations.
 
@@ -80,10 +87,11 @@ class Discoverer:
                 slopes = _rows(_parts(x_dot)[index])
                 columns |= dict(zip(_dots(names), _matching(slopes, len(rows), number, "x_dot"), strict=True))
             trajectories.append(columns)
-        roles: dict[str, Any] = {"time": _TIME, "states": names, "inputs": inputs or None}
+        roles: dict[str, object] = {"time": _TIME, "states": names, "inputs": inputs or None}
         if x_dot is not None:
             roles["derivatives"] = _dots(names)
-        self.model_ = discover(trajectories, **{**roles, **self._options})
+        options: dict[str, Any] = {**roles, **self._options}  # `discover` looks at each itself
+        self.model_ = discover(trajectories, **options)
         self.n_features_in_ = number
         self.feature_names_in_ = np.array([*names, *inputs], dtype=object)
         return self
@@ -116,16 +124,25 @@ class Discoverer:
         for equation, text in zip(self._model.equations, self.equations(precision), strict=True):
             sys.stdout.write(f"{equation.lhs} = {text}\n")
 
-    def predict(self, x: Any, u: Any = None, *, group: object = None) -> Any:
+    def predict(
+        self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, *, group: object = None
+    ) -> FloatArray | list[FloatArray]:
         """Return the derivatives (N, D) at states, of a list a list.
 
         `group`: whose constants are taken, with ``per_trajectory=True`` the number of a trajectory from 1.
         """
         if isinstance(x, (list, tuple)) and np.ndim(x[0]) == 2:
-            return [self.predict(part, None if u is None else u[index], group=group) for index, part in enumerate(x)]
+            inputs = cast(Sequence[npt.ArrayLike], u)
+            return [self._rates(part, None if u is None else inputs[index], group) for index, part in enumerate(x)]
+        return self._rates(x, u, group)
+
+    def _rates(self, x: npt.ArrayLike, u: npt.ArrayLike | None, group: object) -> FloatArray:
+        """Return the derivatives (N, D) along one trajectory."""
         return self._of(group).predict(_rows(x), None if u is None else _rows(u))
 
-    def simulate(self, x0: Any, t: Any, u: Any = None, *, group: object = None) -> FloatArray:
+    def simulate(
+        self, x0: npt.ArrayLike, t: npt.ArrayLike, u: GivenInputs = None, *, group: object = None
+    ) -> FloatArray:
         """Return the states (N, D) at the times `t` from `x0`; NaN after an early end (see `model_.simulate`).
 
         `group` is as of `predict`.
@@ -136,7 +153,15 @@ class Discoverer:
         states[: len(simulation.x)] = simulation.x
         return states
 
-    def score(self, x: Any, t: Any = 1.0, u: Any = None, x_dot: Any = None, *, group: object = None) -> float:
+    def score(
+        self,
+        x: npt.ArrayLike,
+        t: npt.ArrayLike = 1.0,
+        u: npt.ArrayLike | None = None,
+        x_dot: npt.ArrayLike | None = None,
+        *,
+        group: object = None,
+    ) -> float:
         """Return the mean R2 of the derivatives; without `x_dot` they are differences of `x`.
 
         `group` is as of `predict`.
@@ -147,7 +172,7 @@ class Discoverer:
             times = _times(_of(t, index, len(_parts(x))), len(rows))
             slopes = np.gradient(rows, times, axis=0) if x_dot is None else _rows(_parts(x_dot)[index])
             measured.append(slopes)
-            predicted.append(self.predict(rows, None if u is None else _parts(u)[index], group=group))
+            predicted.append(self._rates(rows, None if u is None else _parts(u)[index], group))
         all_measured, all_predicted = np.concatenate(measured), np.concatenate(predicted)
         left = ((all_measured - all_predicted) ** 2).sum(axis=0)
         spread = ((all_measured - all_measured.mean(axis=0)) ** 2).sum(axis=0)
@@ -163,7 +188,7 @@ class Discoverer:
         return self.model_
 
 
-def _parts(x: Any) -> list[Any]:
+def _parts(x: npt.ArrayLike) -> list[npt.ArrayLike]:
     """Return the trajectories: those of a list of arrays; a list of rows of numbers is one."""
     if not isinstance(x, (list, tuple)):
         return [x]
@@ -174,12 +199,12 @@ def _parts(x: Any) -> list[Any]:
     )
 
 
-def _of(t: Any, index: int, count: int) -> Any:
+def _of(t: npt.ArrayLike, index: int, count: int) -> npt.ArrayLike:
     """Return the times of one trajectory: from a list of as many, or what holds for all."""
     return t[index] if isinstance(t, (list, tuple)) and len(t) == count and np.ndim(t[0]) == 1 else t
 
 
-def _rows(part: Any) -> FloatArray:
+def _rows(part: npt.ArrayLike) -> FloatArray:
     rows = numbers_of(part, "an array")
     if rows is None:
         raise DataError("an array holds text; numbers are expected")
@@ -189,7 +214,7 @@ def _rows(part: Any) -> FloatArray:
     return rows
 
 
-def _times(t: Any, rows: int) -> FloatArray:
+def _times(t: npt.ArrayLike, rows: int) -> FloatArray:
     times = numbers(t, "times")
     if times.ndim == 0:
         return np.asarray(float(times) * np.arange(rows), dtype=np.float64)
@@ -204,7 +229,7 @@ def _matching(values: FloatArray, rows: int, columns: int, name: str) -> list[Fl
     return [*values.T]
 
 
-def _names(x: Any, u: Any, given: Sequence[str] | None) -> tuple[list[str], list[str]]:
+def _names(x: npt.ArrayLike, u: npt.ArrayLike | None, given: Sequence[str] | None) -> tuple[list[str], list[str]]:
     """Return the names of states and of inputs."""
     states, inputs = _rows(x).shape[1], 0 if u is None else _rows(u).shape[1]
     if given is not None:
@@ -214,7 +239,7 @@ def _names(x: Any, u: Any, given: Sequence[str] | None) -> tuple[list[str], list
     return _own(x, "x", states), _own(u, "u", inputs)
 
 
-def _own(part: Any, letter: str, count: int) -> list[str]:
+def _own(part: npt.ArrayLike | None, letter: str, count: int) -> list[str]:
     columns = getattr(part, "columns", None)
     return [f"{letter}{index}" for index in range(count)] if columns is None else [str(column) for column in columns]
 

@@ -1,7 +1,5 @@
 """What `atoll.Model` asks of fits: identifiability of constants, and the next experiment."""
 
-from typing import Any
-
 from atoll.api.tables import table_of
 from atoll.api.wording import python_words
 from atoll.experiments.determination import Identifiability
@@ -15,18 +13,18 @@ from atoll_coordinator.result.result import Result
 from atoll_core.data.table import Table
 
 
-def identifiability(model: Model, data: Any, level: float) -> Identifiability:
+def identifiability(model: Model, data: object, level: float) -> Identifiability:
     """Return what the data determine of the constants of a model; see `atoll.Model.identifiability`."""
     model.require_one_group()
     with python_words():
         return identify(model.result, _table(model.result, data), level)
 
 
-def suggestions(model: Model, data: Any, **request: Any) -> Suggestions:
+def suggestions(model: Model, data: object, request: Request) -> Suggestions:
     """Return the experiments that would tell most; see `atoll.Model.suggest`."""
     with python_words():
-        return suggest(model.result, Request(**request), _table(model.result, data))
+        return suggest(model.result, request, _table(model.result, data))
 
 
-def _table(result: Result, data: Any) -> Table | None:
+def _table(result: Result, data: object) -> Table | None:
     return None if data is None else table_of(data, config_of(result).data)

@@ -3,7 +3,7 @@
 Letters: N rows, K features.
 """
 
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
@@ -34,14 +34,14 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
     def __init__(  # noqa: PLR0913  scikit-learn wants every parameter by name
         self,
         *,
-        operators: Any = None,
+        operators: object = None,
         seed: int = 0,
         max_size: int | None = None,
-        bound: Any = None,
-        require: Any = None,
-        unit: Any = None,
+        bound: object = None,
+        require: object = None,
+        unit: object = None,
         max_epochs: int | None = None,
-        max_time: Any = None,
+        max_time: object = None,
         target_error: float | None = None,
         workers: int | None = None,
         connect: str | None = None,
@@ -61,7 +61,7 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
         self.connect = connect
         self.progress = progress
 
-    def fit(self, X: Any, y: Any) -> Self:
+    def fit(self, X: object, y: object) -> Self:
         """Find the expression of `y` (N,) from the features `X` (N, K)."""
         rows, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2)
         if float(np.ptp(target)) == 0.0:
@@ -81,7 +81,7 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
         check_is_fitted(self, "model_")
         return self.model_.equations[0].expression
 
-    def predict(self, X: Any) -> FloatArray:
+    def predict(self, X: object) -> FloatArray:
         """Return f(X) (N,) of the features (N, K)."""
         check_is_fitted(self, "model_")
         rows = validate_data(self, X, dtype=np.float64, reset=False)

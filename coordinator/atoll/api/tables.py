@@ -1,14 +1,13 @@
 """Tables from what Python users hold: files, frames of pandas or polars, data sets of xarray, arrays by name, lists."""
 
 import datetime
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Protocol, SupportsFloat, TypeGuard, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from atoll_coordinator.data.reading.columns import TIME
 from atoll_coordinator.data.reading.dates import Dates, dates_of_array, times_of
@@ -16,7 +15,7 @@ from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.roles.options import find_trajectory_column, named_columns, split_unit
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
-from atoll_core.data.dataset import FloatArray
+from atoll_core.data.dataset import AnyArray, FloatArray
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 
@@ -24,7 +23,19 @@ NAME = "data"
 """What messages call a table that was not read from a file."""
 
 
-def table_of(data: Any, config: DataConfig) -> Table:
+class _Frame(Protocol):
+    """Columns by name, as pandas and polars have them."""
+
+    @property
+    def columns(self) -> Iterable[str]: ...
+
+    def __getitem__(self, name: str) -> object: ...
+
+
+_Columns = Mapping[str, object] | _Frame
+
+
+def table_of(data: object, config: DataConfig) -> Table:
     """Return the table of files, of columns by name, or of a list of these, one for each trajectory.
 
     Raises:
@@ -32,10 +43,12 @@ def table_of(data: Any, config: DataConfig) -> Table:
     """
     if isinstance(data, Table):
         return data
-    parts = [*data] if isinstance(data, (list, tuple)) else [data]
-    if parts and all(isinstance(part, (str, Path)) for part in parts):
-        return read_table([Path(part) for part in parts], config)
-    if not parts or not all(_has_columns(part) for part in parts):
+    given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
+    files = [Path(part) for part in given if isinstance(part, (str, Path))]
+    if files and len(files) == len(given):
+        return read_table(files, config)
+    parts = [part for part in given if _has_columns(part)]
+    if not given or len(parts) < len(given):
         raise DataError(
             "data must be a file, a frame of pandas or polars, a data set of xarray, arrays by column name, or a list; "
             f"found {type(data).__name__}"
@@ -45,11 +58,13 @@ def table_of(data: Any, config: DataConfig) -> Table:
     return replace(table, labels={name: tuple(texts) for name, texts in labels.items()})
 
 
-def _has_columns(part: Any) -> bool:
+def _has_columns(part: object) -> TypeGuard[_Columns]:
     return isinstance(part, Mapping) or (hasattr(part, "columns") and hasattr(part, "__getitem__"))
 
 
-def _columns_of(part: Any, config: DataConfig, labels: dict[str, dict[str, float]]) -> dict[str, FloatArray | Dates]:
+def _columns_of(
+    part: _Columns, config: DataConfig, labels: dict[str, dict[str, float]]
+) -> dict[str, FloatArray | Dates]:
     """Return the columns of numbers (N,) by name.
 
     As in files, the columns of trajectories and of groups alone may hold text, which is numbered by first appearance
@@ -84,7 +99,7 @@ def _columns_of(part: Any, config: DataConfig, labels: dict[str, dict[str, float
     return columns
 
 
-def _named_arrays(part: Any) -> dict[str, npt.NDArray[Any]]:
+def _named_arrays(part: _Columns) -> dict[str, AnyArray]:
     """Return the columns of a mapping, a frame or an xarray data set, and the index of a pandas frame if it says more
     than which row it is."""
     if hasattr(part, "data_vars") and hasattr(part, "coords"):  # xarray
@@ -102,14 +117,14 @@ def _named_arrays(part: Any) -> dict[str, npt.NDArray[Any]]:
     return named
 
 
-def _array(values: Any, name: str) -> npt.NDArray[Any]:
+def _array(values: object, name: str) -> AnyArray:
     try:
         return np.asarray(values)
     except ValueError:
         raise DataError(f"column '{name}' holds rows of different lengths; one number for each is expected") from None
 
 
-def _dates_of(values: Any) -> Dates | None:
+def _dates_of(values: AnyArray) -> Dates | None:
     """Return dates (N,) in nanoseconds; None where there are none."""
     if values.dtype.kind == "M":
         return dates_of_array(values)
@@ -146,13 +161,13 @@ def _length(values: FloatArray | Dates) -> int:
     return len(values.nanoseconds if isinstance(values, Dates) else values)
 
 
-def numbers_of(values: Any, name: str) -> FloatArray | None:
+def numbers_of(given: object, name: str) -> FloatArray | None:
     """Return an array as numbers, durations in seconds; None where it holds text alone. `name` is for messages.
 
     Raises:
         DataError: it holds dates, complex numbers, or text among numbers.
     """
-    values = np.asarray(values)
+    values = np.asarray(given)
     if values.dtype.kind == "m":
         return np.asarray(values / np.timedelta64(1, "s"), dtype=np.float64)
     if values.dtype.kind == "M":
@@ -170,15 +185,15 @@ def numbers_of(values: Any, name: str) -> FloatArray | None:
     raise DataError(f"{name} holds {str(cells[row])!r} in row {row + 1}, which is no number; correct it")
 
 
-def _is_number(cell: Any) -> bool:
+def _is_number(cell: object) -> bool:
     try:
-        float(cell)
+        float(cast(SupportsFloat, cell))
     except (TypeError, ValueError):
         return False
     return True
 
 
-def _numbered(values: Any, kinds: dict[str, float]) -> FloatArray:
+def _numbered(values: AnyArray, kinds: dict[str, float]) -> FloatArray:
     """Number texts by first appearance, going on with the `kinds` there are."""
     return np.array([kinds.setdefault(str(value), float(len(kinds) + 1)) for value in values.tolist()])
 

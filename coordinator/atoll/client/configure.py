@@ -8,9 +8,9 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from atoll.client.options import OPTIONS
 from atoll_core.config import PRESETS, DataConfig, JobConfig
@@ -19,18 +19,18 @@ from atoll_core.expression.operators import BY_NAME
 from atoll_core.hints import did_you_mean
 
 
-def configure(values: Mapping[str, Any], job_file: str | PathLike[str] | None = None) -> JobConfig:
+def configure(values: Mapping[str, object], job_file: object = None) -> JobConfig:
     """Return the configuration that the values of options describe, by name; raises UsageError.
 
-    None and False say that an option is not given.
+    None and False say that an option is not given. `job_file` is a path, or None; whatever else users give is refused.
     """
     settings = _read_job_file(job_file)
-    given: dict[str, Any] = {}
+    given: dict[str, object] = {}
     for name, value in values.items():
         if value is not None and value is not False:
             given |= OPTIONS[name].decide(value)
     preset = given.get("preset", settings.get("preset", "default"))
-    base = PRESETS[preset].model_dump() if preset in ("default", "paper") else {}
+    base = next((config.model_dump() for name, config in PRESETS.items() if name == preset), {})
     merged = _overlay(_overlay(base, settings), _nested(given))
     merged["preset"] = preset
     try:
@@ -41,18 +41,20 @@ def configure(values: Mapping[str, Any], job_file: str | PathLike[str] | None = 
     return config
 
 
-def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    nested: dict[str, Any] = {}
+def _nested(values: Mapping[str, object]) -> dict[str, object]:
+    nested: dict[str, object] = {}
     for dotted, value in values.items():
         *groups, key = dotted.split(".")
         place = nested
         for group in groups:
-            place = place.setdefault(group, {})
+            below = place.setdefault(group, {})
+            assert isinstance(below, dict)
+            place = below
         place[key] = value
     return nested
 
 
-def _overlay(base: Mapping[str, Any], top: Mapping[str, Any]) -> dict[str, Any]:
+def _overlay(base: Mapping[str, object], top: Mapping[str, object]) -> dict[str, object]:
     """Return `base` with the groups of `top` laid over it: a key that `top` does not name keeps its value."""
     merged = dict(base)
     for key, value in top.items():
@@ -61,7 +63,7 @@ def _overlay(base: Mapping[str, Any], top: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _read_job_file(file: str | PathLike[str] | None) -> dict[str, Any]:
+def _read_job_file(file: object) -> dict[str, object]:
     if file is None:
         return {}
     if not isinstance(file, (str, PathLike)):
@@ -74,7 +76,7 @@ def _read_job_file(file: str | PathLike[str] | None) -> dict[str, Any]:
         raise UsageError(f"the job file {file} is not valid TOML: {error}") from error
 
 
-def _refusal(error: ValidationError, given: Mapping[str, Any], file: str | PathLike[str] | None) -> UsageError:
+def _refusal(error: ValidationError, given: Mapping[str, object], file: object) -> UsageError:
     """Put the first complaint of pydantic into our words: which option, what is allowed, what was found."""
     complaint = error.errors()[0]
     path = [str(part) for part in complaint["loc"] if isinstance(part, str) and part != "[key]"]
@@ -90,13 +92,14 @@ def _refusal(error: ValidationError, given: Mapping[str, Any], file: str | PathL
 
 
 def _settings(group: Sequence[str]) -> tuple[str, ...]:
-    model: Any = JobConfig
+    fields = JobConfig.model_fields
     for name in group:
-        model = model.model_fields[name].annotation
-    return tuple(model.model_fields) if hasattr(model, "model_fields") else ()
+        kind = fields[name].annotation
+        fields = kind.model_fields if isinstance(kind, type) and issubclass(kind, BaseModel) else {}
+    return tuple(fields)
 
 
-def _place(path: Sequence[str], given: Mapping[str, Any], file: str | PathLike[str] | None) -> Field | str:
+def _place(path: Sequence[str], given: Mapping[str, object], file: object) -> Field | str:
     """Return the option that was given, or else the key of the job file."""
     keys = {".".join(path[:2]), path[0]} & set(given)
     option = next((option for option in OPTIONS.values() if keys & set(option.settings.split())), None)

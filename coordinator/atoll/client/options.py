@@ -9,7 +9,7 @@ import contextlib
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple, SupportsFloat, SupportsIndex, cast
 
 from atoll_core.command_line import duration
 from atoll_core.errors import Field, UsageError
@@ -19,8 +19,9 @@ MOST_WORKERS: Final = 1024
 
 _ALL: Final = "*"
 
-Read = Callable[[Any, Field], Any]
-"""Returns what a value says; raises UsageError, which names the field."""
+Read = Callable[[object, Field], object]
+"""Returns what a value says, of an option that decides several settings a tuple; raises UsageError, which names the
+field."""
 
 
 class Repeated(list[str]):
@@ -44,38 +45,38 @@ class Option(NamedTuple):
         """The option of the command line."""
         return Field(self.name).on_command_line
 
-    def decide(self, value: Any) -> dict[str, object]:
+    def decide(self, value: object) -> dict[str, object]:
         """Return the settings that `value` decides, by dotted name; raises UsageError."""
         values = self.read(value, Field(self.name))
         settings = self.settings.split()
-        parts = (values,) if len(settings) == 1 else values
+        parts = (values,) if len(settings) == 1 else cast(tuple[object, ...], values)
         return {name: part for name, part in zip(settings, parts, strict=True) if part is not None}
 
 
-def text(value: Any, field: Field) -> str:
+def text(value: object, field: Field) -> str:
     """Return a text, of a number its digits."""
     if isinstance(value, bool) or not (isinstance(value, str) or hasattr(value, "__index__")):
         raise UsageError("%s must be text, but %r was given", field, value)
     return str(value)
 
 
-def whole(value: Any, field: Field) -> int:
+def whole(value: object, field: Field) -> int:
     """Return a whole number."""
     with contextlib.suppress(TypeError, ValueError):
         if not isinstance(value, bool):
-            return int(value) if isinstance(value, str) else operator.index(value)
+            return int(value) if isinstance(value, str) else operator.index(cast(SupportsIndex, value))
     raise UsageError("%s must be a whole number, but %r was given", field, value)
 
 
-def number(value: Any, field: Field) -> float:
+def number(value: object, field: Field) -> float:
     """Return a number."""
     with contextlib.suppress(TypeError, ValueError):
         if not isinstance(value, bool):
-            return float(value)
+            return float(cast(SupportsFloat, value))
     raise UsageError("%s must be a number such as 1e-4, but %r was given", field, value)
 
 
-def seconds(value: Any, field: Field) -> float:
+def seconds(value: object, field: Field) -> float:
     """Return the seconds of ``90``, ``60s``, ``10m`` or ``1.5h``."""
     with contextlib.suppress(argparse.ArgumentTypeError):
         if (amount := duration(str(value))) > 0.0:
@@ -83,7 +84,7 @@ def seconds(value: Any, field: Field) -> float:
     raise UsageError("%s must be a time above zero such as 90, 60s, 10m or 1h, but %r was given", field, value)
 
 
-def names(value: Any, field: Field, noun: str = "column") -> tuple[str, ...]:
+def names(value: object, field: Field, noun: str = "column") -> tuple[str, ...]:
     """Return names, of columns or another `noun`, of a list or of ``x,y``, where one with a comma is in quotes."""
     import csv
 
@@ -100,7 +101,7 @@ def names(value: Any, field: Field, noun: str = "column") -> tuple[str, ...]:
     return parts
 
 
-def epochs(value: Any, field: Field) -> tuple[int | None, dict[str, int] | None]:
+def epochs(value: object, field: Field) -> tuple[int | None, dict[str, int] | None]:
     """Return the epochs of all equations and of some: of ``50``, ``x=20,y=12``, both, or a mapping."""
     if isinstance(value, Mapping):
         pairs = [*value.items()]
@@ -114,7 +115,7 @@ def epochs(value: Any, field: Field) -> tuple[int | None, dict[str, int] | None]
     return counts.pop("", None), counts or None
 
 
-def holdout(value: Any, field: Field) -> int | str:
+def holdout(value: object, field: Field) -> int | str:
     """Return a number of trajectories, or ``COLUMN=VALUE`` as it is."""
     if isinstance(value, str) and "=" in value:
         return value
@@ -123,14 +124,14 @@ def holdout(value: Any, field: Field) -> int | str:
     raise UsageError("%s must be a number of trajectories or COLUMN=VALUE, but %r was given", field, value)
 
 
-def switch(value: Any, field: Field) -> bool:
+def switch(value: object, field: Field) -> bool:
     """Return that it is on: one that is off is not given."""
     if value is not True:
         raise UsageError("%s must be True or False, but %r was given", field, value)
     return True
 
 
-def angles(value: Any, field: Field) -> list[dict[str, str | bool]]:
+def angles(value: object, field: Field) -> list[dict[str, str | bool]]:
     """Return the angles of ``theta`` and ``theta:deg``."""
     return [_angle(text(part, field)) for part in _several(value)]
 
@@ -140,7 +141,7 @@ def _angle(line: str) -> dict[str, str | bool]:
     return {"column": column, "degrees": unit == "deg"} if column and unit in ("deg", "rad") else {"column": line}
 
 
-def by_equation(value: Any, field: Field, *, example: str, noun: str = "the equation") -> dict[str, object]:
+def by_equation(value: object, field: Field, *, example: str, noun: str = "the equation") -> dict[str, object]:
     """Return what stands right by left-hand side, of a mapping or of ``dy=-x``, given once for each side."""
     sides: dict[str, object] = {}
     for side, right in _pairs(value, field, example):
@@ -150,12 +151,12 @@ def by_equation(value: Any, field: Field, *, example: str, noun: str = "the equa
     return sides
 
 
-def variables(value: Any, field: Field, *, example: str) -> dict[str, tuple[str, ...]]:
+def variables(value: object, field: Field, *, example: str) -> dict[str, tuple[str, ...]]:
     """Return variables by left-hand side."""
     return {side: names(right, field, "variable") for side, right in by_equation(value, field, example=example).items()}
 
 
-def guesses(value: Any, field: Field) -> dict[str, tuple[str, ...]]:
+def guesses(value: object, field: Field) -> dict[str, tuple[str, ...]]:
     """Return right-hand sides, one or several, by left-hand side."""
     sides: dict[str, tuple[str, ...]] = {}
     for side, right in _pairs(value, field, "dx=3*x-2*x*y"):
@@ -163,19 +164,19 @@ def guesses(value: Any, field: Field) -> dict[str, tuple[str, ...]]:
     return sides
 
 
-def operators(value: Any, field: Field) -> tuple[tuple[str, ...] | None, dict[str, tuple[str, ...]] | None]:
+def operators(value: object, field: Field) -> tuple[tuple[str, ...] | None, dict[str, tuple[str, ...]] | None]:
     """Return the operators of all equations and those of some: of ``+,-``, a list, ``x=+,*`` or a mapping."""
     example, noun = "x=+,-,*", "operator"
-    lists = [] if isinstance(value, Mapping) else value if isinstance(value, Repeated) else [value]
+    lists: Sequence[object] = [] if isinstance(value, Mapping) else value if isinstance(value, Repeated) else [value]
     general = [part for part in lists if not (isinstance(part, str) and "=" in part)]
     if len(general) > 1:
         raise UsageError("%s gives two lists for all equations; give one, others as %s", field, example)
-    special = value if isinstance(value, Mapping) else [part for part in lists if part not in general]
+    special: object = value if isinstance(value, Mapping) else [part for part in lists if part not in general]
     sides = {side: names(right, field, noun) for side, right in by_equation(special, field, example=example).items()}
     return names(general[0], field, noun) if general else None, sides or None
 
 
-def bounds(value: Any, field: Field) -> dict[str, tuple[str, ...]]:
+def bounds(value: object, field: Field) -> dict[str, tuple[str, ...]]:
     """Return bounds by left-hand side, which stands before a colon; those of all equations by ``*``."""
     if isinstance(value, Mapping):
         lines = [f"{side}: {bound}" for side, several in value.items() for bound in _several(several)]
@@ -190,23 +191,25 @@ def bounds(value: Any, field: Field) -> dict[str, tuple[str, ...]]:
     return sides
 
 
-def _several(value: Any) -> Sequence[Any]:
+def _several(value: object) -> Sequence[object]:
     return value if isinstance(value, (list, tuple)) else [value]
 
 
-def _pairs(value: Any, field: Field, example: str) -> list[tuple[str, Any]]:
+def _pairs(value: object, field: Field, example: str) -> list[tuple[str, object]]:
     """Return both sides of a mapping, or of each text at its last ``=``, which no expression or list holds."""
     if isinstance(value, Mapping):
         pairs = [(side, right if isinstance(right, (list, tuple)) else str(right)) for side, right in value.items()]
     else:
         pairs = [(side, right) for part in _several(value) for side, _, right in [text(part, field).rpartition("=")]]
-    stripped = [(str(side).strip(), right.strip() if isinstance(right, str) else right) for side, right in pairs]
+    stripped: list[tuple[str, object]] = [
+        (str(side).strip(), right.strip() if isinstance(right, str) else right) for side, right in pairs
+    ]
     if not all(side and right for side, right in stripped):
         raise UsageError("%s must be of the form %s, but %s was given", field, example, _shown(value))
     return stripped
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     return repr(value[0] if isinstance(value, list) and len(value) == 1 else value)
 
 

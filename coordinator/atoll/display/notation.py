@@ -30,13 +30,12 @@ def summary(model: "Model") -> str:
     if model.params:
         lines.append("")
     lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows if model.params]
-    provenance = model.provenance
-    lines += ["", f"seed {provenance['seed']}, digest {provenance['digest']}"]
-    if provenance["data"]:
-        files, rows_read = ", ".join(provenance["files"] or ()), provenance["rows"]
-        lines.append(f"data {files}: {rows_read} rows, sha256 {provenance['data']}")
-    if provenance["command"]:
-        lines.append(f"command: {provenance['command']}")
+    result, data = model.result, model.result.data
+    lines += ["", f"seed {result.seed}, digest {result.digest}"]
+    if data is not None and data.digest:
+        lines.append(f"data {', '.join(data.files)}: {data.rows} rows, sha256 {data.digest}")
+    if result.command:
+        lines.append(f"command: {result.command}")
     return "\n".join(lines)
 
 

@@ -4,27 +4,32 @@ Each function draws into `axes`, or into a new figure, and returns the axes as a
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.display.series import front, label, residuals
 from atoll_coordinator.result.listed_trajectories import Simulated
+from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
 
+Axes = npt.NDArray[np.object_]
+"""Axes of matplotlib."""
+
 _GRID = 24
 """Arrows along each side of a phase plane."""
 
 
-def plot_fit(model: "Model", axes: Any = None) -> Any:
+def plot_fit(model: "Model", axes: object = None) -> Axes:
     """Plot each state over time: measured, and simulated with its 95 % band; a row of axes for each state."""
     parts = _trajectories(model)
     states = list(parts[0].values or {})
-    axes = _axes(axes, len(states))
-    for at, state in zip(axes, states, strict=True):
+    each = _axes(axes, len(states))
+    for at, state in zip(each, states, strict=True):
         for number, part in enumerate(parts):
             if not part.values:
                 continue
@@ -36,28 +41,28 @@ def plot_fit(model: "Model", axes: Any = None) -> Any:
             if part.measured:
                 at.plot(times, _numbers(part.measured[state]), ".", color=color, markersize=3)
         at.set_ylabel(label(model.result, state))
-    axes[-1].set_xlabel(label(model.result, model.time))
-    return axes
+    each[-1].set_xlabel(label(model.result, model.time))
+    return each
 
 
-def plot_residuals(model: "Model", axes: Any = None) -> Any:
+def plot_residuals(model: "Model", axes: object = None) -> Axes:
     """Plot measured less simulated values over time, for each state, along each trajectory."""
     parts = [part for part in _trajectories(model) if part.values and part.measured]
     if not parts:
         raise UsageError("the result has no measured rows beside simulated ones, so there are no residuals to plot")
     states = list(parts[0].values or {})
-    axes = _axes(axes, len(states))
-    for at, state in zip(axes, states, strict=True):
+    each = _axes(axes, len(states))
+    for at, state in zip(each, states, strict=True):
         for number, part in enumerate(parts):
             left = residuals(part.measured[state], (part.values or {})[state])
             at.plot(part.times, _numbers(left), ".", color=f"C{number % 10}")
         at.axhline(0.0, color="0.5", linewidth=0.8)
         at.set_ylabel(label(model.result, state))
-    axes[-1].set_xlabel(label(model.result, model.time))
-    return axes
+    each[-1].set_xlabel(label(model.result, model.time))
+    return each
 
 
-def plot_phase(model: "Model", axes: Any = None) -> Any:
+def plot_phase(model: "Model", axes: object = None) -> Axes:
     """Plot directions and simulated trajectories in the plane of the first two states, the others at their middle."""
     if len(model.states) < 2:
         raise UsageError("a phase plane takes two states; this model has one")
@@ -86,22 +91,22 @@ def plot_phase(model: "Model", axes: Any = None) -> Any:
     return np.array([at])
 
 
-def plot_front(model: "Model", axes: Any = None) -> Any:
+def plot_front(model: "Model", axes: object = None) -> Axes:
     """Plot for each equation the error of its front over complexity; the member it was made of is marked."""
     equations = model.result.equations
-    axes = _axes(axes, len(equations))
-    for at, equation in zip(axes, equations, strict=True):
+    each = _axes(axes, len(equations))
+    for at, equation in zip(each, equations, strict=True):
         at.semilogy(*front(equation.front), "o-")
         at.semilogy(*front(equation.front, is_selected=True), "s", color="C3")
         at.set_ylabel(f"error of {equation.lhs}")
-    axes[-1].set_xlabel("complexity")
-    return axes
+    each[-1].set_xlabel("complexity")
+    return each
 
 
-def _axes(axes: Any, number: int) -> Any:
+def _axes(axes: object, number: int) -> Axes:
     """Return so many axes, below each other; raises UsageError without matplotlib or with another number of axes."""
     if axes is not None:
-        given = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
+        given: Axes = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
         if len(given) != number:
             raise UsageError(f"{number} axes are needed, but {len(given)} were given")
         return given
@@ -111,7 +116,8 @@ def _axes(axes: Any, number: int) -> Any:
         raise UsageError("pictures need matplotlib, which is not installed; run: pip install 'atoll[plots]'") from None
     figure, made = pyplot.subplots(number, 1, squeeze=False, sharex=True, figsize=(7.0, 2.0 + 2.0 * number))
     figure.set_layout_engine("tight")
-    return made.ravel()
+    drawn: Axes = made.ravel()
+    return drawn
 
 
 def _trajectories(model: "Model") -> Sequence[Simulated]:
@@ -121,5 +127,5 @@ def _trajectories(model: "Model") -> Sequence[Simulated]:
     return parts
 
 
-def _numbers(values: Sequence[float | None]) -> Any:
+def _numbers(values: Sequence[float | None]) -> FloatArray:
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from atoll_core.data.dataset import FloatArray
 
@@ -104,7 +104,7 @@ class Identifiability:
         lines += [f"  {direction.words}" for direction in self.sloppy]
         return "\n".join(lines)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return all of it as plain data; null is infinite."""
         return {
             "schema": SCHEMA,
@@ -118,7 +118,7 @@ class Identifiability:
         }
 
 
-def _constant_data(constant: ProfiledConstant) -> dict[str, Any]:
+def _constant_data(constant: ProfiledConstant) -> dict[str, object]:
     return {
         "name": constant.name,
         "variable": constant.variable,
@@ -134,7 +134,7 @@ def _constant_data(constant: ProfiledConstant) -> dict[str, Any]:
     }
 
 
-def _direction_data(direction: Direction, constants: Sequence[ProfiledConstant]) -> dict[str, Any]:
+def _direction_data(direction: Direction, constants: Sequence[ProfiledConstant]) -> dict[str, object]:
     weights = {constant.name: float(weight) for constant, weight in zip(constants, direction.weights, strict=True)}
     error, is_sloppy = _finite(direction.error), direction.is_sloppy
     return {"error": error, "weights": weights, "is_sloppy": is_sloppy, "words": direction.words}

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
 SCHEMA: Final = 1
 
@@ -83,7 +83,7 @@ class Suggestion:
         """How often and how long is measured."""
         return f"{len(self.times)} samples from {self.times[0]:.4g} to {self.times[-1]:.4g}"
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return it as plain data."""
         worst = None
         if self.worst is not None:
@@ -165,7 +165,7 @@ class Suggestions:
         shrinks = f"the error of {name} from {100 * before:.2g} to {100 * after:.2g} %"
         return f"{experiment.information:.3g} nats about the constants expected{per}, {shrinks}"
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return all of it as plain data, as ``coordinator suggest --json`` prints it."""
         return {
             "schema": SCHEMA,

@@ -4,10 +4,10 @@ Letters: P fitted constants, G segments, D states.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -280,7 +280,7 @@ def _tolerance(measurements: Measurements) -> float:
     return min(max(_TOLERANCE_OF_NOISE * noise, _FINEST), _COARSEST * 0.1)
 
 
-def _log_squares(measurements: Measurements) -> Any:
+def _log_squares(measurements: Measurements) -> Callable[[TrajectoryFit], float]:
     counts = measurements.weights.sum(axis=1)
     return lambda fit: float(counts @ np.log(np.maximum(fit.squares, 1e-300)))
 

@@ -1,7 +1,6 @@
 """Arguments of Python users as numbers: what is none is named in one sentence, with what was expected."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from atoll_core.errors import UsageError
 from atoll_core.quoting import shown
 
 
-def numbers(given: Any, what: str, expected: str = "numbers") -> FloatArray:
+def numbers(given: object, what: str, expected: str = "numbers") -> FloatArray:
     """Return an array of real numbers of any shape; raises UsageError, which says `what` it was to be."""
     try:
         plain = np.asarray(given)
@@ -21,7 +20,7 @@ def numbers(given: Any, what: str, expected: str = "numbers") -> FloatArray:
     raise UsageError(f"{what} must be {expected}, but {shown(given)} was given")
 
 
-def number(given: Any, what: str) -> float:
+def number(given: object, what: str) -> float:
     """Return one number; raises UsageError."""
     value = numbers(given, what, "a number")
     if value.ndim:
@@ -29,7 +28,7 @@ def number(given: Any, what: str) -> float:
     return float(value)
 
 
-def interval(given: Any, what: str) -> tuple[float, float]:
+def interval(given: object, what: str) -> tuple[float, float]:
     """Return a lower and an upper bound; raises UsageError where it is no finite interval."""
     bounds = numbers(given, what, "two numbers")
     if bounds.shape != (2,):
@@ -39,7 +38,7 @@ def interval(given: Any, what: str) -> tuple[float, float]:
     return float(bounds[0]), float(bounds[1])
 
 
-def by_name(given: Any, what: str) -> Mapping[str, object]:
+def by_name(given: object, what: str) -> Mapping[str, object]:
     """Return a mapping from names, empty for None; raises UsageError."""
     if given is None:
         return {}

@@ -4,7 +4,7 @@ Letters: U inputs, N times.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
 
 _Course = Callable[[float], npt.ArrayLike]
-GivenInputs = Mapping[str, npt.ArrayLike | _Course] | npt.ArrayLike | _Course | None
+_ByName = Mapping[str, npt.ArrayLike | _Course]
+GivenInputs = _ByName | npt.ArrayLike | _Course | None
 """By name numbers, arrays or functions of time; an array (N, U); or a function of time that returns U numbers."""
 
 _Recorded = tuple[FloatArray, FloatArray]
@@ -47,9 +48,11 @@ def inputs_along(model: "Model", u: GivenInputs, times: FloatArray, recorded: Ma
         return None
     if callable(u):
         return lambda t: np.atleast_1d(numbers(u(t), "what u returns"))
-    if u is not None and not has_columns(u):
+    given: _ByName = {}
+    if has_columns(u):
+        given = u
+    elif u is not None:
         return interpolated(times, _rows(model, u, times))
-    given = {} if u is None else u
     return together([_input(model, name, given, times, recorded.get(name)) for name in model.inputs])
 
 
@@ -63,7 +66,7 @@ def _rows(model: "Model", u: object, times: FloatArray) -> FloatArray:
 
 
 def _input(
-    model: "Model", name: str, given: Any, times: FloatArray, recorded: _Recorded | None
+    model: "Model", name: str, given: _ByName, times: FloatArray, recorded: _Recorded | None
 ) -> Callable[[float], float]:
     column = model.result.columns_by_symbol[name]
     key = next((key for key in (name, column) if has(given, key)), None)

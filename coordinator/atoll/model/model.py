@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Literal, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -131,7 +131,7 @@ class Model(Shortcuts):
         return {name: parameter.interval_at(level, self._degrees_of_freedom) for name, parameter in self.params.items()}
 
     @property
-    def provenance(self) -> dict[str, Any]:
+    def provenance(self) -> dict[str, object]:
         """Where the model comes from: digests of data and result, job, seed, settings, command, versions."""
         result, data = self._result, self._result.data
         named = ("job", "seed", "preset", "config", "command", "versions", "digest")

@@ -4,7 +4,7 @@ Letters: D states, U inputs, N rows.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +51,7 @@ def inputs_of(model: "Model", part: Columns) -> dict[str, FloatArray]:
     return {name: column(part, columns[name]) for name in model.inputs if has(part, columns[name])}
 
 
-def points_of(model: "Model", given: Any, names: Sequence[str]) -> FloatArray:
+def points_of(model: "Model", given: object, names: Sequence[str]) -> FloatArray:
     """Return rows (N, len(names)) from an array or from columns by name."""
     if has_columns(given):
         columns = model.result.columns_by_symbol
@@ -63,22 +63,23 @@ def points_of(model: "Model", given: Any, names: Sequence[str]) -> FloatArray:
     return rows
 
 
-def has_columns(given: object) -> bool:
+def has_columns(given: object) -> TypeGuard[Columns]:
     """Tell whether something has columns by name: a mapping, or a frame of pandas or polars."""
     return isinstance(given, Mapping) or hasattr(given, "columns")
 
 
-def has(given: Any, name: str) -> bool:
+def has(given: Mapping[str, object], name: str) -> bool:
     """Tell whether there is a column of this name."""
     return name in (given.columns if hasattr(given, "columns") else given) or _is_index(given, name)
 
 
-def column(given: Any, *names: str) -> FloatArray:
+def column(given: Columns, *names: str) -> FloatArray:
     """Return the column of the first of these names that there is; raises UsageError."""
     name = next((name for name in names if has(given, name)), None)
     if name is None:
         raise UsageError(f"the data have no column {names[0]!r}; give one, by that name")
-    return numbers(given.index if _is_index(given, name) else given[name], f"column {name!r}")
+    values = getattr(given, "index", None) if _is_index(given, name) else given[name]
+    return numbers(values, f"column {name!r}")
 
 
 def stacked(columns: Sequence[FloatArray]) -> FloatArray:
@@ -90,7 +91,7 @@ def stacked(columns: Sequence[FloatArray]) -> FloatArray:
     return np.stack(columns)
 
 
-def _is_index(given: Any, name: str) -> bool:
+def _is_index(given: object, name: str) -> bool:
     """Tell whether a name is that of the index of a pandas frame."""
     index = getattr(given, "index", None)
     return index is not None and not callable(index) and getattr(index, "name", None) == name

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,19 +18,20 @@ if TYPE_CHECKING:
 
 def score(model: "Model", data: Columns | Sequence[Columns]) -> float:
     """Return R2 on data; see `atoll.Model.score`."""
-    parts: list[Any] = [*data] if isinstance(data, (list, tuple)) else [data]
-    if not parts or not all(map(has_columns, parts)):
+    given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
+    parts = [part for part in given if has_columns(part)]
+    if not given or len(parts) < len(given):
         raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")
     return _of_regression(model, parts) if model.is_regression else _of_dynamics(model, parts)
 
 
-def _of_regression(model: "Model", parts: Sequence[Any]) -> float:
+def _of_regression(model: "Model", parts: Sequence[Columns]) -> float:
     target = model.result.equations[0].variable
     both = [stacked([column(part, target), model.predict(part)]) for part in parts]
     return _r2(*np.concatenate(both, axis=1))
 
 
-def _of_dynamics(model: "Model", parts: Sequence[Any]) -> float:
+def _of_dynamics(model: "Model", parts: Sequence[Columns]) -> float:
     columns = model.result.columns_by_symbol
     states = [name for name in model.states if all(has(part, columns[name]) for part in parts)]
     if not states:

@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from atoll.model.files import write_text
 from atoll.model.parameters import LEVEL
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
     import sympy
 
     from atoll.analysis.analysis import Analysis
@@ -57,11 +59,11 @@ class Shortcuts:
 
         return analyse_model(self.itself, box, inputs=inputs, vary=vary)
 
-    def profile(self, level: float = LEVEL, data: Any = None) -> "dict[str, ProfiledConstant]":
+    def profile(self, level: float = LEVEL, data: object = None) -> "dict[str, ProfiledConstant]":
         """Return the profile likelihood of each constant, by name; see `identifiability`."""
         return {constant.name: constant for constant in self.identifiability(level, data).constants}
 
-    def identifiability(self, level: float = LEVEL, data: Any = None) -> "Identifiability":
+    def identifiability(self, level: float = LEVEL, data: object = None) -> "Identifiability":
         """Return what the data determine of each constant, and which of them only together.
 
         Args:
@@ -86,7 +88,7 @@ class Shortcuts:
         count: int = 3,
         rivals: Mapping[str, str] | Sequence[Mapping[str, str]] = (),
         seed: int = 0,
-        data: Any = None,
+        data: object = None,
     ) -> "Suggestions":
         """Return the experiments to make next: those that tell most about which candidate is right, for their cost.
 
@@ -107,10 +109,9 @@ class Shortcuts:
             DataError: the data cannot be used as they are.
         """
         from atoll.api.experiments import suggestions
+        from atoll.experiments.space import Request
 
-        return suggestions(
-            self.itself,
-            data,
+        request = Request(
             bounds=bounds or {},
             duration=duration,
             samples=samples,
@@ -119,6 +120,7 @@ class Shortcuts:
             seed=seed,
             rivals=[rivals] if isinstance(rivals, Mapping) else [*rivals],
         )
+        return suggestions(self.itself, data, request)
 
     # ------------------------------------------------------------------------------------------- what it looks like
 
@@ -175,25 +177,25 @@ class Shortcuts:
 
         return html(self.itself)
 
-    def plot_fit(self, axes: Any = None) -> Any:
+    def plot_fit(self, axes: object = None) -> "npt.NDArray[np.object_]":
         """Plot measurements and simulations with bands over time; see `atoll.display.plots.plot_fit`."""
         from atoll.display.plots import plot_fit
 
         return plot_fit(self.itself, axes)
 
-    def plot_residuals(self, axes: Any = None) -> Any:
+    def plot_residuals(self, axes: object = None) -> "npt.NDArray[np.object_]":
         """Plot what simulations leave of the measurements; see `atoll.display.plots.plot_residuals`."""
         from atoll.display.plots import plot_residuals
 
         return plot_residuals(self.itself, axes)
 
-    def plot_phase(self, axes: Any = None) -> Any:
+    def plot_phase(self, axes: object = None) -> "npt.NDArray[np.object_]":
         """Plot the phase plane of two states; see `atoll.display.plots.plot_phase`."""
         from atoll.display.plots import plot_phase
 
         return plot_phase(self.itself, axes)
 
-    def plot_front(self, axes: Any = None) -> Any:
+    def plot_front(self, axes: object = None) -> "npt.NDArray[np.object_]":
         """Plot error over complexity; see `atoll.display.plots.plot_front`."""
         from atoll.display.plots import plot_front
 

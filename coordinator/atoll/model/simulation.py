@@ -10,7 +10,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,9 @@ from atoll.model.joint_errors import JointErrors
 from atoll.model.vector_field import VectorField
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
+
+if TYPE_CHECKING:
+    from scipy.integrate import OdeSolver
 
 Status = Literal["finished", "blow-up", "stiff", "undefined"]
 """How a simulation ended: at the last time; where a state grows beyond all bounds in finite time; where all evaluations
@@ -288,7 +291,7 @@ def _sizes(task: _Task, x0: FloatArray, t: FloatArray) -> FloatArray:
     return _positive(sizes)
 
 
-def _take_rows(rows: list[FloatArray], t: FloatArray, solver: Any) -> None:
+def _take_rows(rows: list[FloatArray], t: FloatArray, solver: "OdeSolver") -> None:
     """Add the states at the times that the last step of a solver has passed."""
     if len(rows) < len(t) and t[len(rows)] <= solver.t:
         dense = solver.dense_output()

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -74,7 +74,7 @@ def times_of(model: Model, start: Start, end: float | None, step: float | None) 
     return np.asarray(first + step * np.arange(math.floor((last - first) / step + _SLACK) + 1), dtype=np.float64)
 
 
-def _read(path: Path, model: Model, config: Mapping[str, Any]) -> Table:
+def _read(path: Path, model: Model, config: Mapping[str, object]) -> Table:
     """Read a data file; dates are counted in the model's unit of time."""
     from atoll_coordinator.data.reading.files import read_table
 

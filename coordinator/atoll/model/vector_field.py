@@ -9,7 +9,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -268,7 +268,7 @@ class _Function:
         return function_of(self._programs, self._variables, _OF_NUMBERS)
 
     @cached_property
-    def _of_arrays(self) -> Callable[..., Sequence[Any]]:
+    def _of_arrays(self) -> Callable[..., Sequence[FloatArray | float]]:
         return function_of(self._programs, self._variables, _OF_ARRAYS)
 
     def at_point(self, numbers: Sequence[float]) -> FloatArray:

@@ -1,8 +1,9 @@
 """How the model moves: the phase plane, fixed points, cycles, basins, and all of it beside the data."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.analysis.description import Listing, describe
 from atoll.model.groups import differing_groups
@@ -99,7 +100,7 @@ def _add_basins(drawn: Chart, analysis: "Analysis") -> None:
             drawn.add_cells(x, y, f"basin c{which % COLORS}")
 
 
-def _runs(flags: "np.ndarray[Any, np.dtype[np.bool_]]") -> list[tuple[int, int]]:
+def _runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return where runs of true flags begin and end."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -9,12 +9,15 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 from atoll.client.follower import Display
 from atoll.terminal.output import clipped, count, duration, error_text, note, shortened
 from atoll_core.compilation.progress import count_of
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, VariableView, WorkerView
+
+if TYPE_CHECKING:
+    from rich.console import Group
 
 PLAIN_INTERVAL_S: Final = 5.0
 _PASSING: Final = re.compile(r"\b[0-9]+ (s\b|of [0-9]+ compiled)")
@@ -184,7 +187,7 @@ class LiveDisplay:
         """Print the sentence above the table."""
         self._live.console.print(sentence, markup=False, highlight=False)
 
-    def _table(self, view: JobView, workers: Sequence[WorkerView]) -> Any:
+    def _table(self, view: JobView, workers: Sequence[WorkerView]) -> "Group":
         from rich import box
         from rich.console import Group
         from rich.progress_bar import ProgressBar

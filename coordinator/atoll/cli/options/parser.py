@@ -6,9 +6,9 @@ The options of a job are generated from their table, `atoll.client.options`; wha
 
 import argparse
 from collections.abc import Sequence
-from typing import Any, Final, NoReturn
+from typing import Final, NoReturn
 
-from atoll.cli.options.service import add_doctor, add_router, add_serve
+from atoll.cli.options.service import Verbs, add_doctor, add_router, add_serve
 from atoll.client.options import GROUPS, MOST_WORKERS
 from atoll_core.command_line import Parser, add_tls_options, seconds, whole_number
 from atoll_core.completion import SHELLS, complete
@@ -106,14 +106,14 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 class _Version(argparse.Action):
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         from atoll_core import PROTOCOL_VERSION, VERSION
 
         parser._print_message(f"coordinator {VERSION} (protocol {PROTOCOL_VERSION})\n")
         parser.exit()
 
 
-def _verb(verbs: Any, name: str, text: str) -> argparse.ArgumentParser:
+def _verb(verbs: Verbs, name: str, text: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         name,
         help=text,
@@ -123,7 +123,7 @@ def _verb(verbs: Any, name: str, text: str) -> argparse.ArgumentParser:
     return parser
 
 
-def _add_run(verbs: Any) -> None:
+def _add_run(verbs: Verbs) -> None:
     parser = _verb(verbs, "run", "search on this machine; nothing needs to be started beforehand")
     _add_job(parser)
     parser.add_argument(
@@ -135,7 +135,7 @@ def _add_run(verbs: Any) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder of result.json and the log (default: runs/JOB)")
 
 
-def _add_submit(verbs: Any) -> None:
+def _add_submit(verbs: Verbs) -> None:
     parser = _verb(verbs, "submit", "give a job to a coordinator and follow it; Ctrl-C detaches, the job goes on")
     _add_connect(parser)
     _add_job(parser)
@@ -147,7 +147,7 @@ def _add_submit(verbs: Any) -> None:
     )  # fmt: skip
 
 
-def _add_ping(verbs: Any) -> None:
+def _add_ping(verbs: Verbs) -> None:
     parser = _verb(verbs, "ping", "ask whether a coordinator answers, as probes do; 3: it does not")
     _add_connect(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -156,7 +156,7 @@ def _add_ping(verbs: Any) -> None:
     )
 
 
-def _add_readers(verbs: Any) -> None:
+def _add_readers(verbs: Verbs) -> None:
     texts = {
         "jobs": ("list the jobs of a coordinator", "only jobs whose id begins with this"),
         "status": ("show how far a job has come", "id or its beginning (default: every job that has not ended)"),
@@ -195,7 +195,7 @@ def _add_readers(verbs: Any) -> None:
             parser.add_argument("--coordinator", action="store_true", help="show the coordinator's own counters")
 
 
-def _add_simulate(verbs: Any) -> None:
+def _add_simulate(verbs: Verbs) -> None:
     parser = _verb(verbs, "simulate", "simulate the model of a saved result from any initial state; CSV with bands")
     parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
     parser.add_argument(
@@ -230,7 +230,7 @@ def _add_group(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--group", metavar="NAME", help="the group of trajectories whose constants are taken, if any")
 
 
-def _add_analyse(verbs: Any) -> None:
+def _add_analyse(verbs: Verbs) -> None:
     parser = _verb(
         verbs, "analyse", "fixed points, limit cycles, basins and bifurcations of the model of a saved result"
     )
@@ -260,7 +260,7 @@ def _add_analyse(verbs: Any) -> None:
     parser.add_argument("--json", action="store_true", help="write JSON, with all curves")
 
 
-def _add_report(verbs: Any) -> None:
+def _add_report(verbs: Verbs) -> None:
     parser = _verb(verbs, "report", "a saved result as one HTML page that needs neither network nor script")
     parser.add_argument(
         "result", nargs="+", metavar="RESULT", help="PATH/result.json, or its folder; several, if you like"
@@ -270,7 +270,7 @@ def _add_report(verbs: Any) -> None:
     parser.add_argument("--pictures", metavar="DIR", help="also write every picture as an SVG file of its own")
 
 
-def _add_suggest(verbs: Any) -> None:
+def _add_suggest(verbs: Verbs) -> None:
     parser = _verb(verbs, "suggest", "the next experiment: where the candidates of a saved result differ most")
     parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
     _add_group(parser)
@@ -298,7 +298,7 @@ def _add_suggest(verbs: Any) -> None:
     parser.add_argument("--json", action="store_true", help="write JSON, with all times")
 
 
-def _add_export(verbs: Any) -> None:
+def _add_export(verbs: Verbs) -> None:
     parser = _verb(verbs, "export", "write the model of a saved result for other programs")
     parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
     _add_group(parser)

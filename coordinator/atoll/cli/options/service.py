@@ -3,9 +3,9 @@
 import argparse
 import re
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final, TypeAlias
 
-from atoll_core.command_line import add_log_options, add_tls_options, seconds
+from atoll_core.command_line import Parser, add_log_options, add_tls_options, seconds
 
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
 DEFAULT_STATE: Final = "atoll-state"
@@ -14,11 +14,14 @@ DEFAULT_KEEP: Final = "90d,8G"
 _AGES: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 _SIZES: Final = {"M": 10**6, "G": 10**9, "T": 10**12}
 
-Verb = Callable[[Any, str, str], argparse.ArgumentParser]
+Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
+"""What verbs are added to."""
+
+Verb = Callable[[Verbs, str, str], argparse.ArgumentParser]
 """Adds a verb with its one-line description and returns its parser."""
 
 
-def add_serve(verb: Verb, verbs: Any) -> None:
+def add_serve(verb: Verb, verbs: Verbs) -> None:
     """Add ``serve``."""
     parser = verb(verbs, "serve", "run the coordinator for workers and jobs of any machine")
     place = parser.add_mutually_exclusive_group()
@@ -65,7 +68,7 @@ def keep(text: str) -> tuple[int | None, int | None]:
     return limits.get("age"), limits.get("size")
 
 
-def add_router(verb: Verb, verbs: Any) -> None:
+def add_router(verb: Verb, verbs: Verbs) -> None:
     """Add ``router``."""
     parser = verb(
         verbs, "router", "pass messages on: for a site of its own, or to keep connections while serve restarts"
@@ -84,7 +87,7 @@ def add_router(verb: Verb, verbs: Any) -> None:
     add_log_options(parser)
 
 
-def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
+def add_doctor(verb: Verb, verbs: Verbs) -> argparse.ArgumentParser:
     """Add ``doctor`` and return its parser, which lacks the options on data."""
     parser = verb(
         verbs, "doctor", "examine this machine, a coordinator and data files, and say what to do; 1: problems"
@@ -105,7 +108,7 @@ def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
     return parser
 
 
-def _add_listen(parser: Any) -> None:
+def _add_listen(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--listen",
         default=DEFAULT_LISTEN,

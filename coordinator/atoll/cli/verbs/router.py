@@ -10,7 +10,7 @@ import os
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.listener import addresses_of, role_bindings_of, warnings_of
@@ -25,6 +25,7 @@ from atoll_core.wire.security.credentials import credentials_of
 from atoll_core.wire.security.role_bindings import RoleBindings
 
 if TYPE_CHECKING:
+    from atoll_core.wire.bus.interface import Bus
     from atoll_core.wire.bus.zenoh_bus import ZenohBus
 
 _LOG = logging.getLogger(__name__)
@@ -97,7 +98,7 @@ class _CoordinatorCheck:
         self._cluster = cluster
 
 
-def coordinator_behind(bus: Any, principal: str = "client") -> str | None:
+def coordinator_behind(bus: "Bus", principal: str = "client") -> str | None:
     """Return the cluster of the coordinator that answers on `bus`; None when there is none, or none that we know."""
     from atoll.client.client import Client
 

@@ -1,7 +1,8 @@
 """``coordinator schema``: what job files and result files may hold, as JSON schema for editors and checkers."""
 
 import argparse
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Final
 
 from atoll.cli.exit_codes import DONE
 from atoll.terminal.output import as_json, say
@@ -16,12 +17,12 @@ def schema(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _of_results() -> dict[str, Any]:
+def _of_results() -> Mapping[str, object]:
     from atoll_coordinator.result.result import json_schema
 
     return json_schema()
 
 
-def _of_job_files() -> dict[str, Any]:
+def _of_job_files() -> Mapping[str, object]:
     described = {key: value for key, value in JobConfig.model_json_schema().items() if key != "title"}
     return {"$schema": _DIALECT, "title": "Job file of coordinator run and submit", **described}
