@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
@@ -54,7 +53,7 @@ class Outline:
         lines = [f"{sought} would be searched:", *(f"  {equation}" for equation in self.equations)]
         return "\n".join([*lines, *parts, f"the search ends {', '.join(ends)}", "dry run: nothing was started"])
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the same for other programs; `config` are the settings that are not defaults, as in a job file."""
         return {
             "files": list(self.files),

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -117,7 +117,7 @@ class Ensemble:
     def _quantiles(self) -> FloatArray:
         return self._over(lambda paths: np.quantile(paths, SHARES, axis=0), len(SHARES))
 
-    def _over(self, function: Callable[[FloatArray], Any], *shape: int) -> FloatArray:
+    def _over(self, function: Callable[[FloatArray], FloatArray], *shape: int) -> FloatArray:
         values = function(self.finite) if len(self.finite) else np.full((*shape, *self.x.shape[1:]), np.nan)
         return np.asarray(values)
 
@@ -135,7 +135,7 @@ class Ensemble:
                 columns[f"{name}_{kind}"] = getattr(self, kind)[:, place]
         return columns
 
-    def rows_of_paths(self) -> Iterator[list[Any]]:
+    def rows_of_paths(self) -> Iterator[list[str | int]]:
         """Yield the lines of a table of all paths, the header first, in the format that data are read in."""
         yield ["trajectory", self.time, *self.states]
         for number, path in enumerate(self.x, start=1):
@@ -154,9 +154,9 @@ class Ensemble:
         writer.writerows(zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True))
         return stream.getvalue()
 
-    def as_dict(self, *, has_paths: bool = False) -> dict[str, Any]:
+    def as_dict(self, *, has_paths: bool = False) -> dict[str, object]:
         """Return everything as plain lists and texts, for JSON; numbers that are not finite are None."""
-        entries: dict[str, Any] = {
+        entries: dict[str, object] = {
             "paths": len(self.x),
             "finite_paths": len(self.finite),
             "columns": {name: _plain(values) for name, values in self.columns().items()},

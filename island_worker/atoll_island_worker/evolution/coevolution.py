@@ -28,6 +28,7 @@ from atoll_island_worker.evolution.structures import (
 )
 
 Caller = Callable[..., Any]
+"""Calls a kernel with its arguments, whose types numba knows."""
 
 
 def call_plainly(function: Callable[..., Any], *arguments: Any) -> Any:

@@ -8,12 +8,12 @@ import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from atoll_core.config import JobConfig
-from atoll_core.data.dataset import Problem
+from atoll_core.data.dataset import AnyArray, Problem
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.search.seeding import stream_key
@@ -217,10 +217,10 @@ class Island:
         self.epoch += 1
         self._start_epoch()
 
-    def _state_arrays(self) -> dict[str, Any]:
+    def _state_arrays(self) -> dict[str, AnyArray]:
         coevolution = self._coevolution
-        arrays = {f"list {name}": a for name, a in zip(Lists._fields, self._lists, strict=True)}
-        arrays |= {f"trainer {name}": a for name, a in zip(Lists._fields, coevolution.trainers, strict=True)}
+        arrays: dict[str, AnyArray] = {f"list {name}": array for name, array in self._lists._asdict().items()}
+        arrays |= {f"trainer {name}": array for name, array in coevolution.trainers._asdict().items()}
         arrays |= {
             name: getattr(coevolution, name) for name in ("predictors", "quality", "exact", "born", "best", "clock")
         }

@@ -1,9 +1,9 @@
 """What a worker's session wants done. Plain data, no behaviour."""
 
 from dataclasses import dataclass
-from typing import Any
 
 from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.messages.workers import (
     EpochReport,
     Finished,
@@ -102,7 +102,7 @@ class AskPeer:
 class Respond:
     """Answer the pull that came under `handle`."""
 
-    handle: Any
+    handle: Query
     body: Sent | Reports | States | NotYet | NewerTerm
 
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
+from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.messages.workers import (
     Close,
     CloseJob,
@@ -51,7 +51,7 @@ class Mailed:
 class PullAsked:
     """Somebody asks for what we sent; to be answered under `handle`."""
 
-    handle: Any
+    handle: Query
     body: PullMigrants | PullReports | PullStates
 
 

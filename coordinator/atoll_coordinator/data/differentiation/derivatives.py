@@ -8,7 +8,7 @@ that there is noise.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -172,12 +172,18 @@ def estimate_derivatives(
 
 def _rescale(estimate: StateEstimate, exponent: int) -> StateEstimate:
     """Return the estimate of values 2**exponent times as large: values of any size have squares in between."""
-    arrays = ("values", "velocity", "derivative", "uncertainty", "total_uncertainty")
     with np.errstate(over="ignore", under="ignore"):
-        scaled: dict[str, Any] = {name: np.ldexp(getattr(estimate, name), exponent) for name in arrays}
-        for name in ("noise", "standard_deviation", "narrower_noise"):
-            scaled[name] = float(np.ldexp(getattr(estimate, name), exponent))
-    return replace(estimate, **scaled)
+        return replace(
+            estimate,
+            values=np.ldexp(estimate.values, exponent),
+            velocity=np.ldexp(estimate.velocity, exponent),
+            derivative=np.ldexp(estimate.derivative, exponent),
+            uncertainty=np.ldexp(estimate.uncertainty, exponent),
+            total_uncertainty=np.ldexp(estimate.total_uncertainty, exponent),
+            noise=float(np.ldexp(estimate.noise, exponent)),
+            standard_deviation=float(np.ldexp(estimate.standard_deviation, exponent)),
+            narrower_noise=float(np.ldexp(estimate.narrower_noise, exponent)),
+        )
 
 
 def _estimate(

@@ -6,13 +6,14 @@ Letters: N rows, K columns of one array.
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
+from atoll_core.data.dataset import AnyArray
 from atoll_core.errors import DataError
 
 
@@ -31,7 +32,7 @@ def read_npz(path: Path, config: DataConfig) -> RawTable:
 
 def table_of_arrays(
     file: str,
-    arrays: Mapping[str, Any],
+    arrays: Mapping[str, npt.ArrayLike],
     config: DataConfig,
     remarks: tuple[str, ...],
     units: Mapping[str, str] | None = None,
@@ -64,7 +65,7 @@ def table_of_arrays(
     return with_breaks(headers, columns, (*remarks, *others), column_units)
 
 
-def _length(file: str, vectors: Mapping[str, Any], config: DataConfig) -> int:
+def _length(file: str, vectors: Mapping[str, AnyArray], config: DataConfig) -> int:
     """Return the number of rows."""
     time = next(
         (name for name in (config.time or "", *TIME_NAMES) if name in vectors and vectors[name].ndim == 1), None
@@ -78,7 +79,7 @@ def _length(file: str, vectors: Mapping[str, Any], config: DataConfig) -> int:
     return lengths.pop()
 
 
-def _columns(array: Any, count: int) -> list[Any] | None:
+def _columns(array: AnyArray, count: int) -> list[AnyArray] | None:
     """Return the columns (N,) of an array; None where it has no N rows."""
     if array.ndim == 1:
         return [array] if len(array) == count else None
@@ -87,7 +88,7 @@ def _columns(array: Any, count: int) -> list[Any] | None:
     return None
 
 
-def _cells(file: str, name: str, values: Any) -> tuple[list[str], str]:
+def _cells(file: str, name: str, values: AnyArray) -> tuple[list[str], str]:
     """Return values as cells, and the unit of durations."""
     if values.dtype.kind == "c":
         raise DataError(f"array '{name}' of {file} holds complex numbers; real ones are expected")
@@ -102,5 +103,5 @@ def _cells(file: str, name: str, values: Any) -> tuple[list[str], str]:
     return _texts(values), ""
 
 
-def _texts(values: Any) -> list[str]:
+def _texts(values: AnyArray) -> list[str]:
     return [str(value) for value in values.tolist()]

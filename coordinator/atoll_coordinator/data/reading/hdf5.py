@@ -4,6 +4,7 @@ Every dataset is an array of its own, or, where it is a table, one for each of i
 the unit. Files of netCDF 4 are such files.
 """
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,10 +14,11 @@ from atoll_coordinator.data.reading.arrays import table_of_arrays
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
+from atoll_core.data.dataset import AnyArray
 from atoll_core.errors import DataError
 
 MAGIC: Final = b"\x89HDF\r\n\x1a\n"
-_Arrays = tuple[dict[str, Any], dict[str, str]]
+_Arrays = tuple[dict[str, AnyArray], dict[str, str]]
 
 
 def read_hdf5(path: Path, config: DataConfig) -> RawTable:
@@ -51,7 +53,7 @@ def read_arrays(path: Path, is_matlab: bool = False) -> _Arrays:
 
 
 def _collected(name: str, file: Any, h5py: Any, is_matlab: bool) -> _Arrays:
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, AnyArray] = {}
     units: dict[str, str] = {}
 
     def take(path: str, item: Any) -> None:
@@ -80,7 +82,7 @@ def _is_hidden(path: str, item: Any, is_matlab: bool) -> bool:
     return item.dtype.kind not in "biufcSV" or item.ndim > 2 or item.size == 0
 
 
-def _with_missing(item: Any, values: Any) -> Any:
+def _with_missing(item: Any, values: AnyArray) -> AnyArray:
     """Return values with NaN for what the file calls missing."""
     fill = item.attrs.get("_FillValue", item.attrs.get("missing_value"))
     if fill is None or values.dtype.kind not in "iuf":
@@ -88,12 +90,12 @@ def _with_missing(item: Any, values: Any) -> Any:
     return np.where(values == np.ravel(fill)[0], np.nan, values)
 
 
-def _unused(path: str, field: str, taken: dict[str, Any]) -> str:
+def _unused(path: str, field: str, taken: Collection[str]) -> str:
     parts = [*path.split("/"), *([field] if field else [])]
     return parts[-1] if parts[-1] not in taken else ".".join(parts)
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     return (
         value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value) if isinstance(value, str) else ""
     )

@@ -8,7 +8,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from atoll_coordinator.data.reading.arrays import table_of_arrays
 from atoll_coordinator.data.reading.hdf5 import MAGIC, read_arrays
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_core.config import DataConfig
+from atoll_core.data.dataset import AnyArray
 from atoll_core.errors import DataError
 
 _USERBLOCK: Final = 512
@@ -38,7 +39,7 @@ def read_matlab(path: Path, config: DataConfig) -> RawTable:
     return table_of_arrays(path.name, arrays, config, (version,), units, first=1)
 
 
-def _loaded(path: Path) -> dict[str, Any]:
+def _loaded(path: Path) -> dict[str, AnyArray]:
     """Return the arrays of a file, read by a process of its own: see `matlab_child`."""
     command = [sys.executable, "-P", "-m", "atoll_coordinator.data.reading.matlab_child", str(path)]
     child = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)

@@ -7,29 +7,34 @@ and the arrays by their number among these.
 import io
 import json
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+
+from atoll_core.data.dataset import AnyArray
 
 
 def main() -> None:
     """Read the file that the command line names; an error ends the process."""
     import scipy.io
 
-    values: dict[str, Any] = scipy.io.loadmat(sys.argv[1], simplify_cells=True)
+    values: dict[str, object] = scipy.io.loadmat(sys.argv[1], simplify_cells=True)
     arrays = flat({name: value for name, value in values.items() if not name.startswith("__")})
     packed = io.BytesIO()
-    numbered = {str(number): array for number, array in enumerate(arrays.values())}
+    numbered: dict[str, Any] = {  # keywords of numpy
+        str(number): array for number, array in enumerate(arrays.values())
+    }
     np.savez(packed, names=np.array(json.dumps([*arrays])), **numbered)
     sys.stdout.buffer.write(packed.getvalue())
 
 
-def flat(values: dict[str, Any]) -> dict[str, Any]:
+def flat(values: Mapping[str, object]) -> dict[str, AnyArray]:
     """Return the arrays, those of structures by the field's name, or by both names where it is taken.
 
     What holds no numbers or text becomes a single empty text.
     """
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, AnyArray] = {}
     for name, value in values.items():
         if isinstance(value, dict):
             inner = flat(value)

@@ -65,7 +65,7 @@ def _columns(name: str, document: Any) -> tuple[list[str], list[Sequence[Any]]]:
     return headers, [[record.get(header) for record in document] for header in headers]
 
 
-def _cell(name: str, header: str, value: Any) -> str:
+def _cell(name: str, header: str, value: object) -> str:
     if isinstance(value, (list, dict)):
         raise DataError(f"column '{header}' of {name} holds lists or objects; write one number a cell")
     if isinstance(value, bool):

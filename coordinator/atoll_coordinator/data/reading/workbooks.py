@@ -63,7 +63,7 @@ def _extent(records: list[_Record]) -> tuple[int, int]:
     return min(used), max(used) + 1
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     """Return a cell as text; dates in ISO form."""
     if value is None:
         return ""

@@ -13,14 +13,14 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import BinaryIO, Final
 
 from atoll_coordinator.service.background.child_process import OTHER_VERSION, version
 from atoll_core.machine.garbage import collect_rarely
 from atoll_core.machine.usage import memory_bytes
 from atoll_core.signals import ENDING, ignore
 
-Task = tuple[bool, Callable[[], Any]]
+Task = tuple[bool, Callable[[], object]]
 """Whether an answer is awaited, and what is to be called."""
 
 _STDIN: Final = 0

@@ -13,8 +13,8 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Callable, Mapping
+from typing import Final
 
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError
@@ -59,7 +59,7 @@ class ChildProcess:
             )
         except OSError as error:
             raise ProcessDiedError(f"no process could be started for it: {error.strerror}") from error
-        self._answers: queue.SimpleQueue[tuple[Any, int] | None] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[tuple[object, int] | None] = queue.SimpleQueue()
         self._why: str | None = None
         self._expected = 0  # counted by who sends
         self._expected_done = 0  # counted by who reads
@@ -88,7 +88,7 @@ class ChildProcess:
         """Whether it is still running something that nobody waits for."""
         return self._expected > self._expected_done
 
-    def send(self, function: Callable[[], Any], is_awaited: bool = True) -> None:
+    def send(self, function: Callable[[], object], is_awaited: bool = True) -> None:
         """Send a task, its function by name; if the process has ended, `answer` raises.
 
         Raises:
@@ -106,7 +106,7 @@ class ChildProcess:
             self.kill("what it was sent could not be sent whole")
             raise
 
-    def answer(self, limit_s: float) -> Any:
+    def answer(self, limit_s: float) -> object:
         """Wait for the outcome of the task that was sent.
 
         Raises:
@@ -168,7 +168,7 @@ class ChildProcess:
             self._process.wait()
 
 
-def _log(values: dict[str, Any]) -> None:
+def _log(values: Mapping[str, object]) -> None:
     """Log a record of the child as one of this process."""
     record = logging.makeLogRecord(values)
     logging.getLogger(record.name).handle(record)

@@ -8,7 +8,7 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Iterator
-from typing import Final, TypeVar
+from typing import Final, TypeVar, cast
 
 from atoll_coordinator.service.background.child_process import ChildProcess, ProcessDiedError, TookTooLongError
 from atoll_core.errors import AtollError
@@ -155,7 +155,7 @@ class ProcessPool:
         try:
             with _ended_after(self._limit_s, process):
                 process.send(function)
-            result: T = process.answer(self._limit_s)
+            result = cast(T, process.answer(self._limit_s))
         except ProcessDiedError:
             if self._is_over(task):
                 raise TaskCancelledError("it was cancelled") from None

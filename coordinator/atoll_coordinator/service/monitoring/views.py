@@ -170,7 +170,7 @@ def view_of_record(record: JobRecord, warning: str) -> JobView:
 
 
 def _stored_equations(result: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of a view that are in a result."""
+    """Return the fields of a view that are in a result, which is read from JSON."""
     return {
         "warnings": tuple(result["warnings"]),
         "point_evaluations": result["point_evaluations"],
