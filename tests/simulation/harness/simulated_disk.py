@@ -7,8 +7,9 @@ import sqlite3
 from collections.abc import Callable
 from typing import Any, Final
 
+from atoll_coordinator.service.store.open_file import Room
 from atoll_coordinator.service.store.schema import _prepare
-from atoll_coordinator.service.store.store import Room, Store
+from atoll_coordinator.service.store.store import Store
 from atoll_core.config import Frozen
 from atoll_core.errors import StoreError
 from atoll_core.wire.codec import encode

@@ -8,7 +8,8 @@ import hashlib
 from collections.abc import Callable
 from typing import Final
 
-from atoll_coordinator.service.store.store import Room, Store
+from atoll_coordinator.service.store.open_file import Room
+from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError
 from atoll_core.wire.messages.clients import Upload, Uploaded
 from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, CHUNK_SIZE

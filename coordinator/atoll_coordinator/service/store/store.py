@@ -4,17 +4,8 @@ Any thread may call. When a method returns, what it wrote is on the disk (``sync
 afterwards is never taken back. Contents are opaque here: JSON text and bytes whose meaning others know.
 """
 
-import contextlib
 import hashlib
-import shutil
-import sqlite3
-import threading
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from atoll_coordinator.service.store import archipelagos as archipelago_table
 from atoll_coordinator.service.store import blobs as blob_table
@@ -25,93 +16,15 @@ from atoll_coordinator.service.store import jobs as job_table
 from atoll_coordinator.service.store.deaths import Death
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.jobs import JobRecord
-from atoll_coordinator.service.store.schema import Lock, connect, translated
-from atoll_core.errors import LocalProtocolError, RemoteProtocolError, StoreError
+from atoll_coordinator.service.store.open_file import OpenFile
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire.messages.limits import chunk_count
-from atoll_core.wire.messages.views import FINAL_STATES, StoreView
+from atoll_core.wire.messages.views import FINAL_STATES
 from atoll_core.wire.state_pieces import State
 
 
-@dataclass(frozen=True, slots=True)
-class Room:
-    """How many bytes may still be written, and how large the disk is."""
-
-    free: int
-    total: int
-
-
-class Store:
-    """An open store; a context manager. `cluster` is its random name, `incarnation` counts how often it was opened."""
-
-    cluster: Final[str]
-    incarnation: Final[int]
-
-    def __init__(
-        self, connection: sqlite3.Connection, lock: Lock | None, directory: Path | None,
-        now: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
-        """`now` gives seconds that only rise, whatever is done to the time of day."""
-        self._connection = connection
-        self._lock_on_directory = lock
-        self._directory = directory
-        self._lock = threading.RLock()
-        self._timing = StoreView()
-        self._now = now
-        columns = "id, incarnation, served"
-        self.cluster, self.incarnation, served = connection.execute(f"SELECT {columns} FROM realm").fetchone()
-        self._served_since = now() - float(served)
-
-    @classmethod
-    def open(cls, directory: Path | None, now: Callable[[], float] = time.monotonic) -> Self:
-        """Open the store in `directory`, making it if need be; None: in memory, gone when closed.
-
-        Raises:
-            StoreError: another coordinator serves from it, it is damaged, of a newer version, or cannot be written.
-        """
-        if directory is None:
-            return cls(connect(None), None, None, now)
-        lock = Lock(directory)
-        try:
-            return cls(connect(directory), lock, directory, now)
-        except BaseException:
-            lock.release()
-            raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the store and let others open it. Repeatable."""
-        with self._lock:
-            self._connection.close()
-            if self._lock_on_directory is not None:
-                self._lock_on_directory.release()
-                self._lock_on_directory = None
-
-    def check(self) -> None:
-        """Raise StoreError when another coordinator has opened the store since."""
-        with self._transaction():
-            pass
-
-    @property
-    def served_s(self) -> float:
-        """For how many seconds it has been open, in all coordinators' lives: by this, jobs that ended grow old."""
-        return self._now() - self._served_since
-
-    def keep_served(self) -> None:
-        """Make `served_s` durable; what is not is lost with the coordinator, and jobs are the younger for it."""
-        with self._transaction() as sql:
-            sql.execute("UPDATE realm SET served = ?", (self.served_s,))
-
-    def timing(self) -> StoreView:
-        """Return how many transactions there were since the store was opened, and how long they took."""
-        with self._lock:
-            return self._timing
+class Store(OpenFile):
+    """An open store: what is kept, table by table. Every method is one transaction."""
 
     # jobs
 
@@ -234,21 +147,6 @@ class Store:
                 sql.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size")
             )
             return int((pages - free) * size) - blob_table.unused_bytes(sql)
-
-    def room(self) -> Room | None:
-        """Return what room there is: on its disk, and in its file, whose free pages are used again.
-
-        None: it is in memory, or the system does not say.
-        """
-        if self._directory is None:
-            return None
-        try:
-            disk = shutil.disk_usage(self._directory)
-        except OSError:
-            return None
-        with self._transaction() as sql:
-            free, size = (sql.execute(f"PRAGMA {name}").fetchone()[0] for name in ("freelist_count", "page_size"))
-        return Room(disk.free + free * size, disk.total)
 
     # archipelagos
 
@@ -408,35 +306,3 @@ class Store:
         """Delete those of these blobs, finished or not, that no job uses."""
         with self._transaction() as sql:
             blob_table.delete_unused(sql, digests)
-
-    @contextlib.contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        with self._lock, translated(self._directory):
-            began = time.perf_counter()
-            self._connection.execute("BEGIN IMMEDIATE")
-            try:
-                self._check_incarnation()
-                yield self._connection
-                self._connection.execute("COMMIT")
-                self._count(time.perf_counter() - began)
-            except BaseException:
-                if self._connection.in_transaction:  # SQLite rolls back by itself when the disk is full
-                    self._connection.execute("ROLLBACK")
-                raise
-
-    def _check_incarnation(self) -> None:
-        """Raise StoreError when somebody else has opened the store since: nothing is written over another's work."""
-        (incarnation,) = self._connection.execute("SELECT incarnation FROM realm").fetchone()
-        if incarnation != self.incarnation:
-            raise StoreError(
-                f"another coordinator (incarnation {incarnation}) has taken over the store {self._directory}; "
-                f"this one (incarnation {self.incarnation}) ends"
-            )
-
-    def _count(self, seconds: float) -> None:
-        before = self._timing
-        self._timing = StoreView(
-            transactions=before.transactions + 1,
-            total_s=before.total_s + seconds,
-            worst_s=max(before.worst_s, seconds),
-        )

@@ -14,7 +14,8 @@ from atoll_coordinator.service.requests import uploads as uploads_module
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
-from atoll_coordinator.service.store.store import JobRecord, Room, Store
+from atoll_coordinator.service.store.open_file import Room
+from atoll_coordinator.service.store.store import JobRecord, Store
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, StoreError
 from atoll_core.wire.codec import decode, encode

@@ -1,0 +1,148 @@
+"""The store's file while it is open: whose it is, its transactions, how long they take, and what room is left for more.
+
+Any thread may call. What a transaction wrote is on the disk (``synchronous=FULL``) when it ends.
+"""
+
+import contextlib
+import shutil
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from atoll_coordinator.service.store.schema import Lock, connect, translated
+from atoll_core.errors import StoreError
+from atoll_core.wire.messages.views import StoreView
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """How many bytes may still be written, and how large the disk is."""
+
+    free: int
+    total: int
+
+
+class OpenFile:
+    """An open file; a context manager. `cluster` is its random name, `incarnation` counts how often it was opened."""
+
+    cluster: Final[str]
+    incarnation: Final[int]
+
+    def __init__(
+        self, connection: sqlite3.Connection, lock: Lock | None, directory: Path | None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        """`now` gives seconds that only rise, whatever is done to the time of day."""
+        self._connection = connection
+        self._lock_on_directory = lock
+        self._directory = directory
+        self._lock = threading.RLock()
+        self._timing = StoreView()
+        self._now = now
+        columns = "id, incarnation, served"
+        self.cluster, self.incarnation, served = connection.execute(f"SELECT {columns} FROM realm").fetchone()
+        self._served_since = now() - float(served)
+
+    @classmethod
+    def open(cls, directory: Path | None, now: Callable[[], float] = time.monotonic) -> Self:
+        """Open the store in `directory`, making it if need be; None: in memory, gone when closed.
+
+        Raises:
+            StoreError: another coordinator serves from it, it is damaged, of a newer version, or cannot be written.
+        """
+        if directory is None:
+            return cls(connect(None), None, None, now)
+        lock = Lock(directory)
+        try:
+            return cls(connect(directory), lock, directory, now)
+        except BaseException:
+            lock.release()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the store and let others open it. Repeatable."""
+        with self._lock:
+            self._connection.close()
+            if self._lock_on_directory is not None:
+                self._lock_on_directory.release()
+                self._lock_on_directory = None
+
+    def check(self) -> None:
+        """Raise StoreError when another coordinator has opened the store since."""
+        with self._transaction():
+            pass
+
+    @property
+    def served_s(self) -> float:
+        """For how many seconds it has been open, in all coordinators' lives: by this, jobs that ended grow old."""
+        return self._now() - self._served_since
+
+    def keep_served(self) -> None:
+        """Make `served_s` durable; what is not is lost with the coordinator, and jobs are the younger for it."""
+        with self._transaction() as sql:
+            sql.execute("UPDATE realm SET served = ?", (self.served_s,))
+
+    def timing(self) -> StoreView:
+        """Return how many transactions there were since the store was opened, and how long they took."""
+        with self._lock:
+            return self._timing
+
+    def room(self) -> Room | None:
+        """Return what room there is: on its disk, and in its file, whose free pages are used again.
+
+        None: it is in memory, or the system does not say.
+        """
+        if self._directory is None:
+            return None
+        try:
+            disk = shutil.disk_usage(self._directory)
+        except OSError:
+            return None
+        with self._transaction() as sql:
+            free, size = (sql.execute(f"PRAGMA {name}").fetchone()[0] for name in ("freelist_count", "page_size"))
+        return Room(disk.free + free * size, disk.total)
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        with self._lock, translated(self._directory):
+            began = time.perf_counter()
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                self._check_incarnation()
+                yield self._connection
+                self._connection.execute("COMMIT")
+                self._count(time.perf_counter() - began)
+            except BaseException:
+                if self._connection.in_transaction:  # SQLite rolls back by itself when the disk is full
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def _check_incarnation(self) -> None:
+        """Raise StoreError when somebody else has opened the store since: nothing is written over another's work."""
+        (incarnation,) = self._connection.execute("SELECT incarnation FROM realm").fetchone()
+        if incarnation != self.incarnation:
+            raise StoreError(
+                f"another coordinator (incarnation {incarnation}) has taken over the store {self._directory}; "
+                f"this one (incarnation {self.incarnation}) ends"
+            )
+
+    def _count(self, seconds: float) -> None:
+        before = self._timing
+        self._timing = StoreView(
+            transactions=before.transactions + 1,
+            total_s=before.total_s + seconds,
+            worst_s=max(before.worst_s, seconds),
+        )
