@@ -14,6 +14,7 @@ from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.counters import CounterRegistry
 from atoll_coordinator.service.monitoring.event_log import EventLog
+from atoll_coordinator.service.monitoring.job_views import JobViews
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
@@ -54,10 +55,10 @@ HANDLERS: list[tuple[type, str]] = [
     (JobController, "_commit_cuts"),
     (JobController, "_commit_result"),
     (JobController, "_prepare"),
-    (JobController, "_live_view"),
+    (JobViews, "_live_view"),
     (JobController, "announcement"),
     (JobController, "placements"),
-    (JobController, "result"),
+    (JobViews, "result"),
     (EventLog, "flush"),
     (EventLog, "record_submission"),
     (EventLog, "record_cut"),

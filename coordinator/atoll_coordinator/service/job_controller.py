@@ -2,10 +2,13 @@
 
 Knows no bus and no thread. What is sent has been stored before. Where something of ours breaks, the job that it
 concerns ends (`JobController.guarded`), and nothing else.
+
+One module, since every change of a job goes through `JobController._change`, be it a request, a report, a checkpoint or
+the time: whoever reads one of them reads what ends a job and what follows from its end.
 """
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from pydantic import ValidationError
@@ -23,10 +26,11 @@ from atoll_coordinator.service.jobs.job import (
     PublishCommit,
     Refine,
 )
-from atoll_coordinator.service.jobs.queue import Line, next_job
+from atoll_coordinator.service.jobs.queue import next_job
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.event_log import EventLog
-from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, view_of_record
+from atoll_coordinator.service.monitoring.job_views import JobViews
+from atoll_coordinator.service.monitoring.views import job_result
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
 from atoll_coordinator.service.search.cut import Cut
@@ -39,7 +43,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Submit
-from atoll_core.wire.messages.views import FINAL_STATES, JobView
+from atoll_core.wire.messages.views import FINAL_STATES
 from atoll_core.wire.messages.workers import (
     Close,
     CloseJob,
@@ -53,7 +57,7 @@ from atoll_core.wire.messages.workers import (
 
 
 class JobController:
-    """All live jobs, the workers that compute them, and the views of the jobs that have ended."""
+    """All live jobs, and the workers that compute them; `shown` are the views of these jobs and of those that ended."""
 
     def __init__(
         self, store: Store, channel: WorkerChannel, tasks: TaskRunner, clock: Callable[[], str],
@@ -61,12 +65,11 @@ class JobController:
     ) -> None:  # fmt: skip
         """`clock` gives the time of day as ISO text; no island is placed before the expected workers are ready."""
         self.jobs: dict[str, Job] = {}
-        self.ended: dict[str, JobView | None] = {}
-        """Jobs that have ended; None: the view has not been made of what is stored yet."""
         self.events: Final = EventLog(store, clock)
         self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
         self.workers: Final = WorkerController(self, store, channel, self.events, expected_workers)
         self.counters: Final = self.workers.counters
+        self.shown: Final = JobViews(self.jobs, self.workers, store, self.breakages)
         self.checkpoints: Final = PullBudget()
         self._store = store
         self._channel = channel
@@ -82,7 +85,7 @@ class JobController:
         """
         for record in self._store.jobs():
             if record.state in FINAL_STATES:
-                self.ended[record.id] = None
+                self.shown.ended[record.id] = None
                 continue
             with self.guarded(record.id, "taking over a job", now):
                 if not record.is_sound:
@@ -190,42 +193,6 @@ class JobController:
         """Let a job fail; without effect when it has ended."""
         self._change(job_id, "ending", now, lambda job: job.fail(fault, sentence))
 
-    def view(self, job_id: str, now: float) -> JobView | None:
-        """Return what people are shown of a job; None for an unknown one."""
-        return next(iter(self.views([job_id], now)), None)
-
-    def views(self, job_ids: Iterable[str], now: float) -> Iterator[JobView]:
-        """Yield what people are shown of jobs, leaving out unknown ones.
-
-        One that cannot be shown whole is shown as far as the store knows it, and takes no list of jobs with it.
-        """
-        line = Line(self.jobs.values())
-        for job_id in job_ids:
-            try:
-                view = self._view(job_id, line, now)
-            except StoreError:
-                raise
-            except Exception as error:
-                record, sentence = self._store.job(job_id), self.breakages.add("showing a job", error)
-                view = view_of_record(record, sentence) if record else None
-            if view is not None:
-                yield view
-
-    def _view(self, job_id: str, line: Line, now: float) -> JobView | None:
-        if job_id in self.jobs:
-            return self._live_view(self.jobs[job_id], line, now)
-        record = self._store.job(job_id) if job_id in self.ended and self.ended[job_id] is None else None
-        if record is not None:
-            self.ended[job_id] = ended_view(record, self._store.result(job_id))
-        return self.ended.get(job_id)
-
-    def result(self, job_id: str, now: float) -> str | None:
-        """Return a job's result as JSON text, while it runs the best so far; None while there is none."""
-        job = self.jobs.get(job_id)
-        if job is not None:
-            return job_result(job, now).to_json() if job.prepared is not None else None
-        return self._store.result(job_id)
-
     def announcement(self, job_id: str) -> JobAnnouncement | None:
         """Return what workers must know of a job that is being searched."""
         job = self.jobs.get(job_id)
@@ -261,7 +228,7 @@ class JobController:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
         job = self.jobs.get(report.job)
         if job is None:
-            if report.job not in self.ended:
+            if report.job not in self.shown.ended:
                 raise RemoteProtocolError(f"a report of job {report.job} came, which does not exist")
             return
         self._change(
@@ -404,7 +371,7 @@ class JobController:
 
     def _end_without_job(self, job_id: str, reason: str, text: str | None = None) -> None:
         """Let a job of the store fail that is not live, unless it has ended there."""
-        self.ended[job_id] = None
+        self.shown.ended[job_id] = None
         if self._store.commit_result(job_id, "failed", text, reason, self._clock()):
             with self.breakages.tolerated("noting the end of a job"):
                 self.events.record("failed", reason, job_id)
@@ -440,9 +407,7 @@ class JobController:
         self._store.commit_result(job.id, job.state, text, job.reason, finished, keeps_checkpoints=is_crash_loop)
         self._channel.publish(CloseJob(job=job.id))
         self._tasks.cancel(job.id)
-        self.ended[job.id] = self._live_view(job, Line(()), now).model_copy(
-            update={"workers": 0, "stalls": (), "ahead": None}
-        )
+        self.shown.keep_last(job, now)
         del self.jobs[job.id]
         self.events.record_end(job)
         self.counters.forget(job.id)
@@ -466,10 +431,6 @@ class JobController:
         self._store.update_job(waiting.id, state="preparing")
         waiting.start_preparing()
         self._tasks.prepare(waiting.id, table, waiting.config)
-
-    def _live_view(self, job: Job, line: Line, now: float) -> JobView:
-        waiting_reason, stalls = self.workers.waiting_reason(job), self.workers.stalls(job.id)
-        return job_view(job, line, now, waiting_reason, self.counters.counters(job), stalls)
 
     def _open_archipelagos(self) -> list[Archipelago]:
         return [archipelago for job in self.jobs.values() for archipelago in job.open_archipelagos]

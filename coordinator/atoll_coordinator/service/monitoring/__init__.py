@@ -1,7 +1,9 @@
 """What people are shown. Nothing here decides anything.
 
 ``event_log`` records what happens to jobs and workers, in the program's log and in the store; ``counters`` counts what
-live jobs cost, ``breakages`` what broke; ``views`` makes what `coordinator jobs`, `status` and `result` show of a job.
+live jobs cost, ``breakages`` what broke; ``views`` makes what `coordinator jobs`, `status` and `result` show of a job,
+and ``job_views`` has it made of all jobs, live or ended.
 
-JobController, `workers` -> `EventLog`, `CounterRegistry`; `Job` -> `views.job_view` or `views.job_result` -> clients.
+JobController, `workers` -> `EventLog`, `CounterRegistry`; `Job` -> `views.job_view` or `views.job_result` ->
+`JobViews` -> clients.
 """

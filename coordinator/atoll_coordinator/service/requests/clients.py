@@ -117,7 +117,7 @@ class ClientRequests:
 
     def _events(self, question: GetEvents) -> EventList | Failure:
         """Return what happened; as much of it as one answer bears."""
-        if question.job is not None and self._controller.view(question.job, self._now()) is None:
+        if question.job is not None and self._controller.shown.view(question.job, self._now()) is None:
             return _unknown(question.job)
         return EventList(events=self._controller.events.read(question.job, question.after, question.limit))
 
@@ -129,7 +129,7 @@ class ClientRequests:
         numbers = {job: number for number, job in page}
         views: list[JobView] = []
         size = 0
-        for view in self._controller.views(numbers, self._now()):
+        for view in self._controller.shown.views(numbers, self._now()):
             size += len(view.model_dump_json())
             if views and size > MAX_PAGE_BYTES:
                 return JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
@@ -155,14 +155,14 @@ class ClientRequests:
         return Failure(failure="unknown-job", sentence=f"the coordinator has no job {prefix!r}; {there}")
 
     def _status(self, job: str) -> JobStatus | Failure:
-        view = self._controller.view(job, self._now())
+        view = self._controller.shown.view(job, self._now())
         return JobStatus(job=view) if view is not None else _unknown(job)
 
     def _result(self, job: str) -> Result | Failure:
-        view = self._controller.view(job, self._now())
+        view = self._controller.shown.view(job, self._now())
         if view is None:
             return _unknown(job)
-        text = self._controller.result(job, self._now())
+        text = self._controller.shown.result(job, self._now())
         if text is not None:
             return Result(json_text=text)
         if view.state == "failed":

@@ -30,7 +30,7 @@ def recovered(store: Store, result: str) -> JobController:
 
 def test_an_ended_job_is_shown_with_its_equations() -> None:
     with Store.open(None) as store:
-        view = recovered(store, READABLE).view("job", 1.0)
+        view = recovered(store, READABLE).shown.view("job", 1.0)
     assert view is not None
     assert (view.state, view.seed, view.point_evaluations, view.warnings) == ("done", 3, 7, ("a warning",))
     assert [each.expression for each in view.variables] == ["x*y"]
@@ -49,8 +49,8 @@ def test_an_ended_job_is_shown_with_its_equations() -> None:
 def test_a_result_that_this_version_cannot_read_hinders_nobody(result: str) -> None:
     with Store.open(None) as store:
         controller = recovered(store, result)
-        view = controller.view("job", 1.0)
-        assert controller.result("job", 1.0) == result
+        view = controller.shown.view("job", 1.0)
+        assert controller.shown.result("job", 1.0) == result
     assert view is not None
     assert (view.state, view.seed, view.variables) == ("done", 3, ())
     assert "cannot be read by version" in view.warnings[0]
@@ -62,7 +62,7 @@ def test_no_result_is_read_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(Store, "result", is_damaged)
     with Store.open(None) as store:
-        assert list(recovered(store, READABLE).ended) == ["job"]
+        assert list(recovered(store, READABLE).shown.ended) == ["job"]
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_damaged_record_takes_no_list_of_jobs_with_it(damage: str) -> None:
         store._connection.execute(f"UPDATE jobs SET {damage} WHERE id != 'job'")
         controller = controller_of(store, Tasks())
         controller.recover(0.0)
-        views = {view.job: view for view in controller.views(["job", "damaged", "live"], 1.0)}
+        views = {view.job: view for view in controller.shown.views(["job", "damaged", "live"], 1.0)}
     assert (views["job"].state, views["job"].name) == ("done", "a job")
     assert views.keys() == {"job", "damaged", "live"}
     assert views["live"].state in ("failed", "queued")  # what can be read is understood

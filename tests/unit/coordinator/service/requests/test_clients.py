@@ -293,13 +293,13 @@ def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(tasks: T
         controller.recover(0.0)
         assert list(controller.jobs) == ["good"]
         for job, said in (("old", "colour"), ("torn", "JSON")):
-            view = controller.view(job, 1.0)
+            view = controller.shown.view(job, 1.0)
             assert view is not None
             assert (view.state, store.jobs()[0].state) == ("failed", "failed")
             assert said in (view.reason or "")
         again = controller_of(store, tasks, "2026-01-01T00:00:02")
         again.recover(2.0)
-        assert (list(again.jobs), sorted(again.ended)) == (["good"], ["old", "torn"])
+        assert (list(again.jobs), sorted(again.shown.ended)) == (["good"], ["old", "torn"])
 
 
 def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(

@@ -66,7 +66,7 @@ def test_an_ended_job_is_deleted_and_its_end_is_noted(store: Store) -> None:
     add(store, "a", "10")
     deletes, controller = deletion(store)
     deletes.delete("a", "a client asked for it")
-    assert (store.jobs(), controller.view("a", 0.0), controller.result("a", 0.0)) == ((), None, None)
+    assert (store.jobs(), controller.shown.view("a", 0.0), controller.shown.result("a", 0.0)) == ((), None, None)
     (event,) = controller.events.read(None, 0, 9)
     assert (event.event, event.job, event.text) == ("deleted", None, "job a is deleted: a client asked for it")
     deletes.delete("a", "the answer was lost, and it is asked for again")
@@ -138,7 +138,7 @@ def test_the_store_is_asked_now_and_then(store: Store) -> None:
     deletes.delete_expired(0.0)
     add(store, "old", "01")
     Now.s = 31 * DAY
-    deletes._controller.ended["old"] = None
+    deletes._controller.shown.ended["old"] = None
     deletes.delete_expired(CHECK_INTERVAL_S - 1.0)
     assert store.job("old") is not None
     deletes.delete_expired(CHECK_INTERVAL_S)
