@@ -25,6 +25,7 @@ from atoll_core.expression.operators import (
     VARIABLE,
 )
 from atoll_core.expression.program import MAX_NODES, Program
+from atoll_core.expression.writing.failures import contained
 from atoll_core.expression.writing.layout import in_order
 from atoll_core.expression.writing.shortest import sum_of
 from atoll_core.expression.writing.sums_of_products import (
@@ -34,7 +35,6 @@ from atoll_core.expression.writing.sums_of_products import (
     Sum,
     UndefinedError,
     add,
-    contained,
     distribute,
     kept,
     merged,

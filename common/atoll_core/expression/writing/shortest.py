@@ -21,6 +21,7 @@ from atoll_core.expression.operators import (
 from atoll_core.expression.program import MAX_NODES, Program
 from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.text.infix import tree_size
+from atoll_core.expression.writing.failures import contained
 from atoll_core.expression.writing.identities import equal_sums
 from atoll_core.expression.writing.layout import NODE, written
 from atoll_core.expression.writing.sums_of_products import (
@@ -28,7 +29,6 @@ from atoll_core.expression.writing.sums_of_products import (
     UndefinedError,
     add,
     constant,
-    contained,
     function,
     multiply,
     power,

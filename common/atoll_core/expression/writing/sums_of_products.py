@@ -7,21 +7,21 @@ form, too: a phase lies within an eighth of a turn of 0, arguments begin positiv
 product.
 
 Values may differ where the given expression has none: ``x/x`` is 1.
+
+One module, since a product joins its exponentials, powers and roots by functions of sums, and these are made of
+products: neither half comes without the other.
 """
 
-import logging
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable
-from functools import wraps
-from typing import Any, Final, ParamSpec, TypeAlias, TypeVar
+from collections.abc import Iterable
+from typing import Any, Final, TypeAlias
 
 from atoll_core.expression.evaluation import value_of
 from atoll_core.expression.operators import ABS, ADD, COS, EXP, LOG, POW, SIN, SQRT, TANH, VARIABLE
 
 Atom: TypeAlias = tuple[Any, ...]
-"""``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``: the code tells what follows,
-which no type can say."""
+"""``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``: the code tells what
+follows, which no type can say."""
 Monomial: TypeAlias = tuple[tuple[Atom, int], ...]
 Sum: TypeAlias = tuple[tuple[Monomial, float], ...]
 
@@ -38,36 +38,6 @@ _QUARTER: Final = math.pi / 2
 
 class UndefinedError(Exception):
     """Raised where a part has no finite value, as in a division by zero, or a power is too large."""
-
-
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
-FAILURES: Final[Counter[str]] = Counter()
-"""How often a rewriting failed in a way that nobody thought of, by function and kind: a mistake here, which is logged
-once of each."""
-
-
-def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Make any mistake in rewriting an `UndefinedError`, which leaves an expression as it was.
-
-    Writing decides how an equation is shown, and not what it is: no mistake in it may cost an island or a job. What
-    fails, fails at the same program always, so that the same seed still gives the same bits.
-    """
-
-    @wraps(function)
-    def guarded(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
-        try:
-            return function(*arguments, **named)
-        except UndefinedError:
-            raise
-        except Exception as error:
-            kind = f"{function.__name__}: {type(error).__name__}"
-            FAILURES[kind] += 1
-            if FAILURES[kind] == 1:
-                logging.getLogger(__name__).warning("an expression stays as it was, rewriting failed: %s", kind)
-            raise UndefinedError from error
-
-    return guarded
 
 
 def constant(value: float) -> Sum:
