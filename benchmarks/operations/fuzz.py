@@ -28,9 +28,10 @@ from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire import topics
 from atoll_core.wire.codec import decode
 from atoll_core.wire.messages.clients import Answer, Request
+from atoll_core.wire.messages.epochs import EpochReport, Mail, Pull, PullAnswer
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer
 from atoll_core.wire.messages.limits import MAX_MESSAGE
-from atoll_core.wire.messages.workers import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
+from atoll_core.wire.messages.workers import Control, WorkerStatus
 from benchmarks.harness.command_line import option, program
 from benchmarks.harness.tables import grouped
 from tests.simulation.bus.faults import Plan

@@ -9,7 +9,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.service.jobs.defaults import resolve
 from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_core.wire.codec import dataset_to_bytes, decode, encode
-from atoll_core.wire.messages.workers import EpochReport, IslandReport, Reports
+from atoll_core.wire.messages.epochs import EpochReport, IslandReport, Reports
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.session.epoch_tasks import Task, TaskKey
 from atoll_island_worker.session.events import Computed

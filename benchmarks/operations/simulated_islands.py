@@ -27,7 +27,7 @@ from atoll_core.config import JobConfig
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.bus.zenoh_bus import open_client
-from atoll_core.wire.messages.workers import Addition, IslandReport
+from atoll_core.wire.messages.epochs import Addition, IslandReport
 from atoll_island_worker.compute.compute_thread import WarmedUp
 from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
 from atoll_island_worker.session.events import Computed, JobReady, Snapshot

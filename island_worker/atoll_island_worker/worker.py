@@ -18,6 +18,7 @@ from atoll_core.wire.addresses import Destination
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
 from atoll_core.wire.codec import decode
+from atoll_core.wire.messages import epochs
 from atoll_core.wire.messages import workers as messages
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.rejects import Rejects
@@ -167,14 +168,14 @@ class Worker:
                 self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
             case topics.MailKey():
                 self._check_cluster(key.cluster)
-                self._handle(events.Mailed(key.worker, decode(event.payload, messages.Mail, MAX_MESSAGE).body))
+                self._handle(events.Mailed(key.worker, decode(event.payload, epochs.Mail, MAX_MESSAGE).body))
             case _:
                 raise RemoteProtocolError(f"nothing is expected on key {event.key}")
 
     @_on.register
     def _on_query(self, event: Query) -> None:
         try:
-            body = decode(event.payload, messages.Pull, MAX_MESSAGE).body
+            body = decode(event.payload, epochs.Pull, MAX_MESSAGE).body
         except RemoteProtocolError:
             self._bus.reply(event, None)
             raise
@@ -198,11 +199,11 @@ class Worker:
                 if event.payload is not None:
                     self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
                 self.session.forget_pending(request.subject)
-            case Request("states", states=messages.PullStates() as pull):
+            case Request("states", states=epochs.PullStates() as pull):
                 self._on_states(pull, event.payload)
             case Request("pull") if event.payload is not None:
                 self._handle(
-                    events.PullAnswered(request.subject, decode(event.payload, messages.PullAnswer, MAX_MESSAGE).body)
+                    events.PullAnswered(request.subject, decode(event.payload, epochs.PullAnswer, MAX_MESSAGE).body)
                 )
 
     # -------------------------------------------------------------------------------------- coordinator
@@ -237,14 +238,14 @@ class Worker:
         if payload is not None and self.exit_code is None:
             self._send_heartbeat()
 
-    def _on_states(self, pull: messages.PullStates, payload: bytes | None) -> None:
+    def _on_states(self, pull: epochs.PullStates, payload: bytes | None) -> None:
         """Hand on what came, also that nothing came: it is asked for again."""
         try:
-            body = decode(payload, messages.PullAnswer, MAX_MESSAGE).body if payload is not None else None
+            body = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
         except RemoteProtocolError:
             self._handle(events.StatesCame(pull, None))
             raise
-        self._handle(events.StatesCame(pull, body if isinstance(body, messages.States) else None))
+        self._handle(events.StatesCame(pull, body if isinstance(body, epochs.States) else None))
 
     def _on_tick(self) -> None:
         self._connection.check_absence()

@@ -34,7 +34,7 @@ from atoll_core.errors import AtollError, RefusedError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Event, Link, Reply
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.workers import EpochReport, IslandReport, Pull, PullStates
+from atoll_core.wire.messages.epochs import EpochReport, IslandReport, Pull, PullStates
 from tests.simulation.harness.schedule_run import hurried
 from tests.simulation.harness.simulated_cluster import World
 

@@ -12,7 +12,7 @@ from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, Migratio
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Reply
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.workers import Pull, PullAnswer, PullStates, States
+from atoll_core.wire.messages.epochs import Pull, PullAnswer, PullStates, States
 from tests.simulation.harness.simulated_cluster import World, bus_of
 
 POISON = ("job", "x", 12)

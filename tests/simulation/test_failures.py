@@ -12,18 +12,13 @@ from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Reply
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Submit
+from atoll_core.wire.messages.epochs import Block, EpochReport, Finished, IslandReport, Mail, Migrants
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import (
     AssignmentStatus,
-    Block,
     Control,
-    EpochReport,
-    Finished,
     IslandFailure,
-    IslandReport,
-    Mail,
-    Migrants,
     Shutdown,
     WorkerStatus,
 )

@@ -10,7 +10,7 @@ from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.search.pareto import FrontEntry, merge
-from atoll_core.wire.messages.workers import IslandReport
+from atoll_core.wire.messages.epochs import IslandReport
 from atoll_island_worker.session.epoch_tasks import Task, TaskKey
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.simulated_cluster import World

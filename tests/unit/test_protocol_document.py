@@ -9,6 +9,7 @@ import pytest
 
 from atoll_core.config import Frozen
 from atoll_core.wire.messages import clients as client_messages
+from atoll_core.wire.messages import epochs as epoch_messages
 from atoll_core.wire.messages import handshake as greetings
 from atoll_core.wire.messages import workers as messages
 
@@ -38,7 +39,9 @@ def test_a_table_in_the_document_is_the_one_in_the_code(path: str, table: str) -
 
 
 def test_every_kind_of_message_is_named() -> None:
-    every = [each for module in (greetings, messages, client_messages) for each in vars(module).values()]
+    every = [
+        each for module in (greetings, messages, epoch_messages, client_messages) for each in vars(module).values()
+    ]
     models = [each for each in every if isinstance(each, type) and issubclass(each, Frozen)]
     kinds = {get_args(each.model_fields["kind"].annotation)[0] for each in models if "kind" in each.model_fields}
     assert len(kinds) > 25

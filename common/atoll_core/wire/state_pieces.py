@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Final, NamedTuple
 
 from atoll_core.errors import RemoteProtocolError
+from atoll_core.wire.messages.epochs import Piece
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.messages.workers import Piece
 
 
 class State(NamedTuple):

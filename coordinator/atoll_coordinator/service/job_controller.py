@@ -43,17 +43,9 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Submit
+from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
 from atoll_core.wire.messages.views import FINAL_STATES
-from atoll_core.wire.messages.workers import (
-    Close,
-    CloseJob,
-    EpochReport,
-    JobAnnouncement,
-    Placements,
-    PullStates,
-    States,
-    WorkerStatus,
-)
+from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, Placements, WorkerStatus
 
 
 class JobController:

@@ -29,18 +29,17 @@ from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
 from atoll_core.wire.codec import decode
-from atoll_core.wire.messages.limits import MAX_MESSAGE
-from atoll_core.wire.messages.views import CoordinatorView, Counters
-from atoll_core.wire.messages.workers import (
+from atoll_core.wire.messages.epochs import (
     EpochReport,
     PullAnswer,
     PullReports,
     PullStates,
     Reports,
-    Shutdown,
     States,
-    WorkerStatus,
 )
+from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.messages.views import CoordinatorView, Counters
+from atoll_core.wire.messages.workers import Shutdown, WorkerStatus
 from atoll_core.wire.rejects import Rejects
 from atoll_core.wire.security.role_bindings import RoleBindings
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Final
 
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
+from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.session.epoch_tasks import ShardKey, Task
 from atoll_island_worker.session.events import Computed, JobReady, LoadFailed
 

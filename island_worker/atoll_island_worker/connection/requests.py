@@ -6,7 +6,8 @@ from typing import Final
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.workers import Mail, Pull, PullAnswer, PullStates, WorkerStatus
+from atoll_core.wire.messages.epochs import Mail, Pull, PullAnswer, PullStates
+from atoll_core.wire.messages.workers import WorkerStatus
 from atoll_island_worker.session.actions import (
     AskPeer,
     FetchPlacements,

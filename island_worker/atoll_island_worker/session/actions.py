@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.bus.interface import Query
-from atoll_core.wire.messages.workers import (
+from atoll_core.wire.messages.epochs import (
     EpochReport,
     Finished,
     Migrants,

@@ -4,16 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from atoll_core.wire.bus.interface import Query
-from atoll_core.wire.messages.workers import (
-    Close,
-    CloseJob,
-    Commit,
+from atoll_core.wire.messages.epochs import (
     Finished,
     IslandReport,
     Migrants,
     NewerTerm,
     NotYet,
-    Placement,
     PullMigrants,
     PullReports,
     PullStates,
@@ -21,6 +17,7 @@ from atoll_core.wire.messages.workers import (
     Sent,
     States,
 )
+from atoll_core.wire.messages.workers import Close, CloseJob, Commit, Placement
 from atoll_island_worker.session.epoch_tasks import TaskKey
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Container, Iterable, KeysView
 from typing import Final
 
-from atoll_core.wire.messages.workers import Block
+from atoll_core.wire.messages.epochs import Block
 from atoll_island_worker.session.events import Mailed
 
 MAX_PENDING: Final = 256

@@ -7,19 +7,19 @@ own, is durable at the coordinator.
 from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
-from atoll_core.wire.messages.workers import (
+from atoll_core.wire.messages.epochs import (
     Block,
     EpochReport,
     IslandReport,
     Migrants,
     NotYet,
-    Placement,
     PullMigrants,
     PullReports,
     PullStates,
     Reports,
     States,
 )
+from atoll_core.wire.messages.workers import Placement
 from atoll_core.wire.state_pieces import State, split_states
 
 ADDITIONS_PER_ANSWER: Final = 20_000

@@ -9,14 +9,11 @@ from typing import Final
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
-from atoll_core.wire.messages.workers import (
-    AssignmentStatus,
+from atoll_core.wire.messages.epochs import (
     Block,
-    Commit,
     Finished,
     Migrants,
     NotYet,
-    Placement,
     PullMigrants,
     PullReports,
     PullStates,
@@ -24,6 +21,7 @@ from atoll_core.wire.messages.workers import (
     Sent,
     States,
 )
+from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement
 from atoll_island_worker.session.actions import Send, SendReport
 from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
 from atoll_island_worker.session.events import Computed, Snapshot

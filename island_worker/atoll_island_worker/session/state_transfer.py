@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from atoll_core.wire.messages.workers import Placement, PullStates, States
+from atoll_core.wire.messages.epochs import PullStates, States
+from atoll_core.wire.messages.workers import Placement
 from atoll_core.wire.state_pieces import Assembly
 
 

@@ -11,20 +11,22 @@ from typing import Final, Literal
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
+from atoll_core.wire.messages.epochs import (
+    Finished,
+    Migrants,
+    NewerTerm,
+    PullReports,
+    PullStates,
+    Sent,
+)
 from atoll_core.wire.messages.views import WorkerState
 from atoll_core.wire.messages.workers import (
     AssignmentStatus,
     Close,
     CloseJob,
     Commit,
-    Finished,
     IslandFailure,
-    Migrants,
-    NewerTerm,
     Placement,
-    PullReports,
-    PullStates,
-    Sent,
 )
 from atoll_island_worker.session.actions import (
     Action,

@@ -17,7 +17,7 @@ from atoll_coordinator.service.store.retention import Retention
 from atoll_core.config import JobConfig
 from atoll_core.errors import StoreError
 from atoll_core.wire.bus.interface import Event
-from atoll_core.wire.messages.workers import EpochReport
+from atoll_core.wire.messages.epochs import EpochReport
 from atoll_island_worker.session.events import Computed
 from atoll_island_worker.worker import Worker
 from tests.simulation.bus.participant import SimulatedBus

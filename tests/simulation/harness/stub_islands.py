@@ -17,7 +17,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.expression.operators import CONSTANT, COS, SIN, TANH
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.search.seeding import Stream, stream_key
-from atoll_core.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
+from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.compute.compute_thread import WarmedUp, WarmUpNote
 from atoll_island_worker.compute.run_queue import RunQueue, Work
 from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey

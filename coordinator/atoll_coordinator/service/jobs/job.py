@@ -21,9 +21,10 @@ from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.expression.program import check_program_bytes
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.search.pareto import FrontEntry
+from atoll_core.wire.messages.epochs import EpochReport
 from atoll_core.wire.messages.limits import chunk_count
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
-from atoll_core.wire.messages.workers import Commit, EpochReport, JobAnnouncement
+from atoll_core.wire.messages.workers import Commit, JobAnnouncement
 
 _NOT_REFINED: Final = (
     "before refining had ended: equations are as the search found them, their constants fitted to derivatives."

@@ -12,9 +12,10 @@ from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Answer, Failure, Request
+from atoll_core.wire.messages.epochs import Pull, PullAnswer, PullStates, States
 from atoll_core.wire.messages.handshake import GreetingAnswer
 from atoll_core.wire.messages.limits import MAX_MESSAGE
-from atoll_core.wire.messages.workers import Control, Pull, PullAnswer, PullStates, States
+from atoll_core.wire.messages.workers import Control
 from atoll_core.wire.rejects import Rejects
 from atoll_core.wire.state_pieces import State, split_states
 

@@ -19,16 +19,8 @@ from atoll_coordinator.service.search.collector import Collector, Measure, Searc
 from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.search.ending import Limits
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.wire.messages.workers import (
-    AssignmentStatus,
-    Commit,
-    EpochReport,
-    Placement,
-    PullReports,
-    PullStates,
-    Schedule,
-    States,
-)
+from atoll_core.wire.messages.epochs import EpochReport, PullReports, PullStates, States
+from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import State
 
 FORGET_EPOCHS: Final = 16

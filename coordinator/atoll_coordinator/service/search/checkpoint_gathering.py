@@ -9,7 +9,8 @@ from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.cut import Convergence, CutEntry, entries, stored
 from atoll_core import ENGINE_REVISION
 from atoll_core.config import Frozen
-from atoll_core.wire.messages.workers import Placement, PullStates, States
+from atoll_core.wire.messages.epochs import PullStates, States
+from atoll_core.wire.messages.workers import Placement
 from atoll_core.wire.state_pieces import Assembly, State
 
 

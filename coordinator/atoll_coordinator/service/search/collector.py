@@ -16,7 +16,7 @@ from atoll_coordinator.service.search.ending import Limits, Why, end_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
 from atoll_core.search.pareto import FrontEntry, merge, runners_up
-from atoll_core.wire.messages.workers import Addition, IslandReport
+from atoll_core.wire.messages.epochs import Addition, IslandReport
 
 IMPROVEMENT_NATS: Final = 1.0
 """A front is better when its least description length falls by at least this much; polishing of digits is not."""

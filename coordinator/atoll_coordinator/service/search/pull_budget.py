@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import Final
 
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey, Checkpoint
+from atoll_core.wire.messages.epochs import PullStates, States
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.messages.workers import PullStates, States
 
 MAX_PULLS: Final = 4
 """Pulls of states under way at the same time; with 4 MB an answer, what may come in at once."""

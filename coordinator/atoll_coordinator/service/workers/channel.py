@@ -3,7 +3,8 @@
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.workers import Control, ControlBody, Pull, PullReports, PullStates
+from atoll_core.wire.messages.epochs import Pull, PullReports, PullStates
+from atoll_core.wire.messages.workers import Control, ControlBody
 
 PULL_TIMEOUT_S = 5.0
 

@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
+from atoll_core.wire.messages.epochs import PullReports
 from atoll_core.wire.messages.workers import (
     AssignmentStatus,
     Close,
@@ -12,7 +13,6 @@ from atoll_core.wire.messages.workers import (
     Commit,
     Placement,
     Placements,
-    PullReports,
     WorkerStatus,
 )
 

@@ -25,6 +25,7 @@ from atoll_coordinator.service.workers.stalls import StallDetector
 from atoll_core.compilation.sources import WORKER, source_digest
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.epochs import PullReports
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.workers import (
     AssignmentStatus,
@@ -32,7 +33,6 @@ from atoll_core.wire.messages.workers import (
     IslandFailure,
     Placement,
     Placements,
-    PullReports,
     Reregister,
     Shutdown,
     WorkerStatus,

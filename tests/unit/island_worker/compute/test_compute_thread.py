@@ -15,7 +15,7 @@ from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.codec import dataset_to_bytes
-from atoll_core.wire.messages.workers import SliceCounters
+from atoll_core.wire.messages.epochs import SliceCounters
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.session.epoch_tasks import Task, TaskKey

@@ -6,27 +6,23 @@ import pytest
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
-from atoll_core.wire.messages.workers import (
+from atoll_core.wire.messages.epochs import (
     Addition,
     Block,
-    Close,
-    CloseJob,
-    Commit,
     Finished,
     HitStatement,
     IslandReport,
     Migrants,
     NewerTerm,
     NotYet,
-    Placement,
     PullMigrants,
     PullReports,
     PullStates,
     Reports,
-    Schedule,
     Sent,
     States,
 )
+from atoll_core.wire.messages.workers import Close, CloseJob, Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import State, split_states
 from atoll_island_worker.session.actions import (
     AskPeer,

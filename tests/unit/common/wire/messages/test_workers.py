@@ -7,39 +7,41 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Answer, Cancel, Failure, Request, Submit, Upload, Uploaded
-from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
-from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
-from atoll_core.wire.messages.workers import (
+from atoll_core.wire.messages.epochs import (
     Addition,
-    AssignmentStatus,
     Block,
-    Close,
-    CloseJob,
-    Commit,
-    Control,
     EpochReport,
     Finished,
     HitStatement,
-    IslandFailure,
     IslandReport,
-    JobAnnouncement,
     Mail,
     Migrants,
     NewerTerm,
     NotYet,
     Piece,
-    Placement,
-    Placements,
     Pull,
     PullAnswer,
     PullMigrants,
     PullReports,
     PullStates,
     Reports,
-    Schedule,
     Sent,
     SliceCounters,
     States,
+)
+from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
+from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
+from atoll_core.wire.messages.workers import (
+    AssignmentStatus,
+    Close,
+    CloseJob,
+    Commit,
+    Control,
+    IslandFailure,
+    JobAnnouncement,
+    Placement,
+    Placements,
+    Schedule,
     WorkerStatus,
 )
 

@@ -29,15 +29,9 @@ from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.pareto import FrontEntry
+from atoll_core.wire.messages.epochs import Addition, EpochReport, IslandReport, SliceCounters
 from atoll_core.wire.messages.views import FINAL_STATES
-from atoll_core.wire.messages.workers import (
-    Addition,
-    AssignmentStatus,
-    EpochReport,
-    IslandReport,
-    Placement,
-    SliceCounters,
-)
+from atoll_core.wire.messages.workers import AssignmentStatus, Placement
 
 VALUES = np.linspace(0.0, 1.0, 30)
 DATASET = Dataset(

@@ -7,16 +7,8 @@ from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
 from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
-from atoll_core.wire.messages.workers import (
-    AssignmentStatus,
-    Commit,
-    EpochReport,
-    IslandReport,
-    Placement,
-    Schedule,
-    SliceCounters,
-    States,
-)
+from atoll_core.wire.messages.epochs import EpochReport, IslandReport, SliceCounters, States
+from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import State, split_states
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=2)

@@ -25,7 +25,8 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.workers import Placement, Schedule, States
+from atoll_core.wire.messages.epochs import States
+from atoll_core.wire.messages.workers import Placement, Schedule
 from atoll_core.wire.state_pieces import State, split_states
 
 STATES = {island: State.of(bytes([island]) * 30) for island in range(4)}

@@ -16,7 +16,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.search.pareto import FrontEntry, merge
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
+from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport, SliceCounters
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 LIMITS = Limits(islands=2, epochs=50, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)

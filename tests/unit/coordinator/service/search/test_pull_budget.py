@@ -9,8 +9,9 @@ from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_coordinator.service.search.pull_budget import MAX_PULLS, PullBudget
 from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.epochs import PullStates, States
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.messages.workers import AssignmentStatus, Placement, PullStates, States
+from atoll_core.wire.messages.workers import AssignmentStatus, Placement
 from atoll_core.wire.state_pieces import State, split_states
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)

@@ -10,13 +10,13 @@ from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_coordinator.service.workers.reconciliation import Correction, corrections
 from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.epochs import PullReports
 from atoll_core.wire.messages.workers import (
     AssignmentStatus,
     Close,
     CloseJob,
     Placement,
     Placements,
-    PullReports,
     WorkerStatus,
 )
 

@@ -10,15 +10,9 @@ from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.service.workers.stalls import PATIENCE_S, StallDetector, named, stall_of
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.epochs import IslandReport, SliceCounters
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.messages.workers import (
-    AssignmentStatus,
-    Doing,
-    IslandReport,
-    Placement,
-    SliceCounters,
-    WorkerStatus,
-)
+from atoll_core.wire.messages.workers import AssignmentStatus, Doing, Placement, WorkerStatus
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
 LONG_S = 100.0
