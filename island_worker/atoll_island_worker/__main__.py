@@ -9,7 +9,7 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # raised within an import it may be lost
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
     try:
-        from atoll_core.program import run_program
+        from atoll_core.main_program import run_program
 
         run_program("atoll_island_worker.cli")
     except KeyboardInterrupt:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from atoll_core.command_line import Parser, add_log_options, add_tls_options, duration, seconds
 from atoll_core.completion import complete
-from atoll_core.program import exit_code_of
+from atoll_core.main_program import exit_code_of
 from atoll_core.signals import raise_interrupts
 from atoll_island_worker.launch import work, work_together
 from atoll_island_worker.processes.exit_reasons import complain, report_to

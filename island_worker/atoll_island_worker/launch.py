@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING
 
-from atoll_core.program import exit_code_of
+from atoll_core.main_program import exit_code_of
 from atoll_core.signals import draining, exiting
 from atoll_island_worker.processes.exit_reasons import ExitReasons
 

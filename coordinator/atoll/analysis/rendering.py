@@ -7,10 +7,10 @@ from typing import Final
 from atoll.analysis.analysis import Analysis
 from atoll.analysis.continuation import Branch
 from atoll.analysis.cycle_continuation import CycleBranch
-from atoll.analysis.description import CODES, attractor_text, codes_of, describe, reached_text
 from atoll.analysis.dynamics import Comparison, Motion
 from atoll.analysis.fixed_points import FixedPoint
 from atoll.analysis.limit_cycles import LimitCycle
+from atoll.analysis.sentences import CODES, attractor_text, codes_of, describe, reached_text
 from atoll_core.data.dataset import FloatArray
 
 SCHEMA: Final = 1

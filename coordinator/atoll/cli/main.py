@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Final
 
-from atoll_core.program import exit_code_of, flush_streams
+from atoll_core.main_program import exit_code_of, flush_streams
 from atoll_core.signals import raise_interrupts
 
 _READERS: Final = frozenset({"result", "simulate", "analyse", "report", "suggest", "export"})

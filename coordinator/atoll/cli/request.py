@@ -51,8 +51,8 @@ class Request:
 
     def read(self) -> "Table":
         """Read the files and say on stderr what they hold; raises DataError."""
-        from atoll_coordinator.data.description import describe
         from atoll_coordinator.data.reading.files import read_table
+        from atoll_coordinator.data.table_summary import describe
 
         table = read_table(self.files, self.config.data)
         note(describe(table, self.config))

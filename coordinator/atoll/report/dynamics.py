@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from atoll.analysis.description import Listing, describe
+from atoll.analysis.sentences import Listing, describe
 from atoll.model.groups import differing_groups
 from atoll.report.chart import COLORS, Axis, Chart
 from atoll.report.findings import Findings

@@ -1,6 +1,6 @@
 """From measurement files to the regression problems of a job. `prepare` tells the whole way, stage by stage:
 
-- `reading`: files -> `Table`, on the client's side; `description`: what a table holds, in lines for a person
+- `reading`: files -> `Table`, on the client's side; `table_summary`: what a table holds, in lines for a person
 - `outline`: what a job would search in it
 - `roles`: column names and options -> `Roles`, symbols of expressions, left-hand sides
 - `prior_knowledge`: guesses and known equations, checked and resolved against the roles

@@ -14,9 +14,9 @@ def check_data(options: argparse.Namespace) -> Iterator[Finding]:
         return
     from atoll.cli.options.parser import parse
     from atoll.cli.request import request_of
-    from atoll_coordinator.data.description import describe
     from atoll_coordinator.data.reading.files import read_table
     from atoll_coordinator.data.roles.roles import assign_roles
+    from atoll_coordinator.data.table_summary import describe
     from atoll_coordinator.data.trajectories.measurements import take_measurements
 
     given = {name: value for name, value in vars(options).items() if name != "verb"}

@@ -1,6 +1,6 @@
 """What the columns of a table mean, from their names and the options alone.
 
-- `options`: which columns the options name, units taken off, contradictions refused
+- `column_options`: which columns the options name, units taken off, contradictions refused
 - `time_column`: which column is the time, where options do not say
 - `roles`: `assign_roles`: which column is time, trajectory, state, input, target, derivative or weight
 - `symbols`: `assign_symbols`: the name of each variable in expressions

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from atoll_coordinator.data.roles.options import split_unit
+from atoll_coordinator.data.roles.column_options import split_unit
 from atoll_core.errors import UsageError
 from atoll_core.hints import did_you_mean
 

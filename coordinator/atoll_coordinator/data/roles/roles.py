@@ -4,7 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from atoll_coordinator.data.roles.options import check_options, find_trajectory_column, named_columns, strip_units
+from atoll_coordinator.data.roles.column_options import (
+    check_options,
+    find_trajectory_column,
+    named_columns,
+    strip_units,
+)
 from atoll_coordinator.data.roles.time_column import check_no_text_time, find_time_column, missing_time
 from atoll_coordinator.units import parse_unit
 from atoll_core.config import Angle, DataConfig

@@ -34,7 +34,7 @@ from functools import partial
 from atoll_island_worker.processes import supervisor as supervision
 from atoll_island_worker.processes.fork_server import Forked
 from atoll_island_worker.processes.exit_reasons import ExitReasons
-from atoll_core.program import exit_code_of
+from atoll_core.main_program import exit_code_of
 from atoll_island_worker.processes.exit_reasons import complain
 supervision._STOP_LIMIT_S = float(sys.argv[1])
 code = compile(sys.argv[2], "child", "exec")

@@ -123,7 +123,7 @@ def test_closed_standard_streams_are_no_error() -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no device that is always full")
 def test_output_that_cannot_be_written_is_said() -> None:
     code = (
-        "from atoll_core.program import run_program\n"
+        "from atoll_core.main_program import run_program\n"
         "from atoll.terminal import output\n"
         "from atoll.cli.verbs import jobs\n"
         "jobs.jobs = lambda options: output.say('x'); run_program('atoll.cli.main')"

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.analysis.description import Listing, describe
+from atoll.analysis.sentences import Listing, describe
 from atoll.experiments.determination import Direction, Identifiability, ProfiledConstant
 from atoll.experiments.suggestion import Candidate, Suggestion, Suggestions
 from atoll.model.model import Model

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.description import describe
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.row_selection.weights import normalize_weights, select_weighty_rows
+from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.errors import DataError, UsageError
 from tests.unit.coordinator.data.tables import oscillator, table_of

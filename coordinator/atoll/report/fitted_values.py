@@ -9,7 +9,7 @@ from atoll.report.markup import Element, element, figure, number, section, table
 from atoll.report.trajectories import ROWS
 
 
-def regression(findings: Findings) -> list[Element]:
+def fitted_values(findings: Findings) -> list[Element]:
     """Return the section, none of a model of dynamics: over the variable, of several fitted over measured values."""
     known = findings.result.regression
     if known is None:
