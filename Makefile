@@ -90,12 +90,10 @@ bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.paper.table3 --derivatives given --seeds 0 --max-time 60
 	@$(BIN)/python -m benchmarks.paper.seven --seeds 0
 	@$(BIN)/python -m benchmarks.paper.seven --extras --seeds 0
-	@$(BIN)/python -m benchmarks.noise --seeds 0 --levels 0.05 || test $$? = 1
+	@$(BIN)/python -m benchmarks.noise --seeds 0 --levels 0.05
 	@$(BIN)/python -m benchmarks.paper.table1 --seeds 0-4 || test $$? = 1
-	@$(BIN)/python -m benchmarks.paper.figure1 --runs 4 --targets 20 --generations 1000
 	@$(BIN)/python -m benchmarks.operations.digests
 	@$(BIN)/python -m benchmarks.operations.scaling --system lotka_volterra --epochs 4 --seeds 0
-	@$(BIN)/python -m benchmarks.peers.srbench --file lv2 --file vdp2
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0 --noise 0.001 --max-time 5
 

@@ -1,4 +1,4 @@
-"""Programs that measure: every figure of RESULTS.md comes from one of them.
+"""Programs that measure: every figure of RESULTS.md comes from one of them, or one that it says was removed.
 
 ``harness`` is what all of them share; ``analysis``, ``paper``, ``peers``, ``noise``, ``corpus``, ``dysts``,
 ``experiments``, ``stochastic``, ``real``, ``kernels`` and ``operations`` each measure one thing; ``judging`` decides

@@ -3,6 +3,5 @@
 ``families`` are systems of textbooks, ``random_equations`` sums of random terms; ``systems`` draws one of either from
 a seed, ``qualities`` measures it, ``cases`` puts both into what is searched and judged; ``lengths`` says whether the
 data prefer the truth, ``outcomes`` judges a job; ``campaign`` runs many jobs and keeps a journal, ``tables`` sums them
-up. ``ablation`` refines recorded jobs with other hand-set numbers. ``intervals`` is a program of its own: how often
-intervals contain the truth.
+up.
 """

@@ -63,8 +63,8 @@ def configuration(key: Key, case: Case, max_time: float | None, changes: Mapping
 def _answer_otherwise(key: Key, case: Case) -> dict[str, Any]:
     if key.method == operon_models.OPERON:
         return operon_models.solve(case.table, configuration(key, case, None, {}).space.operators, key.seed)
-    its = noise.Case(case.table, case.system.truths, case.clean, noise.Path(np.zeros(0), np.zeros((0, 0))))
-    return pysindy_models.solve(noise.Key(key.method, "plain", key.system, 0.0, key.seed), its)
+    measured = noise.Case(case.table, case.system.truths, case.clean, noise.Path(np.zeros(0), np.zeros((0, 0))))
+    return pysindy_models.solve(key.method, key.seed, measured)
 
 
 EQUATION: Final = Columns("variable | form={shown_form} | grade | R2=R2 {r2:.2f}")

@@ -1,5 +1,1 @@
-"""What the data leave open, and which experiment settles it: coverage of intervals, experiments until the truth wins.
-
-``python -m benchmarks.experiments.coverage`` and ``python -m benchmarks.experiments.respiration``; ``results`` makes
-results of simulated measurements without a search.
-"""
+"""What the data leave open: ``python -m benchmarks.experiments.coverage`` measures intervals of constants."""

@@ -5,17 +5,24 @@ for each seed and fits the true structure; no search. Intervals are of 95 %.
 """
 
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from atoll.experiments.identifiability import identify
+from atoll.terminal.output import say
+from atoll_coordinator.result.result import Result
+from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import AtollError
-from benchmarks.experiments.results import Course, FloatArray, result_of
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.command_line import option, program, seeds_of
+from benchmarks.harness.tables import markdown
+
+Course = tuple[FloatArray, FloatArray]
+"""Times (n,) and measured states (n, D)."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +61,7 @@ def _lotka_volterra(x: FloatArray) -> list[float]:
 SATURATION: Final = {"x": "-2*x/(3 + x)"}, (-2.0, 3.0)
 LOGISTIC: Final = {"x": "0.8*x - 0.08*x**2"}, (0.8, 0.08)
 PREDATION: Final = {"x": "1*x - 0.2*x**2 - x*y/(1.0001 + x)", "y": "0.8*x*y/(1.0001 + x) - 0.4*y"}
+HEADS: Final = ("case", "constant", "truth", "profile", "standard error", "it lies below, above", "open")
 CASES: Final = {
     "saturation, both sides of the knee, 5 %": Case(_saturation, *SATURATION, ((12.0,), (2.0,)), 8.0, 20, 0.05),
     "saturation, at the knee, 20 %": Case(_saturation, *SATURATION, ((3.0,), (1.5,)), 4.0, 20, 0.2),
@@ -96,6 +104,55 @@ def courses(case: Case, rng: np.random.Generator) -> tuple[list[Course], FloatAr
     return [(times, each + errors * rng.standard_normal(each.shape)) for each in clean], errors
 
 
+def result_of(
+    equations: Mapping[str, str],
+    courses: Sequence[Course],
+    errors: Sequence[float],
+    starts: Sequence[Sequence[float]] = (),
+) -> Result:
+    """Return a result, as of a job, that shows these equations, measured with errors of known size.
+
+    `starts` are initial states that fits begin with; the measured ones unless given.
+    """
+    states = [*equations]
+    begun = [
+        {"name": str(number), "start": dict(zip(states, map(float, start), strict=True))}
+        for number, start in enumerate(starts, start=1)
+    ]
+    content = {
+        "schema": 1,
+        "equations": [_equation(name, text, states) for name, text in equations.items()],
+        "symbols": {name: name for name in states},
+        "system": {"kind": "dynamics", "order": 1, "time": "t", "states": states, "velocities": [], "inputs": []},
+        "simulation": {"trajectories": begun},
+        "noise": {
+            name: {"sd": error, "relative": error, "method": "loess"}
+            for name, error in zip(states, errors, strict=True)
+        },
+        "data": {"trajectories": [_trajectory(number, *each, states) for number, each in enumerate(courses, start=1)]},
+    }
+    return Result.of(content)
+
+
+def _equation(name: str, text: str, states: Sequence[str]) -> dict[str, Any]:
+    program = from_infix(text, states).to_bytes().hex()
+    return {"variable": name, "lhs": f"d{name}/dt", "expression": text, "program": program, "candidates": []}
+
+
+def _trajectory(number: int, times: FloatArray, values: FloatArray, states: Sequence[str]) -> dict[str, Any]:
+    return {
+        "name": str(number),
+        "held_out": False,
+        "rows": len(times),
+        "times": times.tolist(),
+        "measured": {name: column.tolist() for name, column in zip(states, values.T, strict=True)},
+        "inputs": {},
+        "input_slopes": {},
+        "weights": None,
+        "robustness_weights": None,
+    }
+
+
 def count(case: Case, numbers: Sequence[int]) -> tuple[dict[str, Count], int]:
     """Return what the intervals of each constant hold, and how many fits failed."""
     found = {f"c{number}": Count() for number in range(1, len(case.constants) + 1)}
@@ -108,28 +165,26 @@ def count(case: Case, numbers: Sequence[int]) -> tuple[dict[str, Count], int]:
             failed += 1
             continue
         for (name, counts), truth in zip(found.items(), case.constants, strict=True):
-            its = known[name]
+            constant = known[name]
             counts.seeds += 1
-            counts.profile += its.interval[0] <= truth <= its.interval[1]
-            counts.quadratic += its.quadratic[0] <= truth <= its.quadratic[1]
-            counts.below += truth < its.quadratic[0]
-            counts.above += truth > its.quadratic[1]
-            counts.opened += its.verdict != "determined"
+            counts.profile += constant.interval[0] <= truth <= constant.interval[1]
+            counts.quadratic += constant.quadratic[0] <= truth <= constant.quadratic[1]
+            counts.below += truth < constant.quadratic[0]
+            counts.above += truth > constant.quadratic[1]
+            counts.opened += constant.verdict != "determined"
     return found, failed
 
 
-def lines(numbers: Sequence[int], names: Sequence[str]) -> Iterator[str]:
-    """Yield a table, a row for each constant of each case."""
-    yield "| case | constant | truth | profile | standard error | it lies below, above | open |"
-    yield "|---|---|---|---|---|---|---|"
+def rows(numbers: Sequence[int], names: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Yield a row of the table for each constant of each case."""
     for name in names:
         case = CASES[name]
         counts, failed = count(case, numbers)
-        for (constant, its), truth in zip(counts.items(), case.constants, strict=True):
-            share = [f"{100.0 * each / max(its.seeds, 1):.1f} %" for each in (its.profile, its.quadratic)]
-            label = f"{name} ({failed} not fitted)" if failed else name
-            cells = (label, constant, f"{truth:g}", *share, f"{its.below}, {its.above}", f"{its.opened} of {its.seeds}")
-            yield f"| {' | '.join(cells)} |"
+        label = f"{name} ({failed} not fitted)" if failed else name
+        for (constant, held), truth in zip(counts.items(), case.constants, strict=True):
+            shares = [f"{100.0 * number / max(held.seeds, 1):.1f} %" for number in (held.profile, held.quadratic)]
+            sides = f"{held.below}, {held.above}"
+            yield label, constant, f"{truth:g}", *shares, sides, f"{held.opened} of {held.seeds}"
 
 
 @program(
@@ -140,8 +195,7 @@ def lines(numbers: Sequence[int], names: Sequence[str]) -> Iterator[str]:
 )
 def main(options: Namespace) -> None:
     """Print the table."""
-    for line in lines(options.seeds, options.case or [*CASES]):
-        print(line, flush=True)
+    say(markdown(HEADS, rows(options.seeds, options.case or [*CASES])))
 
 
 if __name__ == "__main__":

@@ -162,7 +162,6 @@ def run_options(default: str | None = None) -> tuple[Fill, ...]:
         ),
         option("--workers", type=whole, default=usable_cores(os.environ)[0], help="processes (%(default)s: all cores)"),
         OUT,
-        option("--picture", type=Path, help="file for the picture, such as figure.png"),
     )
 
 

@@ -1,19 +1,15 @@
-"""Many independent runs over several processes, and the pictures that are drawn of them."""
+"""Many independent runs over several processes."""
 
 import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import Final, TypeVar
 
 from atoll_core.compilation.progress import WarmUpDisplay
-from atoll_core.errors import AtollError, UsageError
+from atoll_core.errors import AtollError
 from atoll_island_worker.compute.warmup import warm_up
 from atoll_island_worker.processes.parent import end_with_parent
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 RUN_LIMIT_S: Final = 4 * 3600.0
 """How long to wait for the next run to end: far longer than any takes, short enough to learn of a lost process."""
@@ -47,24 +43,3 @@ def _begin(parent: int) -> None:
     """Leave a Ctrl-C to the parent, and end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent(parent)
-
-
-def canvas(width: float, height: float) -> "Figure":
-    """Return an empty picture of that size in inches.
-
-    Raises:
-        UsageError: matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError(
-            "matplotlib, which draws the picture, is not installed; leave --picture out or pip install 'atoll[bench]'"
-        ) from error
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def save(picture: "Figure", path: Path) -> None:
-    """Write the picture; the name's ending says in which format."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture.savefig(path, dpi=150)

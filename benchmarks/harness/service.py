@@ -78,23 +78,8 @@ class Searches:
         assert self._machines is not None
         return self._machines.address
 
-    @property
-    def pids(self) -> tuple[int, ...]:
-        """The process ids of coordinator and workers."""
-        return () if self._machines is None else tuple(map(self._machines.pid, self._machines.names))
-
-    @property
-    def log(self) -> str:
-        """What the coordinator has logged."""
-        return "" if self._machines is None else self._machines.log(COORDINATOR).read_text("utf-8")
-
     def solve(
-        self,
-        name: str,
-        table: Table,
-        config: JobConfig,
-        watch: Callable[[JobView], None] | None = None,
-        prefix: str = "bench",
+        self, name: str, table: Table, config: JobConfig, watch: Callable[[JobView], None] | None = None
     ) -> dict[str, Any]:
         """Submit a job on `table`, follow it to its end and return what its result.json holds.
 
@@ -104,12 +89,11 @@ class Searches:
             config: of the search.
             watch: called with the state of the job ten times a second; a TimeoutError of its cancels
                 the job.
-            prefix: what the id of the job begins with.
 
         Raises:
             AtollError: the job failed, or a process ended.
         """
-        job = f"{prefix}-{uuid.uuid4().hex[:12]}"
+        job = f"bench-{uuid.uuid4().hex[:12]}"
         digest = self._client.upload(table.to_bytes())
         self._client.submit(job, name, config, digest)
         try:
@@ -191,19 +175,15 @@ def progress(name: str, view: JobView) -> str:
 class Machines:
     """Programs by name: `coordinator`, perhaps `router`, and workers `w0`, `w1` and so on.
 
-    `folder` takes state and logs. With `has_networks` each worker gets a network that can be cut. `guests` are further
-    workers, which are not started with the others. `environment` is this process's if None; `program` is the
-    coordinator's Python text, given this process's id and the words of a command line; with `programs`, a folder of
-    another revision's, those are started instead.
+    `folder` takes state and logs. With `has_networks` each worker gets a network that can be cut. `environment` is this
+    process's if None; with `programs`, a folder of another revision's, those are started instead.
     """
 
     folder: Path
     number: int
     has_own_router: bool = False
     has_networks: bool = False
-    guests: tuple[str, ...] = ()
     environment: Mapping[str, str] | None = None
-    program: str = TIED_COORDINATOR
     programs: Path | None = None
 
     def __post_init__(self) -> None:
@@ -318,12 +298,12 @@ class Machines:
         if name in self._networks:
             network = self._networks[name]
             return [*network.prefix(), *worker_command(f"tcp/{network.outside}:{self._port}", name)]
-        if name in (*self.workers, *self.guests):
+        if name in self.workers:
             if self.programs is not None:
                 return [str(self.programs / "island-worker"), "--connect", self.address, "--processes", "1"]
             return worker_command(self.address, name)
         listen = f"tcp/{'0.0.0.0' if self._networks else '127.0.0.1'}:{self._port}"
-        tied = [sys.executable, "-c", self.program, str(os.getpid())]
+        tied = [sys.executable, "-c", TIED_COORDINATOR, str(os.getpid())]
         if self.programs is not None:
             tied = [str(self.programs / "coordinator")]
         if name == ROUTER:
@@ -429,11 +409,9 @@ def running(workers: int, keep: Path | None = None, **settings: Any) -> Iterator
 
 
 @contextmanager
-def searching(
-    workers: int, environment: Mapping[str, str] | None = None, program: str = TIED_COORDINATOR
-) -> Iterator[Searches]:
+def searching(workers: int, environment: Mapping[str, str] | None = None) -> Iterator[Searches]:
     """Start a coordinator and `workers`, see `Machines`, and load all that they need; end them afterwards."""
-    with running(workers, environment=environment, program=program) as (machines, client):
+    with running(workers, environment=environment) as (machines, client):
         searches = Searches(client, machines)
         searches.warm_up()
         note(f"{workers} workers ready at {machines.address}")

@@ -1,9 +1,7 @@
 """How long a job was in each of its states, what that took, and an end to it when it takes too long."""
 
 import os
-import resource
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -13,27 +11,19 @@ from atoll_core.wire.messages.views import FINAL_STATES, JobView
 JOB_LIMIT_S: Final = 1800.0
 """No job of these benchmarks takes longer, whatever it does."""
 
-_MB: Final = 2**20
-_PAGE_MB: Final = resource.getpagesize() / _MB
-_UNIT: Final = 1024
-"""Of `resource.getrusage`, on Linux."""
-
 
 @dataclass
 class Stopwatch:
     """Takes the time of one job; `watch` is called several times a second.
 
     `seconds` are those in which the job was seen in each state. With `counts`, `processor` are the seconds that all
-    processes below this one, and those of theirs that have ended, computed in these; with `weighs`, `most_memory_mb` is
-    the largest sum of the resident memory of the processes (shared pages counted once for each). Where /proc tells.
+    processes below this one, and those of theirs that have ended, computed in these, where /proc tells.
     """
 
     limit_s: float = JOB_LIMIT_S
-    weighs: bool = False
     counts: bool = False
     seconds: dict[str, float] = field(default_factory=dict)
     processor: dict[str, float] = field(default_factory=dict)
-    most_memory_mb: float = 0.0
     _begun: float = field(default_factory=time.monotonic)
     _last: float | None = None
     _last_processor: float = 0.0
@@ -51,40 +41,23 @@ class Stopwatch:
                 used = max(processor - self._last_processor, 0.0)
                 self.processor[view.state] = self.processor.get(view.state, 0.0) + used
         self._last, self._last_processor = now, processor
-        if self.weighs:
-            self.most_memory_mb = max(self.most_memory_mb, resident_mb())
         if now - self._begun > self.limit_s:
             raise TimeoutError(f"it was still {view.state} after {self.limit_s:.0f} s")
 
 
-def resident_mb() -> float:
-    """Return the resident memory of all processes below this one in MB, 0 where /proc does not tell."""
-    return _summed(lambda folder, _: int((folder / "statm").read_text("utf-8").split()[1]) * _PAGE_MB)
-
-
 def processor_seconds() -> float:
     """Return the processor seconds of all processes below this one, and of those of theirs that have ended."""
-    return _summed(lambda _, state: sum(map(int, state[11:15]))) / os.sysconf("SC_CLK_TCK")
-
-
-def _summed(amount: Callable[[Path, list[str]], float]) -> float:
-    """Return the sum over all processes below this one of what is read of a process's folder and state."""
     parents: dict[int, int] = {}
-    amounts: dict[int, float] = {}
+    ticks: dict[int, int] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             state = (folder / "stat").read_text("utf-8").rpartition(")")[2].split()
-            amounts[int(folder.name)] = amount(folder, state)
+            ticks[int(folder.name)] = sum(map(int, state[11:15]))
             parents[int(folder.name)] = int(state[1])
         except (OSError, IndexError, ValueError):
             continue
-    below, found = {os.getpid()}, 0.0
+    below, spent = {os.getpid()}, 0
     while children := {pid for pid, parent in parents.items() if parent in below and pid not in below}:
-        found += sum(amounts[pid] for pid in children)
+        spent += sum(ticks[pid] for pid in children)
         below |= children
-    return found
-
-
-def largest_child_mb() -> float:
-    """Return the largest memory that any ended process below this one ever had, in MB."""
-    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * _UNIT / _MB
+    return spent / os.sysconf("SC_CLK_TCK")

@@ -1,7 +1,5 @@
 """Has an equation the form of the truth? Decided by fitting: is there a choice of constants that makes them equal?
 
-``python -m benchmarks.judging.forms MODEL TRUTH [--data FILE.csv]``
-
 Every number of the truth and every coefficient of one that is not written gets a factor. An equation has the truth's
 form when some positive factors make the truth equal to it, to a millionth of the derivative's deviation, on the
 measured states without errors and on points of the box around them: whatever the dress, and with constants as errors
@@ -17,12 +15,7 @@ smallest summands are left out one after the other: an equation that has the for
 """
 
 import ast
-import csv
-import re
-import sys
-from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -30,8 +23,6 @@ from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from atoll_core.data.dataset import FloatArray
-from atoll_core.errors import UsageError
-from benchmarks.harness.command_line import option, program
 from benchmarks.judging.errors import error_on, values_on
 from benchmarks.judging.rules import NO_EQUATION, Form, Kind
 
@@ -399,46 +390,3 @@ def _function_error(found: str, truth: str, columns: Mapping[str, FloatArray]) -
     values_on(found, fresh)  # raises UsageError, which `error_on` takes for no error
     defined = np.isfinite(values_on(truth, fresh))
     return error_on(found, truth, {name: values[defined] for name, values in fresh.items()}) if defined.any() else None
-
-
-def _shown(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
-
-
-def _read(file: Path) -> dict[str, FloatArray]:
-    with file.open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
-
-
-def _uniform(*texts: str) -> dict[str, FloatArray]:
-    generator = np.random.default_rng(1)
-    names = dict.fromkeys(name for text in texts for name in re.findall(r"[^\W\d]\w*(?!\w*\s*\()", text))
-    return {name: generator.uniform(0.5, 2.5, 200) for name in names if name != "pi"}
-
-
-@program(
-    "benchmarks.judging.forms",
-    __doc__,
-    option("model"),
-    option("truth"),
-    option("--data", type=Path, help="CSV with the variables as columns; default: uniform on [0.5, 2.5]"),
-    option("--tolerance", type=float, default=0.01, help="relative, for each coefficient (0.01)"),
-    description="Is a model exact in form?",
-)
-def main(options: Namespace) -> int:
-    """Compare two expressions on the command line; exit code 0 when they have the same form, else 1."""
-    data = _read(options.data) if options.data else _uniform(options.model, options.truth)
-    try:
-        verdict = compare(options.model, options.truth, data, options.tolerance)
-    except UsageError as error:
-        print(error, file=sys.stderr)
-        return 2
-    print(f"{'exact in form' if verdict.is_right else 'not exact in form'}: {verdict.reason}")
-    print(f"largest difference of a constant: {_shown(verdict.constants_error)}")
-    print(f"error on fresh points: {_shown(verdict.function_error)}")
-    return 0 if verdict.is_right else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

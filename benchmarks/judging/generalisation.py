@@ -101,13 +101,13 @@ def simulated(field: Field, path: Path, max_evaluations: int = MAX_EVALUATIONS) 
     """
     evaluations = 0
 
-    def slope(time: float, state: FloatArray) -> list[float]:
+    def slope(_time: float, state: FloatArray) -> list[float]:
         nonlocal evaluations
         evaluations += 1
         values = state.tolist()
         if evaluations > max_evaluations or not all(abs(value) < LIMIT for value in values):
             raise _RunawayError
-        return field([*values, *(signal(time) for signal in path.inputs)])
+        return field(values)
 
     span = (float(path.times[0]), float(path.times[-1]))
     try:

@@ -5,28 +5,20 @@ the other, as the search does. Each loop has a twin that repeats it many times, 
 not count.
 """
 
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from atoll_core.compilation.jit import inlined, kernel
-from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.lanes import fill, place
 from atoll_core.expression.kernels.tape import LANES, forward, reverse_block
-from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE, Functions, definitions
+from atoll_core.expression.operators import CONSTANT, VARIABLE
 from atoll_island_worker.evolution.kernels.fit import errors, residual_of
 from atoll_island_worker.evolution.kernels.tape import compile_tape
 from atoll_island_worker.evolution.structures import Floats, Lists, Rows, Tape, Work, empty_tape, empty_work
 
-REGISTER_STEPS: Final = 4
-"""Multiplications, and additions, that `in_registers_into` does with each number."""
-
 _ZERO: Final = np.int64(0)
 _ONE: Final = np.int64(1)
-
-Instructions = list[tuple[int, int, int, float]]
-"""Live nodes of one list: code, left, right (indices among them, or the variable's), constant."""
 
 
 class Room(NamedTuple):
@@ -127,56 +119,6 @@ def gradient_repeatedly(times: int, count: int, rows: Rows, room: Room) -> None:
     for _ in range(times):
         _evaluate(count, rows, room)
         _sweep(count, room.tape, rows, room.work)
-
-
-@kernel
-def multiply_add_repeatedly(times: int, out: Floats, x: Floats) -> None:
-    """Replace each of `out` by half of it and `x`, so many times: one load more than a node, and its store."""
-    for _ in range(times):
-        for k in range(x.shape[0]):
-            out[k] = out[k] * 0.5 + x[k]
-
-
-@kernel
-def in_registers_repeatedly(times: int, out: Floats, x: Floats) -> None:
-    """Replace each of `out` by a polynomial in `x` of degree `REGISTER_STEPS`, so many times."""
-    for _ in range(times):
-        for k in range(x.shape[0]):
-            value = out[k]
-            for _step in range(REGISTER_STEPS):
-                value = value * x[k] + 0.5
-            out[k] = value
-
-
-def instructions(lists: Lists, p: int, tape: Tape) -> Instructions:
-    """Return the live nodes of list `p`, for `fitness_by_numpy`."""
-    count = compile_tape(lists, p, tape)
-    parts = (tape.code, tape.left, tape.right, tape.constants)
-    return list(zip(*(part[:count].tolist() for part in parts), strict=True))
-
-
-_BY_NUMPY: Final = definitions(
-    Functions(np.sin, np.cos, np.exp, np.log, np.sqrt, np.abs, np.tanh, np.power, np.sign, lambda x, v: np.log(x))
-)
-
-
-def values_by_numpy(program: Instructions, inputs: FloatArray) -> FloatArray:
-    """Return the output of a list on `inputs` (V, R), one numpy call for each node."""
-    values: list[FloatArray] = []
-    for code, left, right, constant in program:
-        if code == VARIABLE:
-            values.append(inputs[left])
-        elif code == CONSTANT:
-            values.append(np.full(inputs.shape[1], constant))
-        else:
-            values.append(_BY_NUMPY[code].value(values[left], values[right if ARITY[code] > 1 else left]))
-    return values[-1]
-
-
-def fitness_by_numpy(programs: Sequence[Instructions], inputs: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the mean absolute error of each list on the rows of `inputs` (V, R) and `target` (R,), NaN included."""
-    with np.errstate(all="ignore"):
-        return np.array([np.abs(values_by_numpy(each, inputs) - target).mean() for each in programs])
 
 
 def operator_tape(code: int, nodes: int, tape: Tape) -> int:

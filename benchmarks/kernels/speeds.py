@@ -13,46 +13,32 @@ import numpy as np
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import BY_NAME
 from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
+from atoll_island_worker.evolution.kernels.tape import compile_tape
 from atoll_island_worker.evolution.structures import Lists, Rows
 from benchmarks.kernels.corpus import Corpus
 from benchmarks.kernels.loops import (
-    REGISTER_STEPS,
-    Instructions,
     Room,
     differentiate_repeatedly,
-    fitness_by_numpy,
     forward_repeatedly,
     gradient_repeatedly,
-    in_registers_repeatedly,
-    instructions,
-    measure_into,
     measure_repeatedly,
-    multiply_add_repeatedly,
     operator_tape,
     room_for,
-    values_by_numpy,
 )
 
 OPERATOR_NODES: Final = 30
-IN_CACHE: Final = 1024
-"""Numbers in each array of the loops that measure the peak: 8 KB, a quarter of a usual first cache."""
-
-CLOSE: Final = 1e-6
-"""Largest relative difference of a fitness from numpy's; sin and cos of large numbers multiply differences."""
-
 _LEAST_S: Final = 0.01
 """Duration of one repetition, at least."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The lists of the corpus that come from one file, on some rows: `live` (P,) sizes, `programs` for numpy."""
+    """The lists of the corpus that come from one file, on some rows; `live` (P,) are their sizes without dead nodes."""
 
     lists: Lists
     rows: Rows
     room: Room
     live: FloatArray
-    programs: list[Instructions]
 
     @property
     def nodes(self) -> float:
@@ -66,27 +52,14 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Peak:
-    """Operations a second of multiply-adds: over arrays in the first cache, and in registers."""
-
-    in_cache: float
-    in_registers: float
-
-
-@dataclass(frozen=True)
 class Speed:
-    """Evaluations a second of all lists on so many rows.
-
-    `points` and `nodes` are of lists measured one after the other; `numpy_ratio` is how many times as fast as numpy
-    that is.
-    """
+    """Evaluations a second of all lists on so many rows, measured one list after the other."""
 
     rows: int
     points: float
     nodes: float
     gradient_points: float
     gradient_nodes: float
-    numpy_ratio: float
 
 
 @dataclass(frozen=True)
@@ -97,7 +70,6 @@ class OperatorSpeed:
     rows: int
     nodes: float
     gradient_nodes: float
-    numpy_ratio: float
 
 
 def fastest(call: Callable[[int], object], repetitions: int) -> float:
@@ -124,35 +96,9 @@ def parts_of(corpus: Corpus, rows: int) -> list[Part]:
         inputs = np.ascontiguousarray(corpus.inputs[file][:, index])
         measured = padded_rows(inputs, corpus.target[file][index], keeps_waves=True)
         room = room_for(corpus.code.shape[1], measured)
-        programs = [instructions(lists, p, room.tape) for p in range(len(lists.code))]
-        live = np.array([len(each) for each in programs], np.float64)
-        parts.append(Part(lists, measured, room, live, programs))
+        live = np.array([compile_tape(lists, p, room.tape) for p in range(len(lists.code))], np.float64)
+        parts.append(Part(lists, measured, room, live))
     return parts
-
-
-def wrong(parts: Sequence[Part]) -> int:
-    """Return how many lists have a fitness that is not numpy's: infinite for what is not finite, else `CLOSE`."""
-    number = 0
-    for part in parts:
-        fitness = np.empty(len(part.live))
-        measure_into(fitness, part.lists, part.rows, part.room)
-        inputs, target = part.rows.inputs[:, : part.rows.length], part.rows.target[0, : part.rows.length]
-        expected = fitness_by_numpy(part.programs, inputs, target)
-        expected[~np.isfinite(expected)] = np.inf
-        both = np.isfinite(fitness) & np.isfinite(expected)
-        with np.errstate(all="ignore"):
-            number += int((both & ~(np.abs(fitness - expected) <= CLOSE * np.abs(expected))).sum())
-        number += int((np.isfinite(fitness) != np.isfinite(expected)).sum())
-    return number
-
-
-def peak(repetitions: int) -> Peak:
-    """Measure the machine's multiply-adds."""
-    x = np.linspace(0.1, 0.4, IN_CACHE)
-    out = np.zeros(IN_CACHE)
-    in_cache = fastest(lambda times: multiply_add_repeatedly(times, out, x), repetitions)
-    in_registers = fastest(lambda times: in_registers_repeatedly(times, out, x), repetitions)
-    return Peak(2 * IN_CACHE / in_cache, 2 * REGISTER_STEPS * IN_CACHE / in_registers)
 
 
 def seconds(loop: Callable[..., None], parts: Sequence[Part], repetitions: int) -> float:
@@ -165,27 +111,11 @@ def _passes(loop: Callable[..., None], part: Part) -> Callable[[int], None]:
     return lambda times: loop(times, fitness, part.lists, part.rows, part.room)
 
 
-def numpy_seconds(parts: Sequence[Part]) -> float:
-    """Return the seconds of one pass by numpy over all lists, whose live nodes are known beforehand."""
-    begun = time.thread_time()
-    for part in parts:
-        fitness_by_numpy(part.programs, part.rows.inputs, part.rows.target[0])
-    return time.thread_time() - begun
-
-
 def speed(parts: Sequence[Part], repetitions: int) -> Speed:
     """Measure all lists on the rows of `parts`."""
     points, nodes = sum(part.points for part in parts), sum(part.nodes for part in parts)
     forward, gradient = (seconds(loop, parts, repetitions) for loop in (measure_repeatedly, differentiate_repeatedly))
-    numpy = min(numpy_seconds(parts) for _ in range(3))
-    return Speed(
-        rows=parts[0].rows.length,
-        points=points / forward,
-        nodes=nodes / forward,
-        gradient_points=points / gradient,
-        gradient_nodes=nodes / gradient,
-        numpy_ratio=numpy / forward,
-    )
+    return Speed(parts[0].rows.length, points / forward, nodes / forward, points / gradient, nodes / gradient)
 
 
 def operator_speed(name: str, rows: int, repetitions: int) -> OperatorSpeed:
@@ -196,8 +126,5 @@ def operator_speed(name: str, rows: int, repetitions: int) -> OperatorSpeed:
     count = operator_tape(BY_NAME[name].code, OPERATOR_NODES, room.tape)
     forward = fastest(lambda times: forward_repeatedly(times, count, measured, room), repetitions)
     gradient = fastest(lambda times: gradient_repeatedly(times, count, measured, room), repetitions)
-    tape = room.tape
-    program = list(zip(*(part.tolist() for part in (tape.code, tape.left, tape.right, tape.constants)), strict=True))
-    numpy = min(_timed(lambda _: values_by_numpy(program[:count], inputs), 1) for _ in range(5 * repetitions))
     nodes = OPERATOR_NODES * rows
-    return OperatorSpeed(name, rows, nodes / forward, nodes / gradient, numpy / forward)
+    return OperatorSpeed(name, rows, nodes / forward, nodes / gradient)

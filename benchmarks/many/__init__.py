@@ -2,7 +2,5 @@
 
 - `systems`: their equations, and runs from random initial conditions; flows of ``dysts`` from their files
 - `campaign`: all searches that are asked for, one after another, each judged, and how each ended
-- `effort`: how search effort is spread over equations by need
-- `irrelevant`: what an equation costs beside states that do not matter to it
 - `laws`: the laws that regression alone finds, judged
 """

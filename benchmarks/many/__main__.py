@@ -2,8 +2,7 @@
 
 ``python -m benchmarks.many run --systems yeast lorenz96-40 --seeds 1000-1004 --out FILE.jsonl`` searches each system
 with each seed and judges every equation; ``--resume FILE.jsonl`` goes on; ``show FILE.jsonl`` prints the table again.
-``laws`` in place of ``run`` judges the laws that regression finds, and searches nothing. ``irrelevant`` measures what
-an equation costs beside states that do not matter to it, ``effort`` how much each of nine equations is searched for.
+``laws`` in place of ``run`` judges the laws that regression finds, and searches nothing.
 ``--dysts DIR`` adds flows of the files that ``python -m benchmarks.dysts make`` has written there, by their names.
 """
 
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.harness.command_line import option, program, seeds_of, verb, verbs, whole, workers
-from benchmarks.many import effort, irrelevant, laws
+from benchmarks.many import laws
 from benchmarks.many.campaign import run, show
 from benchmarks.many.systems import SYSTEMS
 
@@ -37,23 +36,12 @@ LINES: Final = (
     verbs(
         verb("run", "search and judge", *SEARCHED, workers(), *LINES),
         verb("laws", "judge the laws by regression alone", *SEARCHED),
-        verb(
-            "irrelevant",
-            "what an equation costs beside states that do not matter to it",
-            option("--others", type=int, nargs="+", default=[0, 4, 10, 20, 40], help="how many (even)"),
-            seeds_of("1000", "of the data (1000)"),
-        ),
-        verb(
-            "effort",
-            "how search effort is spread over equations",
-            seeds_of("1000-1002", "of data and search (1000-1002)"),
-        ),
         verb("show", "print the table of a file", option("file", type=Path, metavar="FILE")),
     ),
 )
 def main(options: Namespace) -> None:
     """Do what the options ask for."""
-    ways = {"run": run, "laws": laws.run, "irrelevant": irrelevant.run, "effort": effort.run, "show": show}
+    ways = {"run": run, "laws": laws.run, "show": show}
     ways[options.verb](options)
 
 

@@ -4,10 +4,7 @@
 100 points at a step of 0.1) at five levels of noise, searches it with seed k on a coordinator and two workers, and
 judges every equation: its form, its constants and their intervals, and whether all equations together foretell a
 trajectory from fresh initial conditions. ``--resume FILE.jsonl`` goes on where an interrupted run stopped.
-
-``--variants`` adds other manners of sampling. ``--versus pysindy`` sets PySINDy beside it on the same data (extra
-``bench``). Instead of the searches: ``--hard`` (input that no model fits), ``--timing``, ``--driven`` (a measured
-input), ``--record`` (the lynx-hare record).
+``--versus pysindy`` sets PySINDy beside it on the same data (extra ``bench``).
 """
 
 import argparse
@@ -22,13 +19,11 @@ from typing import Final
 from atoll.terminal.output import say
 from atoll_core.errors import UsageError
 from benchmarks.harness.campaign import Answer, Service, journal_of, judge_again, work_off
-from benchmarks.harness.command_line import one_of, option, positive, program, seeds_of, workers
+from benchmarks.harness.command_line import option, positive, program, seeds_of, workers
 from benchmarks.harness.journal import Journal
 from benchmarks.harness.record import Record
 from benchmarks.harness.systems import TABLE_III
-from benchmarks.noise import cases as noise_cases
-from benchmarks.noise.data import VARIANTS, Key, Variant, case
-from benchmarks.noise.goals import goals, shown
+from benchmarks.noise.data import Key, case
 from benchmarks.noise.judging import Outcome, outcome, search
 from benchmarks.noise.tables import by_equation, by_grade, by_level, line, misses, summarized
 from benchmarks.peers.pysindy_models import METHODS, require, solve
@@ -41,10 +36,9 @@ def keys(options: Namespace) -> Iterator[Key]:
     """Yield all searches, seed by seed, so that an interrupted run has whole seeds."""
     for seed in options.seeds:
         for level in options.levels:
-            for variant in options.variants:
-                for system in options.systems:
-                    for method in _methods(options):
-                        yield Key(method, variant, system, level, seed)
+            for system in options.systems:
+                for method in _methods(options):
+                    yield Key(method, system, level, seed)
 
 
 def _methods(options: Namespace) -> tuple[str, ...]:
@@ -63,33 +57,28 @@ def campaign(options: Namespace, journal: Journal[Outcome]) -> list[Outcome]:
         measured = case(key)
         if key.method == OURS:
             return search(service(), key, measured, options.max_time)
-        answer = solve(key, measured)
+        answer = solve(key.method, key.seed, measured)
         return outcome(key, measured, answer, {}), answer
 
     return work_off(wanted, journal, do, line, options.workers)
 
 
-def show(outcomes: Sequence[Outcome], options: Namespace, arguments: Sequence[str]) -> bool:
-    """Print the tables, write the figures where --json says; return whether ours met all that is expected of it."""
+def show(outcomes: Sequence[Outcome], options: Namespace, arguments: Sequence[str]) -> None:
+    """Print the tables, write the figures where --json says."""
     summaries = summarized(outcomes)
     say(by_level(summaries))
     say("\n" + by_equation(outcomes))
-    ours = [each for each in outcomes if each.key.method == OURS]
+    ours = [outcome for outcome in outcomes if outcome.key.method == OURS]
     if ours:
         say("\n" + by_grade(ours))
-    expected = goals([each for each in ours if each.key.variant == "plain"])
-    if expected:
-        say("\n" + shown(expected))
     missed = misses(ours)
     if missed:
         say("\nmissed:\n" + "\n".join(missed))
     figures = {
         "summaries": [{**asdict(summary), "coverage": summary.coverage} for summary in summaries],
-        "goals": [asdict(each) for each in expected],
-        "searches": [asdict(each) for each in outcomes],
+        "searches": [asdict(outcome) for outcome in outcomes],
     }
     Record("noise", arguments, options.json).write(**figures)
-    return all(each.is_met for each in expected)
 
 
 def _check(options: Namespace) -> None:
@@ -114,20 +103,11 @@ def level(text: str) -> float:
     return value
 
 
-def variant(text: str) -> Variant:
-    """Return a manner of sampling."""
-    for known in VARIANTS:
-        if text == known:
-            return known
-    raise argparse.ArgumentTypeError(f"one of {', '.join(VARIANTS)} was expected, but {text!r} was given")
-
-
 @program(
     "benchmarks.noise",
     __doc__,
     option("--systems", choices=TABLE_III, nargs="+", default=TABLE_III, help="default: all seven"),
     option("--levels", type=level, nargs="+", default=LEVELS, help="default: 0 0.01 0.05 0.1 0.2"),
-    option("--variants", type=variant, nargs="+", default=("plain",), help=f"of {', '.join(VARIANTS)}"),
     seeds_of("0-4", "such as 0-4 (default)"),
     workers(),
     option("--max-time", type=positive, metavar="SECONDS", help="end of a search; default: none"),
@@ -137,22 +117,11 @@ def variant(text: str) -> Variant:
     option("--json", type=Path, metavar="FILE", help="file for the tables' figures as JSON"),
     option("--versus", choices=("pysindy",), help="set another program beside ours, on the same data"),
     option("--only-versus", action="store_true", help="that program alone"),
-    one_of(
-        *(
-            option(f"--{name}", action="store_const", const=name, dest="section", help=purpose)
-            for name, (purpose, _) in noise_cases.SECTIONS.items()
-        )
-    ),
 )
-def main(options: Namespace) -> int:
-    """Do what the options ask for; return 1 when something that is expected of all seven systems is not met, else 0."""
-    if options.section is not None:
-        rows = noise_cases.show(options.section, options.workers, options.max_time, options.seeds)
-        Record(f"noise --{options.section}", options.words, options.json).write(rows=rows)
-        return 0
+def main(options: Namespace) -> None:
+    """Do what the options ask for."""
     _check(options)
-    outcomes = campaign(options, journal_of("noise", Outcome, options))
-    return 0 if show(outcomes, options, options.words) else 1
+    show(campaign(options, journal_of("noise", Outcome, options)), options, options.words)
 
 
 if __name__ == "__main__":

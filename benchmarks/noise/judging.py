@@ -9,15 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-
 from atoll_core.errors import UsageError
 from benchmarks.harness.campaign import Answer, attempt
 from benchmarks.harness.jobs import configured
 from benchmarks.harness.service import Searches
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.judging.coverage import Covered, covered
-from benchmarks.judging.errors import error_on, finite
+from benchmarks.judging.errors import finite
 from benchmarks.judging.forms import compare
 from benchmarks.judging.generalisation import foretold, is_foretold
 from benchmarks.judging.rules import Form, Rule, right_ones
@@ -43,12 +41,10 @@ class EquationOutcome:
 
     `found` is what counts, `in_form` whether it is exact in form. `constants_error` is the largest relative error of a
     constant of the normal form that the truth and the equation have in common (None when their terms differ),
-    `own_error` that of a constant as it stands in the equation; `function_error` is the error on fresh points in the
-    range of the data, `path_error` that along the fresh trajectory, over the target's deviation there. `elsewhere` says
-    where the true form is when it is not the one shown: "front", "contenders" (and how much longer the description of
-    the data is with it), or None. `constants` are those whose true
-    values are known (None: the structure has none). `r2` is that of the state's simulation from fresh initial
-    conditions.
+    `function_error` the error on fresh points in the range of the data over the target's deviation there. `elsewhere`
+    says where the true form is when it is not the one shown: "front", "contenders" (and how much longer the description
+    of the data is with it), or None. `constants` are those whose true values are known (None: the structure has none).
+    `r2` is that of the state's simulation from fresh initial conditions.
     """
 
     variable: str
@@ -57,20 +53,12 @@ class EquationOutcome:
     in_form: bool
     reason: str
     constants_error: float | None
-    own_error: float | None
     function_error: float | None
-    path_error: float | None
     elsewhere: str | None
     constants: tuple[Covered, ...] | None
     r2: float | None
     grade: str | None = None
     grade_reason: str | None = None
-    contenders: int | None = None
-    floor: float | None = None
-    error: float | None = None
-    complexity: int | None = None
-    why: str | None = None
-    epochs: int | None = None
 
     @property
     def is_foretold(self) -> bool:
@@ -108,7 +96,7 @@ def outcome(key: Key, case: Case, result: Mapping[str, Any], phases: Mapping[str
 def search(searches: Searches, key: Key, case: Case, max_time: float | None) -> tuple[Outcome, Answer]:
     """Search one case and judge it; raises AtollError where the coordinator or a worker has ended."""
     stopwatch = Stopwatch()
-    config = configured(key.seed, case.data, {"max_time": max_time})
+    config = configured(key.seed, budget={"max_time": max_time})
     job = attempt(searches, key.title, case.table, config, stopwatch)
     if job.failure is not None:
         return failed(key, case, job.failure, job.seconds), None
@@ -126,8 +114,6 @@ def _equation(key: Key, case: Case, name: str, equation: Mapping[str, Any], r2: 
     rule = _rule(case, name)
     form = rule(text)
     constants = _constants(case, name, equation) if form.is_right and key.system not in BY_FUNCTION else None
-    own = [abs(each.value / each.truth - 1.0) for each in constants or () if each.truth]
-    candidates = equation.get("candidates") or []
     return EquationOutcome(
         variable=name,
         expression=text,
@@ -135,20 +121,12 @@ def _equation(key: Key, case: Case, name: str, equation: Mapping[str, Any], r2: 
         in_form=form.is_right,
         reason=form.reason,
         constants_error=finite(form.constants_error),
-        own_error=max(own, default=None),
         function_error=form.function_error,
-        path_error=_path_error(case, name, text),
         elsewhere=None if form.is_right else _elsewhere(rule, equation),
         constants=constants,
         r2=finite(r2),
         grade=equation.get("verdict"),
         grade_reason=equation.get("reason"),
-        contenders=len(candidates) or None,
-        floor=equation.get("derivative_floor"),
-        error=equation.get("normalized_error"),
-        complexity=equation.get("complexity"),
-        why=equation.get("why"),
-        epochs=equation.get("epoch"),
     )
 
 
@@ -177,15 +155,6 @@ def _constants(case: Case, name: str, equation: Mapping[str, Any]) -> tuple[Cove
     except UsageError:  # too long to be read back with constants that are all different
         return None
     return None if found is None else tuple(found)
-
-
-def _path_error(case: Case, name: str, text: str | None) -> float | None:
-    """Return the root mean square error along the fresh trajectory over the deviation of the truth there."""
-    if text is None:
-        return None
-    inputs = [np.array([signal(time) for time in case.fresh.times.tolist()]) for signal in case.fresh.inputs]
-    columns = dict(zip(case.names, [*case.fresh.states.T, *inputs], strict=True))
-    return error_on(text, case.truths[name], columns)
 
 
 def _elsewhere(rule: Rule, equation: Mapping[str, Any]) -> str | None:

@@ -9,6 +9,7 @@ import contextlib
 import json
 import math
 import queue
+import statistics
 import subprocess
 import sys
 import threading
@@ -229,11 +230,8 @@ def growth(loads: Sequence[Load]) -> float | None:
     """
     if len({one.islands for one in loads}) < 2:
         return None
-    x = [math.log(one.islands) for one in loads]
-    y = [math.log(one.cores / one.epochs) for one in loads]
-    mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
-    steep = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True))
-    return steep / sum((a - mean_x) ** 2 for a in x)
+    sizes, times = zip(*((math.log(one.islands), math.log(one.cores / one.epochs)) for one in loads), strict=True)
+    return statistics.linear_regression(sizes, times).slope
 
 
 def measure_scale(islands: Sequence[int], options: Any, arguments: Sequence[str]) -> int:
@@ -243,7 +241,7 @@ def measure_scale(islands: Sequence[int], options: Any, arguments: Sequence[str]
     loads: list[Load] = []
     for number in islands:
         loads.append(measured(number, samples, options.period, options.seconds))
-        figures = {"loads": [{**asdict(each), "microseconds": each.microseconds} for each in loads]}
+        figures = {"loads": [{**asdict(load_), "microseconds": load_.microseconds} for load_ in loads]}
         Record("scale", arguments, options.out).write(**figures, growth=growth(loads))
     say(loads_table(loads))
     power = growth(loads)

@@ -4,16 +4,17 @@ No bus and no coordinator; what is found is the same function of the seed as in 
 know who advances it.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from atoll_core.config import PRESETS, JobConfig, Preset
+from atoll_core.config import JobConfig, Preset
 from atoll_core.data.dataset import FloatArray, Problem, Target
 from atoll_core.search.pareto import FrontEntry
 from atoll_island_worker.evolution.island import Island, reshuffle
+from benchmarks.harness import jobs
 
 TERMINALS: Final = 7
 SAMPLE: Final = 16
@@ -31,15 +32,11 @@ def problem_of(x: FloatArray, values: FloatArray) -> Problem:
 
 def configured(preset: Preset, seed: int, operators: Sequence[str], target_error: float, **evolution: Any) -> JobConfig:
     """Return a preset for one variable without noise, resolved; `evolution` replaces fields of its evolution."""
-    config = PRESETS[preset]
-    changes: dict[str, Mapping[str, Any]] = {
-        "space": {"operators": tuple(operators), "terminals": config.space.terminals or TERMINALS},
-        "predictors": {"rows": config.predictors.rows or SAMPLE},
-        "budget": {"target_error": target_error},
-        "evolution": evolution,
-    }
-    update = {name: getattr(config, name).model_copy(update=fields) for name, fields in changes.items()}
-    return config.model_copy(update={"seed": seed, **update})
+    budget = {"target_error": target_error}
+    config = jobs.configured(seed, budget=budget, operators=operators, preset=preset, **evolution)
+    space = config.space.model_copy(update={"terminals": config.space.terminals or TERMINALS})
+    predictors = config.predictors.model_copy(update={"rows": config.predictors.rows or SAMPLE})
+    return config.model_copy(update={"space": space, "predictors": predictors})
 
 
 @dataclass(frozen=True)
@@ -58,31 +55,20 @@ class Stride:
 class Archipelago:
     """The islands of one equation, which take turns."""
 
-    def __init__(self, problem: Problem, config: JobConfig, states: Sequence[bytes] | None = None) -> None:
-        """Begin at epoch 0, or where the islands' `states`, as `states` returned them, begin."""
-        numbers = range(config.evolution.islands)
-        if states is None:
-            self.islands = [Island(problem, config, number) for number in numbers]
-        else:
-            self.islands = [Island.from_bytes(states[number], problem, config, number) for number in numbers]
+    def __init__(self, problem: Problem, config: JobConfig) -> None:
+        """Begin at epoch 0."""
+        self.islands = [Island(problem, config, number) for number in range(config.evolution.islands)]
         self._config = config
         self._evaluations = [island.spent for island in self.islands]
-        self.deviation = problem.target.standard_deviation
 
-    def states(self) -> list[bytes]:
-        """Return the islands as bytes, between two epochs."""
-        return [island.to_bytes() for island in self.islands]
-
-    def strides(self, generations: int, between: Callable[[], None] = lambda: None) -> Iterator[Stride]:
+    def strides(self, generations: int) -> Iterator[Stride]:
         """Advance every island in turn by `generations`, without end, and yield after each turn.
 
-        After an epoch the solutions are reshuffled, and `between` is called. An island that met the target waits for
-        the end of the epoch.
+        After an epoch the solutions are reshuffled. An island that met the target waits for the end of the epoch.
         """
         while True:
             yield from self._epoch(generations)
             reshuffle(self.islands)
-            between()
 
     def _epoch(self, generations: int) -> Iterator[Stride]:
         seen = [0] * len(self.islands)

@@ -1,40 +1,37 @@
 """Table I of the paper: how often a search converges within the point evaluations of published algorithms.
 
-``python -m benchmarks.paper.table1 --picture table1.png --out table1.json`` runs the rows of
-`benchmarks.paper.published` with both presets, and draws convergence as a function of point evaluations beside the
-published figures. A run has converged by the metric of the publication compared with, as far as it is known: the error
-of an equation on its front is below 0.01 at each of its own points (rows of grammars), else below 1e-6 at each of 1,000
-fresh points in range; it ends then, or when its point evaluations are used up. Everything is counted: offspring, fits,
-refits, coevolution, all islands. An island is looked at every few generations, and what it has used by then counts.
+``python -m benchmarks.paper.table1 --out table1.json`` runs the rows of `benchmarks.paper.published` with both presets.
+A run has converged by the metric of the publication compared with, as far as it is known: the error of an equation on
+its front is below 0.01 at each of its own points (rows of grammars), else below 1e-6 at each of 1,000 fresh points in
+range; it ends then, or when its point evaluations are used up. Everything is counted: offspring, fits, refits,
+coevolution, all islands. An island is looked at every few generations, and what it has used by then counts.
 
-A ``cos 2x`` found as a sine of 2x with a phase is counted apart. Preset ``paper`` is judged by whether its share can be
-told from the paper's own (two-sided, 5 %, by the binomial deviations of both).
+Preset ``paper`` is judged by whether its share can be told from the paper's own (two-sided, 5 %, by the binomial
+deviations of both).
 """
 
 import itertools
 import math
 import sys
 from argparse import Namespace
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from atoll.terminal.output import count, note, say, table
 from atoll_core.config import PRESETS, Preset
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.evaluation import node_values, values_of
-from atoll_core.expression.operators import SIN
+from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.search.pareto import FrontEntry
 from benchmarks.harness.command_line import option, program, run_options, whole
-from benchmarks.harness.parallel import canvas, in_parallel, save
+from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record
 from benchmarks.paper.archipelago import Archipelago, configured, problem_of
-from benchmarks.paper.published import FRESH, HIT, LARGEST_ERROR, ROWS, USUAL, Row
+from benchmarks.paper.published import FRESH, HIT, LARGEST_ERROR, ROWS, Row
 
 TARGET_ERROR: Final = 1e-13
 """Normalized error at which an island stops by itself: below what a wrong equation can have on so few points."""
@@ -42,7 +39,7 @@ TARGET_ERROR: Final = 1e-13
 UNSOLVED: Final = 1e-6
 """Mean error on its own points from which on an equation is not tried on fresh ones."""
 
-HEADS: Final = ("row", "preset", "runs", "converged %", "apart %", "at", "%", "median", "most", "paper", "others", "")
+HEADS: Final = ("row", "preset", "runs", "converged %", "at", "%", "median", "most", "paper", "others", "")
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,6 @@ class Run:
 
     task: Task
     converged: bool
-    is_shifted: bool
     evaluations: int
     generations: int
     expression: str | None
@@ -78,11 +74,10 @@ def run(task: Task) -> Run:
     for stride in Archipelago(problem_of(x, row.values(x)), config).strides(row.interval):
         if stride.evaluations > task.budget:
             break
-        found = next((each for entry in stride.additions if (each := converged(row, entry, x, fresh))), None)
-        if found is not None:
-            shifted, text = is_shifted(found, fresh), to_infix(found, ("x",))
-            return Run(task, True, shifted, stride.evaluations, stride.generations, text, len(found))
-    return Run(task, False, False, stride.evaluations, stride.generations, None, None)
+        right = next((right for entry in stride.additions if (right := converged(row, entry, x, fresh))), None)
+        if right is not None:
+            return Run(task, True, stride.evaluations, stride.generations, to_infix(right, ("x",)), len(right))
+    return Run(task, False, stride.evaluations, stride.generations, None, None)
 
 
 def converged(row: Row, entry: FrontEntry, x: FloatArray, fresh: FloatArray) -> Program | None:
@@ -101,17 +96,6 @@ def largest_error(program: Program, x: FloatArray, values: FloatArray) -> float:
     return float(errors.max()) if np.isfinite(errors).all() else math.inf
 
 
-def is_shifted(program: Program, x: FloatArray) -> bool:
-    """Whether there is a sine of an angle that is 2x or -2x but for a constant: a cosine of 2x by its phase."""
-    values = node_values(program, x[np.newaxis])
-    nodes = zip(program.operators.tolist(), program.left.tolist(), strict=True)
-    return any(code == SIN and _turns_twice(values[left], x) for code, left in nodes)
-
-
-def _turns_twice(angle: FloatArray, x: FloatArray) -> bool:
-    return any(float(np.ptp(angle - slope * x)) < LARGEST_ERROR for slope in (2.0, -2.0))
-
-
 @dataclass(frozen=True)
 class Summary:
     """A row and a preset over all their runs. Percentages are of all runs; evaluations those of converged ones."""
@@ -120,7 +104,6 @@ class Summary:
     preset: str
     runs: int
     converged: float
-    shifted: float
     marked: float
     median: float | None
     most: float | None
@@ -145,7 +128,6 @@ def summary(row: Row, preset: str, runs: Sequence[Run]) -> Summary:
         preset,
         len(runs),
         share,
-        100.0 * sum(run.is_shifted for run in runs) / len(runs),
         100.0 * sum(cost <= row.marked for cost in costs) / len(runs),
         float(np.median(costs)) if costs else None,
         most,
@@ -161,73 +143,29 @@ def difference(share: float, runs: int, other: float, others: int) -> float:
     return (share - other) / deviation if deviation > 0.0 else 0.0
 
 
-def cells(its: Summary) -> tuple[str, ...]:
+def cells(summed: Summary) -> tuple[str, ...]:
     """Return the row of the table under `HEADS`."""
-    row = ROWS[its.row]
+    row = ROWS[summed.row]
     show = count if row.is_cost else "{:g}".format
-    told = "below" if row.is_cost else ("as published" if its.preset == "paper" else "at or above")
+    told = "below" if row.is_cost else ("as published" if summed.preset == "paper" else "at or above")
     return (
         row.name,
-        its.preset,
-        str(its.runs),
-        f"{its.converged:.1f}",
-        f"{its.shifted:.1f}" if its.shifted else "-",
+        summed.preset,
+        str(summed.runs),
+        f"{summed.converged:.1f}",
         count(row.marked),
-        f"{its.marked:.1f}",
-        count(its.median),
-        count(its.most),
+        f"{summed.marked:.1f}",
+        count(summed.median),
+        count(summed.most),
         show(row.paper),
         ", ".join(f"{name} {show(value)}" for name, value in row.others.items()),
-        told if its.is_met else f"NOT {told}",
+        told if summed.is_met else f"NOT {told}",
     )
-
-
-def curve(runs: Iterable[Run], total: int) -> tuple[list[float], list[float]]:
-    """Return point evaluations in rising order and the percentage of all runs converged by then."""
-    costs = sorted(run.evaluations for run in runs if run.converged)
-    return [float(cost) for cost in costs], [100.0 * (index + 1) / total for index in range(len(costs))]
-
-
-def draw(path: Path, runs: dict[tuple[str, Preset], list[Run]]) -> None:
-    """Draw one panel for each row: a step curve for each preset, published figures as broken lines."""
-    names = list(dict.fromkeys(name for name, _ in runs))
-    across = min(3, len(names))
-    down = -(-len(names) // across)
-    picture = canvas(4.4 * across, 3.2 * down)
-    panels = picture.subplots(down, across, squeeze=False).ravel().tolist()
-    for panel in panels[len(names) :]:
-        panel.remove()
-    for name, panel in zip(names, panels, strict=False):
-        for preset in PRESETS:
-            if (name, preset) in runs:
-                _draw_curve(panel, ROWS[name], preset, runs[name, preset])
-        _draw_published(panel, ROWS[name])
-    save(picture, path)
-
-
-def _draw_curve(panel: Any, row: Row, preset: str, runs: Sequence[Run]) -> None:
-    costs, shares = curve(runs, len(runs))
-    end = max((run.task.budget for run in runs), default=row.budget)
-    last = max(costs, default=0.0) * 1.2 if row.is_cost and len(costs) == len(runs) else float(end)
-    panel.step(
-        [0.0, *costs, last], [0.0, *shares, shares[-1] if shares else 0.0], where="post", label=f"Atoll, {preset}"
-    )
-
-
-def _draw_published(panel: Any, row: Row) -> None:
-    published = {"paper": row.paper, **row.others}
-    for number, (name, value) in enumerate(published.items()):
-        line = panel.axvline if row.is_cost else panel.axhline
-        line(value, linestyle="--", linewidth=1.0, color=f"C{number + 2}", label=name)
-    if row.is_cost:
-        panel.set_xscale("log")
-    panel.set(title=f"{row.name}: {row.truth}", xlabel="point evaluations", ylabel="converged runs, %", ylim=(-3, 103))
-    panel.legend(fontsize=7)
 
 
 def tasks(options: Namespace) -> list[Task]:
     """Return all runs that are asked for, row by row."""
-    asked = itertools.product(options.row or USUAL, options.preset or PRESETS)
+    asked = itertools.product(options.row or ROWS, options.preset or PRESETS)
     return [
         Task(name, preset, seed, options.evaluations or ROWS[name].budget)
         for name, preset in asked
@@ -247,7 +185,7 @@ def _say_end(group: Sequence[Run]) -> None:
 @program(
     "benchmarks.paper.table1",
     __doc__,
-    option("--row", choices=ROWS, action="append", help="repeat for several; default: all but density"),
+    option("--row", choices=ROWS, action="append", help="repeat for several; default: all"),
     option("--preset", choices=PRESETS, action="append", help="default: both"),
     option("--evaluations", type=whole, help="point evaluations of a run, instead of the row's"),
     *run_options(),
@@ -258,8 +196,6 @@ def main(options: Namespace) -> int:
     asked = tasks(options)
     sizes = {key: len(list(group)) for key, group in itertools.groupby(asked, _group)}
     groups: dict[tuple[str, Preset], list[Run]] = {key: [] for key in sizes}
-    if options.picture:
-        canvas(1.0, 1.0)
     for each in in_parallel(run, asked, options.workers):
         group = groups[_group(each.task)]
         group.append(each)
@@ -273,8 +209,6 @@ def main(options: Namespace) -> int:
         rows=[asdict(ROWS[name]) for name in dict.fromkeys(name for name, _ in groups)],
         runs=[asdict(one) for group in groups.values() for one in group],
     )
-    if options.picture:
-        draw(options.picture, groups)
     say(table(HEADS, [cells(each) for each in summaries]))
     say(f"\n{len(asked)} runs in {figures.seconds():.0f} s on {options.workers} processes")
     return 0 if all(each.is_met for each in summaries if each.preset == "default") else 1

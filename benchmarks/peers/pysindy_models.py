@@ -21,7 +21,7 @@ import numpy as np
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from benchmarks.judging.generalisation import field_of, simulated
-from benchmarks.noise.data import Case, Key, Path
+from benchmarks.noise.data import Case, Path
 
 PLAIN_LIBRARIES: Final = ((1, 0, False), (2, 0, False), (3, 0, False), (4, 0, False))
 """Degree of the polynomials, multiples of sines and cosines, and whether those of two states are multiplied."""
@@ -72,18 +72,18 @@ def require() -> None:
         raise UsageError("pysindy is not installed, which the comparison with it needs; pip install -e '.[bench]'")
 
 
-def solve(key: Key, case: Case) -> dict[str, Any]:
-    """Return PySINDy's equations in the form of a result.json: the best of the grid of the key's method.
+def solve(method: str, seed: int, case: Case) -> dict[str, Any]:
+    """Return PySINDy's equations in the form of a result.json: the best of the grid of the method.
 
     Where the method does not apply (the weak form needs one grid of times) or nothing can be simulated, the equations
     have no expression. ``front`` has the equations of the whole grid.
     """
     begun = time.perf_counter()
     data = _measured(case)
-    np.random.seed(key.seed)  # noqa: NPY002  PySINDy draws from numpy's global stream
+    np.random.seed(seed)  # noqa: NPY002  PySINDy draws from numpy's global stream
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        models = [*_models(key.method, data)]
+        models = [*_models(method, data)]
     best = min(models, key=lambda each: each.length, default=None)
     texts: Sequence[str | None] = best.expressions if best is not None else [None] * len(data.names)
     equations = [

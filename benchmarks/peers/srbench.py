@@ -1,8 +1,5 @@
 """Is an equation solved? SRBench's own rule, and a strict one beside it.
 
-``python -m benchmarks.peers.srbench`` shows that both credit the 14 Strogatz truths in equivalent forms, and refuse
-others.
-
 SRBench calls a model solved when, its numbers rounded to three places and sympy having simplified, model minus truth or
 model over truth is a constant, and R² on the test rows exceeds 0.5 (`benchmarks.peers.simplification` has the source).
 That is lenient where a constant is off (4e-4 too much is rounded away, however small the constant; any constant may
@@ -16,17 +13,13 @@ import json
 import os
 import subprocess
 import sys
-from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, Final
 
 import numpy as np
 
-from atoll.terminal.output import note, say, table
 from atoll_core.data.dataset import FloatArray
-from benchmarks.harness.command_line import option, program
-from benchmarks.judging.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UNCREDITED, rows_of
 from benchmarks.judging.errors import values_on
 from benchmarks.judging.forms import compare
 from benchmarks.judging.rules import NO_EQUATION, Form
@@ -135,41 +128,3 @@ def coefficient_of_determination(expression: str, columns: Mapping[str, FloatArr
     with np.errstate(all="ignore"):
         share = float(np.sum((labels - values) ** 2) / np.sum((labels - np.mean(labels)) ** 2))
     return 1.0 - share if np.isfinite(share) else -np.inf
-
-
-def expectations(name: str) -> list[tuple[str, bool, bool]]:
-    """Return forms for the truth of file `name`, and whether SRBench's and the strict rule are to credit them."""
-    truth, *forms = EQUIVALENTS[name]
-    rules = [*((form, True, True) for form in (truth, *forms)), *((form, False, False) for form in OTHERS[name])]
-    rules += [(form, False, True) for form in (UNCREDITED.get(name),) if form]
-    return rules + [(form, True, False) for form in (OVERCREDITED.get(name),) if form]
-
-
-@program(
-    "benchmarks.peers.srbench",
-    __doc__,
-    option("--file", choices=EQUIVALENTS, action="append", help="repeat for several; default: all 14"),
-)
-def main(options: Namespace) -> int:
-    """Print how both rules judge equivalent forms and others; return 0 when each does what is known of it."""
-    rows: list[tuple[str, ...]] = []
-    credited, surprises = 0, 0
-    names = options.file or list(EQUIVALENTS)
-    for name in names:
-        truth = EQUIVALENTS[name][0]
-        note(f"{name}: {truth}")
-        columns, labels = rows_of(name)
-        for form, *expected in expectations(name):
-            found = assess(form, truth, columns, labels)
-            both = [found.is_right, compare_strictly(form, truth, columns).is_right]
-            credited += all(both) and all(expected)
-            surprises += both != expected
-            rows.append((name, form, *("yes" if each else "no" for each in both), found.reason))
-    say(table(("file", "form", "SRBench", "strict", "SRBench's reason"), rows))
-    say(f"\n{credited} of {len(names) * 6} equivalent forms (the truth and five others) credited by both rules")
-    say(f"{surprises} of {len(rows)} forms judged otherwise than is known")
-    return 1 if surprises else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,15 +1,14 @@
-"""Many runs over several processes, their file and their picture."""
+"""Many runs over several processes, and their file."""
 
 import json
 import math
-import sys
 
 import pytest
 
-from atoll_core.errors import AtollError, UsageError
+from atoll_core.errors import AtollError
 from benchmarks.harness import parallel as runs
 from benchmarks.harness.command_line import whole
-from benchmarks.harness.parallel import canvas, in_parallel
+from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record
 
 
@@ -41,12 +40,6 @@ def test_the_file_holds_the_machine_beside_the_figures(tmp_path):
     written = json.loads((tmp_path / "new" / "f.json").read_text("utf-8"))
     assert (written["benchmark"], written["runs"]) == ("table1", [1, 2])
     assert {"machine", "load_before", "load_after", "seconds", "arguments"} <= set(written)
-
-
-def test_without_matplotlib_a_sentence_says_what_to_do(monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(UsageError, match="leave --picture out"):
-        canvas(1.0, 1.0)
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "x", "1.5", ""])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll_core.errors import UsageError
-from benchmarks.judging.forms import compare, main
+from benchmarks.judging.forms import compare
 from benchmarks.judging.rules import Form
 
 RANGES = {
@@ -450,18 +450,3 @@ def test_hopeless_models_are_refused_and_do_not_hang(model):
 def test_names_that_the_data_lack_are_refused():
     with pytest.raises(UsageError, match="'z'"):
         judge("x + z", "-x/10")
-
-
-def test_the_command_says_the_verdict_and_ends_with_it(capsys):
-    assert main(["30.772*x*y/(30.772 + 30.772*x)", "x*y/(1 + x)"]) == 0
-    assert "exact in form: the same form" in capsys.readouterr().out
-    assert main(["x*y/(1 + 1.1*x)", "x*y/(1 + x)"]) == 1
-    assert "a constant differs by" in capsys.readouterr().out
-    assert main(["x^2", "x"]) == 2
-
-
-def test_the_command_reads_data(tmp_path, capsys):
-    file = tmp_path / "data.csv"
-    file.write_text("x,y\n" + "\n".join(f"{0.1 * i},{0.2 * i + 1}" for i in range(1, 30)))
-    assert main(["x*(1 - y)", "x - x*y", "--data", str(file)]) == 0
-    assert "exact in form" in capsys.readouterr().out

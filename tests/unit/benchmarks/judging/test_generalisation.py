@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.harness.systems import SYSTEMS, drawn
-from benchmarks.judging.generalisation import field_of, foretold, is_foretold, r_squared, simulated
+from benchmarks.judging.generalisation import field_of, foretold, is_foretold, r_squared
 from benchmarks.noise.data import Path
 
 TIMES = np.arange(50) * 0.1
@@ -50,12 +50,6 @@ def test_a_model_that_cannot_be_solved_has_no_r2(expression):
 def test_an_equation_too_long_to_be_read_is_not_foretold():
     text = " + ".join(f"{number}.5*v" for number in range(300))
     assert foretold({"v": text, "theta": "1.0"}, ("v", "theta"), GLIDER) == {"v": None, "theta": None}
-
-
-def test_inputs_are_taken_at_the_time():
-    path = Path(TIMES, np.column_stack((1.0 - np.cos(TIMES),)), (math.sin,))
-    found = simulated(field_of(["u"], ("x", "u")), path)
-    np.testing.assert_allclose(found, path.states, atol=1e-6)
 
 
 def test_r_squared_is_one_without_error_and_zero_for_the_mean():

@@ -18,7 +18,6 @@ from atoll_island_worker.session.epoch_tasks import Task, TaskKey
 from atoll_island_worker.session.events import Computed, JobReady, Snapshot
 from benchmarks.harness.accounts import status
 from benchmarks.operations import big_data as bigdata
-from benchmarks.operations import many_jobs as manyjobs
 from benchmarks.operations import scale, scaling
 from benchmarks.operations.island_samples import Samples
 from benchmarks.operations.scale import Account, Load, growth, load_of, loads_table, shape
@@ -163,12 +162,6 @@ def test_the_most_memory_is_what_the_system_says(tmp_path: Path) -> None:
     (tmp_path / "7" / "status").write_text("Name: x\n")
     with pytest.raises(AtollError, match="does not say"):
         status(7, bigdata.PEAK, tmp_path)
-
-
-def test_many_jobs_have_a_table_that_can_be_searched() -> None:
-    table, config = manyjobs.measurements(), manyjobs.config_of(3)
-    assert table.rows == manyjobs.ROWS
-    assert (config.seed, config.data.target) == (3, "y")
 
 
 def test_figures_can_be_written_as_json() -> None:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from atoll_core.errors import DataError
-from benchmarks.judging.equivalents import EQUIVALENTS
 from benchmarks.peers import strogatz
 from benchmarks.peers.strogatz_files import NAMES, rows_of, split, truths
+from tests.unit.benchmarks.peers.equivalents import EQUIVALENTS
 
 
 @pytest.fixture
