@@ -88,13 +88,11 @@ bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.kernels --rows 128 --repetitions 3
 	@$(BIN)/python -m benchmarks.kernels.derivatives
 	@$(BIN)/python -m benchmarks.paper.table3 --derivatives given --seeds 0 --max-time 60
-	@$(BIN)/python -m benchmarks.paper.seven --seeds 0
-	@$(BIN)/python -m benchmarks.paper.seven --extras --seeds 0
-	@$(BIN)/python -m benchmarks.noise --seeds 0 --levels 0.05
+	@$(BIN)/python -m benchmarks.noise --seeds 0 --levels 0 0.05
 	@$(BIN)/python -m benchmarks.paper.table1 --seeds 0-4 || test $$? = 1
 	@$(BIN)/python -m benchmarks.operations.digests
 	@$(BIN)/python -m benchmarks.operations.scaling --system lotka_volterra --epochs 4 --seeds 0
-	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0
+	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --noise 0 --seeds 0 --max-time 30
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0 --noise 0.001 --max-time 5
 
 # Fails when a digest differs; with RESULTS, RECORD or AGAINST, when anything does.

@@ -174,7 +174,7 @@ def runs_of(path: Path) -> Runs:
         lines = map(json.loads, whole.splitlines())
         return [line["outcome"] for line in lines if "outcome" in line]
     contents = json.loads(text)
-    runs: Runs = contents.get("verdicts") or contents.get("runs") or []
+    runs: Runs = contents.get("runs") or []
     return runs
 
 

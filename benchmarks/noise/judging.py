@@ -19,7 +19,6 @@ from benchmarks.judging.errors import finite
 from benchmarks.judging.forms import compare
 from benchmarks.judging.generalisation import foretold, is_foretold
 from benchmarks.judging.rules import Form, Rule, right_ones
-from benchmarks.judging.verdict import SMALL_ERROR
 from benchmarks.noise.data import Case, Key
 
 FREE: Final = 1.0
@@ -30,6 +29,9 @@ EXACT_CONSTANTS: Final = 1e-4
 
 BY_FUNCTION: Final = frozenset({"bacterial_respiration"})
 """Systems whose equations are judged by their function error at any noise."""
+
+SMALL_ERROR: Final = 0.05
+"""Function error that is enough for these."""
 
 MOST_CONTENDERS: Final = 100
 """So many equations of a front and of the contenders are looked at for the truth."""

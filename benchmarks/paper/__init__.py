@@ -1,4 +1,4 @@
 """The figures of Schmidt and Lipson (2008), computed again.
 
-``table1`` (``published``, ``archipelago``: islands in this process), ``table3`` and ``seven`` (whole systems).
+``table1`` (``published``, ``archipelago``: islands in this process) and ``table3``.
 """

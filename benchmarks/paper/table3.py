@@ -15,25 +15,26 @@ import math
 import statistics
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Final, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
 
 import numpy as np
 
-from atoll.terminal.output import clipped, note, say, shortened
+from atoll.terminal.output import clipped, error_text, note, say, shortened
 from atoll_coordinator.data.prepare import prepare
 from atoll_core.config import PRESETS, JobConfig
+from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
 from benchmarks.harness import jobs
 from benchmarks.harness.command_line import option, positive, program, search_options
-from benchmarks.harness.report import Report
+from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, Sampled, table_of, trajectories
-from benchmarks.harness.tables import Columns
-from benchmarks.judging.verdict import Question, Verdict, judged, miss
-from benchmarks.peers.strogatz import PUBLISHED
+from benchmarks.harness.tables import Columns, grouped
+from benchmarks.judging.forms import compare
+from benchmarks.judging.rules import Form, right_ones
 
 STEP: Final = 0.1
 """Sampling step of the paper; with 10 time units, 100 points on a trajectory."""
@@ -42,11 +43,67 @@ SLOPE: Final = "slope_of_"
 Derivatives = Literal["given", "estimated"]
 COLUMNS: Final[tuple[Derivatives, ...]] = ("given", "estimated")
 
-EQUATIONS: Final = tuple((system, variable) for system in TABLE_III for variable in TRUTH[system])
-"""System and variable of each equation, in the order of the paper's table."""
+Equation = tuple[str, str]
+"""System and variable."""
 
-PAPER: Final = dict(zip(EQUATIONS, PUBLISHED.values(), strict=True))
+PAPER: Final[Mapping[Equation, tuple[float, float]]] = {
+    ("glider", "v"): (10.2, 1.03e9),
+    ("glider", "theta"): (5.1, 0.50e9),
+    ("bacterial_respiration", "x"): (75.0, 7.59e9),
+    ("bacterial_respiration", "y"): (30.5, 3.09e9),
+    ("predator_prey", "x"): (81.7, 8.26e9),
+    ("predator_prey", "y"): (290.6, 29.38e9),
+    ("bar_magnets", "theta1"): (11.8, 1.19e9),
+    ("bar_magnets", "theta2"): (15.6, 1.58e9),
+    ("shear_flow", "theta"): (3.6, 0.36e9),
+    ("shear_flow", "phi"): (33.9, 3.42e9),
+    ("van_der_pol", "x"): (25.5, 2.58e9),
+    ("van_der_pol", "y"): (0.9, 0.09e9),
+    ("lotka_volterra", "x"): (4.3, 0.43e9),
+    ("lotka_volterra", "y"): (1.1, 0.11e9),
+}
 """Seconds (8 processors of 2008, one run) and point evaluations of each row of the paper's table."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """How one search came out.
+
+    `exact` is what counts. `on_front` is the complexity of the smallest front member that is exact in form, None when
+    none is. `error` is normalized by the target's standard deviation.
+    """
+
+    system: str
+    variable: str
+    derivatives: Derivatives
+    seed: int
+    exact: bool
+    reason: str
+    expression: str | None
+    complexity: int | None
+    on_front: int | None
+    error: float | None
+    why: str | None
+    epoch: int
+    point_evaluations: int
+    search_seconds: float
+    seconds: float
+    digest: str
+
+    @property
+    def equation(self) -> Equation:
+        """System and variable."""
+        return self.system, self.variable
+
+    @property
+    def miss(self) -> str:
+        """The sentence on an equation that was not found."""
+        front = f"; exact at size {self.on_front} of the front" if self.on_front else ""
+        return (
+            f"{self.system} {self.variable} {self.derivatives} seed {self.seed}: {self.why or '-'}, {self.epoch} "
+            f"epochs, {self.seconds:.1f} s, error {error_text(self.error)}, size {self.complexity}: "
+            f"{self.reason}{front}\n    {self.expression}"
+        )
 
 
 @dataclass(frozen=True)
@@ -64,9 +121,17 @@ class Row:
     seconds: float | None
     job_seconds: float | None
     point_evaluations: float | None
-    paper_seconds: float
-    paper_evaluations: float
     expression: str | None
+
+    @property
+    def paper_seconds(self) -> float:
+        """The paper's seconds."""
+        return PAPER[self.system, self.variable][0]
+
+    @property
+    def paper_evaluations(self) -> float:
+        """The paper's point evaluations."""
+        return PAPER[self.system, self.variable][1]
 
     @property
     def is_found(self) -> bool:
@@ -106,47 +171,74 @@ def with_slopes(system: str, sampled: Sampled) -> Table:
     return replace(plain, names=names, units=("",) * len(names), columns=columns)
 
 
-def configured(options: Namespace, seed: int, equation: tuple[str, str], derivatives: Derivatives) -> JobConfig:
+def configured(options: Namespace, seed: int, equation: Equation, derivatives: Derivatives) -> JobConfig:
     """Return the configuration of the search for one equation."""
     system, variable = equation
     states = SYSTEMS[system].states
     slopes = tuple(SLOPE + name for name in states) if derivatives == "given" else None
     data = {"states": states, "derivatives": slopes, "only": (variable,)}
     limits = {"max_time": options.max_time, "target_error": options.target_error}
-    if options.to_the_end:
-        limits |= {"stagnation": jobs.NEVER, "max_epochs": jobs.NEVER}
     return jobs.configured(seed, data, limits, preset=options.preset)
 
 
 def search(
-    searches: Searches, options: Namespace, seed: int, equation: tuple[str, str], derivatives: Derivatives
-) -> Verdict:
-    """Search one equation once and return the verdict on it."""
+    searches: Searches, options: Namespace, seed: int, equation: Equation, derivatives: Derivatives
+) -> Search:  # fmt: skip
+    """Search one equation once and judge it."""
     system, variable = equation
     sampled = trajectories(system, STEP, seed)
     measured = with_slopes(system, sampled) if derivatives == "given" else table_of(sampled)
     config = configured(options, seed, equation, derivatives)
     result = searches.solve(f"{system} {variable} seed {seed}", measured, config)
-    truths = {variable: TRUTH[system][variable]}
-    (verdict,) = judged(Question(f"{system} {derivatives}", seed, truths, prepare(measured, config).dataset), result)
-    return verdict
+    dataset = prepare(measured, config).dataset
+    return judged(equation, derivatives, seed, result, dict(zip(dataset.names, dataset.inputs, strict=True)))
 
 
-def summed_up(equation: tuple[str, str], derivatives: Derivatives, verdicts: Sequence[Verdict]) -> Row:
-    """Return what the searches for one equation came to; `verdicts` has at least one."""
-    found = [verdict for verdict in verdicts if verdict.found]
-    seconds, evaluations = PAPER[equation]
-    return Row(
+def judged(
+    equation: Equation, derivatives: Derivatives, seed: int, result: Mapping[str, Any],
+    columns: Mapping[str, FloatArray],
+) -> Search:  # fmt: skip
+    """Judge the one equation in `result`, the contents of a result.json, on the rows (R,) that were searched."""
+    system, variable = equation
+
+    def rule(expression: str | None) -> Form:
+        return compare(expression, TRUTH[system][variable], columns)
+
+    (shown,) = result["equations"]
+    form = rule(shown["expression"])
+    on_front = min((int(member["complexity"]) for member in right_ones(rule, shown["front"])), default=None)
+    return Search(
         *equation,
         derivatives,
-        len(found),
-        len(verdicts),
-        _median([each.search_seconds if each.found else math.inf for each in verdicts]),
-        _median([each.seconds if each.found else math.inf for each in verdicts]),
-        _median([each.point_evaluations if each.found else math.inf for each in verdicts]),
-        seconds,
-        evaluations,
-        (found or verdicts)[0].expression,
+        seed,
+        form.is_right,
+        form.reason,
+        shown["expression"],
+        shown["complexity"],
+        on_front,
+        shown["normalized_error"],
+        shown["why"],
+        shown["epoch"],
+        shown["point_evaluations"],
+        result["search_seconds"],
+        result["seconds"],
+        result["digest"],
+    )
+
+
+def summed_up(searched: Sequence[Search]) -> Row:
+    """Return what the searches for one equation in one column came to, at least one."""
+    right = [search for search in searched if search.exact]
+    first = (right or searched)[0]
+    return Row(
+        *first.equation,
+        first.derivatives,
+        len(right),
+        len(searched),
+        _median([search.search_seconds if search.exact else math.inf for search in searched]),
+        _median([search.seconds if search.exact else math.inf for search in searched]),
+        _median([search.point_evaluations if search.exact else math.inf for search in searched]),
+        first.expression,
     )
 
 
@@ -177,12 +269,12 @@ def balance(rows: Sequence[Row]) -> str:
     return "; ".join(lines)
 
 
-def chosen(options: Namespace) -> list[tuple[str, str]]:
+def chosen(options: Namespace) -> list[Equation]:
     """Return the equations that the options ask for; raises UsageError when there are none."""
     systems = options.system or TABLE_III
     equations = [
         (system, variable)
-        for system, variable in EQUATIONS
+        for system, variable in PAPER
         if system in systems and (options.only is None or variable in options.only)
     ]
     if not equations:
@@ -191,28 +283,16 @@ def chosen(options: Namespace) -> list[tuple[str, str]]:
     return equations
 
 
-def _searched(
-    searches: Searches, options: Namespace, equation: tuple[str, str], derivatives: Derivatives, report: Report
-) -> Row:
-    """Search one equation with every seed, report each, and return what it came to."""
-    verdicts: list[Verdict] = []
-    for seed in options.seeds:
-        verdicts.append(search(searches, options, seed, equation, derivatives))
-        row = summed_up(equation, derivatives, verdicts)
-        report.add(verdicts[-1:], rows={f"{' '.join(equation)} {derivatives}": asdict(row)})
-    return row
-
-
-def _show(rows: Sequence[Row], report: Report) -> None:
+def _show(rows: Sequence[Row], searched: Sequence[Search]) -> None:
     say(SHOWN.table(rows))
-    missed = [verdict for verdict in report.verdicts if not verdict.found]
+    missed = [search.miss for search in searched if not search.exact]
     if missed:
-        say("\nmissed:\n" + "\n".join(miss(verdict) for verdict in missed))
-    for derivatives in COLUMNS:
-        column = [row for row in rows if row.derivatives == derivatives]
-        if column:
-            say("\n" + balance(column))
-    say(f"\n{report.summary()}")
+        say("\nmissed:\n" + "\n".join(missed))
+    for column in grouped(rows, lambda row: row.derivatives).values():
+        say("\n" + balance(column))
+    seconds = [search.seconds for search in searched]
+    times = f"median {statistics.median(seconds):.2f} s, longest {max(seconds):.2f} s"
+    say(f"\n{len(searched) - len(missed)} of {len(searched)} exact in form; {times}; load {load():.1f}")
 
 
 @program(
@@ -225,20 +305,22 @@ def _show(rows: Sequence[Row], report: Report) -> None:
     ),
     option("--preset", choices=PRESETS, default="default"),
     option("--target-error", type=positive, help="normalized error at which a search ends"),
-    option("--to-the-end", action="store_true", help="use all of --max-time, also without progress"),
     *search_options("0-4", 120.0),
 )
 def main(options: Namespace) -> int:
     """Search everything, print the table; return 0 when the median search found every equation, else 1."""
-    report = Report("table3", options.words, options.out)
-    columns = options.derivatives or COLUMNS
-    rows: list[Row] = []
-    wanted = list(itertools.product(columns, chosen(options)))
+    record = Record("table3", options.words, options.out)
+    searched: list[Search] = []
+    wanted = list(itertools.product(options.derivatives or COLUMNS, chosen(options), options.seeds))
     with searching(options.workers) as searches:
-        for number, (derivatives, equation) in enumerate(wanted, start=1):
-            note(f"{number} of {len(wanted)}: {' '.join(equation)}, derivatives {derivatives}")
-            rows.append(_searched(searches, options, equation, derivatives, report))
-    _show(rows, report)
+        for number, (derivatives, equation, seed) in enumerate(wanted, start=1):
+            searched.append(search(searches, options, seed, equation, derivatives))
+            record.add(searched[-1])
+            how = "found" if searched[-1].exact else f"missed: {searched[-1].miss}"
+            note(f"{number} of {len(wanted)}: {' '.join(equation)} seed {seed}, derivatives {derivatives}: {how}")
+    by_row = grouped(searched, lambda search: (search.derivatives, search.equation))
+    rows = [summed_up(alike) for alike in by_row.values()]
+    _show(rows, searched)
     return 0 if all(row.is_found for row in rows) else 1
 
 

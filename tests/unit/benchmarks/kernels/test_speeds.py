@@ -12,7 +12,7 @@ from benchmarks.kernels import speeds
 from benchmarks.kernels.corpus import CORPUS, load_corpus
 from benchmarks.kernels.loops import differentiate_into, gradient_repeatedly, operator_tape, room_for
 from benchmarks.kernels.speeds import Speed, parts_of
-from benchmarks.peers.strogatz import PUBLISHED
+from benchmarks.peers.strogatz_files import NAMES
 
 SPEED = Speed(16, 25.2e6, 180e6, 10e6, 70e6)
 
@@ -24,7 +24,7 @@ def corpus():
 
 def test_the_corpus_has_a_thousand_lists_from_all_files_and_generations(corpus):
     assert corpus.code.shape == (1000, 32)
-    assert corpus.names.tolist() == list(PUBLISHED)
+    assert corpus.names.tolist() == list(NAMES)
     assert set(np.bincount(corpus.origin).tolist()) == {71, 72}
     assert np.unique(corpus.generation).tolist() == [100 * (epoch + 1) for epoch in range(10)]
     assert corpus.inputs.shape == (14, 2, 16)

@@ -7,43 +7,66 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_core.errors import UsageError
-from benchmarks.harness.systems import TRUTH, trajectories
+from benchmarks.harness.systems import TABLE_III, TRUTH, trajectories
 from benchmarks.paper.table3 import (
-    EQUATIONS,
     PAPER,
     SHOWN,
     SLOPE,
+    Search,
     balance,
     chosen,
     configured,
+    judged,
     main,
     summed_up,
     with_slopes,
 )
-from tests.unit.benchmarks.judging.verdicts import VERDICT
 
 GLIDER_V = ("glider", "v")
+SEARCH = Search(
+    "glider", "v", "given", 0, exact=True, reason="the same form", expression="-0.05*v**2 - sin(theta)", complexity=8,
+    on_front=8, error=1e-10, why="target", epoch=1, point_evaluations=40_000, search_seconds=0.2, seconds=0.5,
+    digest="abc",
+)  # fmt: skip
 
 
 def options(*words):
     return main.parser.parse_args(words)
 
 
-def verdicts(*seconds, found=True):
+def searched(*seconds, **changes):
     return [
         dataclasses.replace(
-            VERDICT, seed=k, found=found, search_seconds=s, seconds=2 * s, point_evaluations=int(1e6 * s)
+            SEARCH, seed=seed, search_seconds=took, seconds=2 * took, point_evaluations=int(1e6 * took), **changes
         )
-        for k, s in enumerate(seconds)
+        for seed, took in enumerate(seconds)
     ]
 
 
 def test_the_papers_figures_stand_by_their_equations():
-    assert len(EQUATIONS) == 14
-    assert PAPER[GLIDER_V] == (10.2, 1.03e9)
-    assert PAPER["predator_prey", "y"] == (290.6, 29.38e9)
-    assert PAPER["shear_flow", "theta"] == (3.6, 0.36e9)
-    assert PAPER["lotka_volterra", "y"] == (1.1, 0.11e9)
+    assert list(PAPER) == [(system, variable) for system in TABLE_III for variable in TRUTH[system]]
+    seconds, evaluations = (sum(column) for column in zip(*PAPER.values(), strict=True))
+    assert seconds == pytest.approx(589.7, abs=1.0)
+    assert evaluations == pytest.approx(59.6e9, rel=0.01)
+
+
+def test_an_equation_is_exact_in_form_and_one_that_is_not_is_looked_for_on_the_front():
+    columns = {"v": np.linspace(1.0, 9.0, 200), "theta": np.linspace(-2.0, 30.0, 200)[::-1]}
+
+    def found(expression):
+        front = [{"complexity": 5, "expression": "v"}, {"complexity": 8, "expression": "-0.05*v**2 - sin(theta)"}]
+        shown = {
+            "expression": expression, "complexity": 9, "front": front, "normalized_error": 0.1, "why": "time",
+            "epoch": 3, "point_evaluations": 7,
+        }  # fmt: skip
+        result = {"equations": [shown], "search_seconds": 1.0, "seconds": 2.0, "digest": "d"}
+        return judged(GLIDER_V, "given", 4, result, columns)
+
+    right, wrong, none = found("-(sin(theta) + v*v/20)"), found("-0.05*v**2 - cos(theta)"), found(None)
+    assert (right.exact, right.seed, right.seconds) == (True, 4, 2.0)
+    assert (wrong.exact, wrong.on_front) == (False, 8)
+    assert "exact at size 8 of the front" in wrong.miss
+    assert not none.exact
 
 
 def test_given_derivatives_are_the_truth_on_the_papers_400_points():
@@ -69,35 +92,29 @@ def test_one_variable_is_sought_and_both_may_be_used():
 
 
 def test_the_median_counts_a_miss_as_infinitely_long():
-    found, missed = verdicts(1.0, 4.0), verdicts(0.1, found=False)
-    row = summed_up(GLIDER_V, "given", [*missed, *found])
+    row = summed_up([*searched(0.1, exact=False), *searched(1.0, 4.0)])
     assert (row.found, row.searches, row.seconds, row.job_seconds, row.point_evaluations) == (2, 3, 4.0, 8.0, 4e6)
     assert row.is_found
     assert row.is_ahead
 
 
 def test_more_misses_than_not_have_no_median():
-    row = summed_up(GLIDER_V, "given", [*verdicts(1.0), *verdicts(0.1, 0.2, found=False)])
+    row = summed_up([*searched(1.0), *searched(0.1, 0.2, exact=False)])
     assert (row.seconds, row.point_evaluations, row.is_found, row.is_ahead) == (None, None, False, False)
     assert SHOWN.row(row)[3:7] == ("1 of 3", "-", "-", "-")
 
 
 @pytest.mark.parametrize(("seconds", "evaluations"), [(11.0, 1000), (1.0, 2_000_000_000)])
 def test_who_is_slower_or_evaluates_more_is_not_ahead(seconds, evaluations):
-    verdict = dataclasses.replace(VERDICT, seconds=seconds, point_evaluations=evaluations)
-    assert not summed_up(GLIDER_V, "given", [verdict]).is_ahead
+    assert not summed_up([dataclasses.replace(SEARCH, seconds=seconds, point_evaluations=evaluations)]).is_ahead
 
 
 def test_ratios_stand_in_the_table():
-    row = summed_up(GLIDER_V, "given", verdicts(1.0))
-    assert SHOWN.row(row)[7:11] == ("10.2", "1.03e+09", "5.1", "1030")
+    assert SHOWN.row(summed_up(searched(1.0)))[7:11] == ("10.2", "1.03e+09", "5.1", "1030")
 
 
 def test_the_balance_compares_only_what_was_found():
-    rows = [
-        summed_up(GLIDER_V, "given", verdicts(1.0)),
-        summed_up(("glider", "theta"), "given", verdicts(1, found=False)),
-    ]
+    rows = [summed_up(searched(1.0)), summed_up(searched(1.0, variable="theta", exact=False))]
     text = balance(rows)
     assert "1 of 2 found in the median, 1 ahead" in text
     assert "1.000e+06 point evaluations" in text
