@@ -90,7 +90,6 @@ bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.paper.table3 --derivatives given --seeds 0 --max-time 60
 	@$(BIN)/python -m benchmarks.noise --seeds 0 --levels 0 0.05
 	@$(BIN)/python -m benchmarks.paper.table1 --seeds 0-4 || test $$? = 1
-	@$(BIN)/python -m benchmarks.operations.digests
 	@$(BIN)/python -m benchmarks.operations.scaling --system lotka_volterra --epochs 4 --seeds 0
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --noise 0 --seeds 0 --max-time 30
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0 --noise 0.001 --max-time 5

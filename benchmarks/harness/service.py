@@ -14,7 +14,7 @@ import socket
 import subprocess
 import sys
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -175,15 +175,14 @@ def progress(name: str, view: JobView) -> str:
 class Machines:
     """Programs by name: `coordinator`, perhaps `router`, and workers `w0`, `w1` and so on.
 
-    `folder` takes state and logs. With `has_networks` each worker gets a network that can be cut. `environment` is this
-    process's if None; with `programs`, a folder of another revision's, those are started instead.
+    `folder` takes state and logs. With `has_networks` each worker gets a network that can be cut. With `programs`,
+    a folder of another revision's, those are started.
     """
 
     folder: Path
     number: int
     has_own_router: bool = False
     has_networks: bool = False
-    environment: Mapping[str, str] | None = None
     programs: Path | None = None
 
     def __post_init__(self) -> None:
@@ -220,7 +219,7 @@ class Machines:
         with self.log(name).open("a", encoding="utf-8") as log:
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, text=True,
-                env=self.environment, start_new_session=True,  # a Ctrl-C is this program's alone to handle
+                start_new_session=True,  # a Ctrl-C is this program's alone to handle
             )  # fmt: skip
         self._processes[name] = process
         return process
@@ -234,11 +233,6 @@ class Machines:
     def kill(self, name: str) -> None:
         """Let a program die at once (SIGKILL)."""
         self._signal(name, signal.SIGKILL)
-        self._bury(name)
-
-    def end(self, name: str) -> None:
-        """Ask a program to end (SIGTERM), and wait for it."""
-        self._signal(name, signal.SIGTERM)
         self._bury(name)
 
     def stop(self, name: str) -> None:
@@ -409,9 +403,9 @@ def running(workers: int, keep: Path | None = None, **settings: Any) -> Iterator
 
 
 @contextmanager
-def searching(workers: int, environment: Mapping[str, str] | None = None) -> Iterator[Searches]:
+def searching(workers: int) -> Iterator[Searches]:
     """Start a coordinator and `workers`, see `Machines`, and load all that they need; end them afterwards."""
-    with running(workers, environment=environment) as (machines, client):
+    with running(workers) as (machines, client):
         searches = Searches(client, machines)
         searches.warm_up()
         note(f"{workers} workers ready at {machines.address}")

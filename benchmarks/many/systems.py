@@ -7,7 +7,7 @@ width 1, 2 and 3 by turns. The others are textbook systems.
 
 import ast
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -161,24 +161,7 @@ def _pendulums(count: int) -> System:
     return System("pendulums", equations, draw, 10, 201, 0.02, 2)
 
 
-def _uneven() -> System:
-    """Return Lorenz 96 with eight states and a ninth that a function of three drives: it has no law by regression."""
-    core = lorenz96(8)
-
-    def draw(generator: np.random.Generator, number: int) -> FloatArray:
-        return np.append(core.draw(generator, number), generator.normal())
-
-    return replace(core, name="uneven", equations={**core.equations, "h": "sin(0.3*(x1 + x2 + x3)) - h"}, draw=draw)
-
-
 SYSTEMS: Final = {
-    each.name: each
-    for each in (
-        YEAST,
-        *map(lorenz96, (8, 20, 40, 100)),
-        _repressilator(),
-        _sir(),
-        _pendulums(10),
-        _uneven(),
-    )
+    system.name: system
+    for system in (YEAST, *map(lorenz96, (8, 20, 40, 100)), _repressilator(), _sir(), _pendulums(10))
 }

@@ -25,6 +25,7 @@ import numpy as np
 
 from atoll.terminal.output import note, say, table
 from atoll_core.errors import AtollError, UsageError
+from benchmarks.first_hour.tables import csv_of
 from benchmarks.harness.command_line import OUT, option, positive, program, whole
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, trajectories
@@ -121,16 +122,11 @@ def write_labels(folder: Path) -> Iterator[tuple[str, Path]]:
     for system in TABLE_III:
         sampled = trajectories(system)
         states = np.concatenate(sampled.values).T
+        columns = dict(zip(sampled.names, states, strict=True))
         for name, slopes in zip(sampled.names, SYSTEMS[system].field(states[0], states[1]), strict=True):
             path = folder / f"{system}-{name}.csv"
-            lines = [",".join((LABEL, *sampled.names)), *(",".join(map(repr, row)) for row in _rows(slopes, states))]
-            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+            path.write_text(csv_of({LABEL: slopes, **columns}, {}), encoding="utf-8")
             yield path.stem, path
-
-
-def _rows(slopes: Any, states: Any) -> list[list[float]]:
-    rows: list[list[float]] = np.array([slopes, *states]).T.tolist()
-    return rows
 
 
 def jobs(folder: Path, strogatz: Path | None, seeds: Sequence[int]) -> dict[str, tuple[str, ...]]:

@@ -15,9 +15,9 @@ from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.wire import topics
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from atoll_island_worker.worker import Worker
-from benchmarks.operations.fuzz import Mutator, Score, is_understood, key_for, overhear
 from tests.simulation.harness.simulated_cluster import World, comparable, prepare
 from tests.simulation.harness.stub_islands import StubCompute
+from tests.simulation.hostile_messages import Mutator, Score, is_understood, key_for, overhear
 from tests.simulation.test_failures import nonsense
 from tests.task_pools import LocalPool, start_thread
 

@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from benchmarks.operations.fuzz import Mutator, Overheard, Score, fuzz_decoder, fuzz_sessions, overhear
+from tests.simulation.hostile_messages import Mutator, Overheard, Score, fuzz_decoder, fuzz_sessions, overhear
 
 KINDS = {"Answer", "Request", "Control", "EpochReport", "Greeting", "GreetingAnswer", "Mail", "Pull", "PullAnswer"}
 

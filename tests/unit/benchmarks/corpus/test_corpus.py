@@ -208,8 +208,8 @@ def test_the_search_has_the_functions_that_the_truth_needs(lotka):
 def test_pysindy_is_given_the_same_table(monkeypatch, lotka):
     given = []
 
-    def solve(key, case):
-        given.append((key.method, case.table.columns.tobytes(), dict(case.truths)))
+    def solve(method, seed, case):
+        given.append((method, case.table.columns.tobytes(), dict(case.truths)))
         return result("1.1*x - 0.4*x*y", "0.1*x*y - 0.4*y")
 
     monkeypatch.setattr(campaign.pysindy_models, "solve", solve)

@@ -5,7 +5,7 @@ as a RemoteProtocolError. The others are put, or asked, by a stranger while a jo
 the very keys of coordinator and workers, the rest under the stranger's own name, which is all that access rules let
 pass. The job must come to the result of the calm run, and memory must stay where it was.
 
-    python -m benchmarks.operations.fuzz --messages 1000000 --seed 0
+    python -m tests.simulation.hostile_messages --messages 1000000 --seed 0
 """
 
 import argparse
@@ -22,6 +22,7 @@ from typing import Any
 
 import msgpack
 
+from atoll.terminal.output import say
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.seeding import Stream, stream_key
@@ -297,7 +298,7 @@ def lines(score: Score, seconds: float, before_mb: int) -> Iterator[str]:
 
 
 @program(
-    "benchmarks.operations.fuzz",
+    "tests.simulation.hostile_messages",
     __doc__,
     option("--messages", type=int, default=100_000),
     option("--seed", type=int, default=0),
@@ -314,7 +315,7 @@ def main(options: Namespace) -> int:
     fuzz_decoder(messages, options.messages - in_sessions, mutator, score)
     fuzz_sessions(messages, in_sessions, mutator, score)
     for line in lines(score, time.monotonic() - begin, before):
-        print(line)
+        say(line)
     return 0
 
 
