@@ -86,7 +86,6 @@ soak: $(STAMP) kernels
 bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.kernels.elementary
 	@$(BIN)/python -m benchmarks.kernels --rows 128 --repetitions 3
-	@$(BIN)/python -m benchmarks.kernels.derivatives
 	@$(BIN)/python -m benchmarks.paper.table3 --derivatives given --seeds 0 --max-time 60
 	@$(BIN)/python -m benchmarks.noise --seeds 0 --levels 0 0.05
 	@$(BIN)/python -m benchmarks.paper.table1 --seeds 0-4 || test $$? = 1

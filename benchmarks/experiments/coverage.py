@@ -101,7 +101,7 @@ def courses(case: Case, rng: np.random.Generator) -> tuple[list[Course], FloatAr
         for start in case.starts
     ]
     errors = case.noise * np.concatenate(clean).std(axis=0)
-    return [(times, each + errors * rng.standard_normal(each.shape)) for each in clean], errors
+    return [(times, states + errors * rng.standard_normal(states.shape)) for states in clean], errors
 
 
 def result_of(
@@ -129,7 +129,9 @@ def result_of(
             name: {"sd": error, "relative": error, "method": "loess"}
             for name, error in zip(states, errors, strict=True)
         },
-        "data": {"trajectories": [_trajectory(number, *each, states) for number, each in enumerate(courses, start=1)]},
+        "data": {
+            "trajectories": [_trajectory(number, *course, states) for number, course in enumerate(courses, start=1)]
+        },
     }
     return Result.of(content)
 
@@ -155,7 +157,7 @@ def _trajectory(number: int, times: FloatArray, values: FloatArray, states: Sequ
 
 def count(case: Case, numbers: Sequence[int]) -> tuple[dict[str, Count], int]:
     """Return what the intervals of each constant hold, and how many fits failed."""
-    found = {f"c{number}": Count() for number in range(1, len(case.constants) + 1)}
+    counted = {f"c{number}": Count() for number in range(1, len(case.constants) + 1)}
     failed = 0
     for seed in numbers:
         measured, errors = courses(case, np.random.default_rng([17, seed]))
@@ -164,7 +166,7 @@ def count(case: Case, numbers: Sequence[int]) -> tuple[dict[str, Count], int]:
         except AtollError:
             failed += 1
             continue
-        for (name, counts), truth in zip(found.items(), case.constants, strict=True):
+        for (name, counts), truth in zip(counted.items(), case.constants, strict=True):
             constant = known[name]
             counts.seeds += 1
             counts.profile += constant.interval[0] <= truth <= constant.interval[1]
@@ -172,7 +174,7 @@ def count(case: Case, numbers: Sequence[int]) -> tuple[dict[str, Count], int]:
             counts.below += truth < constant.quadratic[0]
             counts.above += truth > constant.quadratic[1]
             counts.opened += constant.verdict != "determined"
-    return found, failed
+    return counted, failed
 
 
 def rows(numbers: Sequence[int], names: Sequence[str]) -> Iterator[tuple[str, ...]]:

@@ -2,7 +2,6 @@
 
 import argparse
 import math
-import os
 import re
 import sys
 from argparse import Namespace
@@ -13,7 +12,6 @@ from typing import Any, Final
 
 from atoll.terminal.output import note
 from atoll_core.errors import AtollError
-from atoll_core.machine.cores import usable_cores
 
 
 def seeds(text: str) -> list[int]:
@@ -147,20 +145,6 @@ def search_options(default_seeds: str, default_time: float) -> tuple[Fill, ...]:
         seeds_of(default_seeds, f"such as 0-4 ({default_seeds})"),
         option("--workers", type=int, default=2, help="worker processes (%(default)s)"),
         option("--max-time", type=float, default=default_time, metavar="SECONDS", help=limit),
-        OUT,
-    )
-
-
-def run_options(default: str | None = None) -> tuple[Fill, ...]:
-    """Return the options that benchmarks of many runs in processes of their own have in common."""
-    return (
-        option(
-            "--seeds",
-            type=seeds,
-            default=default and seeds(default),
-            help="such as 0-9, instead of as many runs as in the paper",
-        ),
-        option("--workers", type=whole, default=usable_cores(os.environ)[0], help="processes (%(default)s: all cores)"),
         OUT,
     )
 

@@ -151,12 +151,12 @@ def _rule(case: Case, name: str) -> Rule:
 
 
 def _constants(case: Case, name: str, equation: Mapping[str, Any]) -> tuple[Covered, ...] | None:
-    listed = [each for each in equation.get("constants") or [] if each.get("value") is not None]
+    listed = [constant for constant in equation.get("constants") or [] if constant.get("value") is not None]
     try:
-        found = covered(equation["expression"], listed, case.clean, case.slope(name))
+        constants = covered(equation["expression"], listed, case.clean, case.slope(name))
     except UsageError:  # too long to be read back with constants that are all different
         return None
-    return None if found is None else tuple(found)
+    return None if constants is None else tuple(constants)
 
 
 def _elsewhere(rule: Rule, equation: Mapping[str, Any]) -> str | None:

@@ -118,10 +118,10 @@ def _method_and_equation(searched: tuple[Key, EquationOutcome]) -> tuple[str, st
 def _share(equations: Sequence[EquationOutcome]) -> str:
     if not equations:
         return "-"
-    found = sum(equation.found for equation in equations)
+    right = sum(equation.found for equation in equations)
     foretold = sum(equation.is_foretold for equation in equations)
     error = _known_median(equation.constants_error for equation in equations if equation.found)
-    return f"{found}/{len(equations)}, R² {foretold}/{len(equations)}, {percent(error)}"
+    return f"{right}/{len(equations)}, R² {foretold}/{len(equations)}, {percent(error)}"
 
 
 def by_grade(outcomes: Sequence[Outcome]) -> str:
@@ -129,8 +129,9 @@ def by_grade(outcomes: Sequence[Outcome]) -> str:
     rows = []
     equations = [equation for outcome in outcomes for equation in outcome.equations]
     for grade, graded in tables.by_grade(equations).items():
-        found, foretold = sum(each.found for each in graded), sum(each.is_foretold for each in graded)
-        rows.append((grade, str(len(graded)), str(found), str(foretold)))
+        right = sum(equation.found for equation in graded)
+        foretold = sum(equation.is_foretold for equation in graded)
+        rows.append((grade, str(len(graded)), str(right), str(foretold)))
     return table(("verdict", "equations", "found", "foretold"), rows)
 
 
@@ -144,13 +145,13 @@ def misses(outcomes: Sequence[Outcome]) -> list[str]:
     ]
 
 
-def miss(its: EquationOutcome) -> str:
+def miss(equation: EquationOutcome) -> str:
     """Return what was found instead of the truth, and why it does not count."""
-    elsewhere = f"; the truth is among the {its.elsewhere}" if its.elsewhere else ""
-    grade = f"; verdict {its.grade}: {its.grade_reason}" if its.grade else ""
-    text = clipped(shortened(its.expression or "-", 4), 90)
-    function = error_text(its.function_error)
-    return f"{its.reason}{elsewhere}, function error {function}, R² {_two(its.r2)}{grade}: {text}"
+    elsewhere = f"; the truth is among the {equation.elsewhere}" if equation.elsewhere else ""
+    grade = f"; verdict {equation.grade}: {equation.grade_reason}" if equation.grade else ""
+    text = clipped(shortened(equation.expression or "-", 4), 90)
+    function = error_text(equation.function_error)
+    return f"{equation.reason}{elsewhere}, function error {function}, R² {_two(equation.r2)}{grade}: {text}"
 
 
 def line(outcome: Outcome) -> str:

@@ -125,7 +125,7 @@ def write_labels(folder: Path) -> Iterator[tuple[str, Path]]:
         columns = dict(zip(sampled.names, states, strict=True))
         for name, slopes in zip(sampled.names, SYSTEMS[system].field(states[0], states[1]), strict=True):
             path = folder / f"{system}-{name}.csv"
-            path.write_text(csv_of({LABEL: slopes, **columns}, {}), encoding="utf-8")
+            path.write_text(csv_of({LABEL: np.asarray(slopes), **columns}, {}), encoding="utf-8")
             yield path.stem, path
 
 

@@ -12,6 +12,7 @@ deviations of both).
 
 import itertools
 import math
+import os
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
@@ -26,8 +27,9 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 from atoll_core.expression.text.infix import to_infix
+from atoll_core.machine.cores import usable_cores
 from atoll_core.search.pareto import FrontEntry
-from benchmarks.harness.command_line import option, program, run_options, whole
+from benchmarks.harness.command_line import OUT, option, program, seeds, whole, workers
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record
 from benchmarks.paper.archipelago import Archipelago, configured, problem_of
@@ -188,7 +190,9 @@ def _say_end(group: Sequence[Run]) -> None:
     option("--row", choices=ROWS, action="append", help="repeat for several; default: all"),
     option("--preset", choices=PRESETS, action="append", help="default: both"),
     option("--evaluations", type=whole, help="point evaluations of a run, instead of the row's"),
-    *run_options(),
+    option("--seeds", type=seeds, help="such as 0-9, instead of as many runs as in the paper"),
+    workers(usable_cores(os.environ)[0], "processes"),
+    OUT,
 )
 def main(options: Namespace) -> int:
     """Run all rows and print the table; return 0 when preset ``default`` reached every published figure, else 1."""
@@ -196,22 +200,22 @@ def main(options: Namespace) -> int:
     asked = tasks(options)
     sizes = {key: len(list(group)) for key, group in itertools.groupby(asked, _group)}
     groups: dict[tuple[str, Preset], list[Run]] = {key: [] for key in sizes}
-    for each in in_parallel(run, asked, options.workers):
-        group = groups[_group(each.task)]
-        group.append(each)
-        if len(group) == sizes[_group(each.task)]:
+    for ended in in_parallel(run, asked, options.workers):
+        group = groups[_group(ended.task)]
+        group.append(ended)
+        if len(group) == sizes[_group(ended.task)]:
             group.sort(key=lambda one: one.task.seed)
             _say_end(group)
             figures.write(runs=[asdict(one) for done in groups.values() for one in done])
     summaries = [summary(ROWS[name], preset, group) for (name, preset), group in groups.items()]
     figures.write(
-        summaries=[asdict(each) for each in summaries],
+        summaries=[asdict(summed) for summed in summaries],
         rows=[asdict(ROWS[name]) for name in dict.fromkeys(name for name, _ in groups)],
         runs=[asdict(one) for group in groups.values() for one in group],
     )
-    say(table(HEADS, [cells(each) for each in summaries]))
+    say(table(HEADS, [cells(summed) for summed in summaries]))
     say(f"\n{len(asked)} runs in {figures.seconds():.0f} s on {options.workers} processes")
-    return 0 if all(each.is_met for each in summaries if each.preset == "default") else 1
+    return 0 if all(summed.is_met for summed in summaries if summed.preset == "default") else 1
 
 
 if __name__ == "__main__":

@@ -258,13 +258,13 @@ SHOWN: Final = Columns(
 
 def balance(rows: Sequence[Row]) -> str:
     """Return sentences on how one column compares with the paper's table."""
-    found, ahead = sum(row.is_found for row in rows), sum(row.is_ahead for row in rows)
+    right, ahead = sum(row.is_found for row in rows), sum(row.is_ahead for row in rows)
     ours = sum(row.point_evaluations or 0.0 for row in rows)
     paper = sum(row.paper_evaluations for row in rows if row.is_found)
     lines = [
-        f"derivatives {rows[0].derivatives}: {found} of {len(rows)} found in the median, {ahead} ahead of the paper"
+        f"derivatives {rows[0].derivatives}: {right} of {len(rows)} found in the median, {ahead} ahead of the paper"
     ]
-    if found:
+    if right:
         lines.append(f"{ours:.3e} point evaluations for those found; the paper's are {paper / ours:.3g} times as many")
     return "; ".join(lines)
 

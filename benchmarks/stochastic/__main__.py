@@ -63,13 +63,14 @@ def _said(
 
 def _rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
-    for (case, equation), found in grouped(judged, lambda each: (each.case, each.equation)).items():
-        intervals = [is_covered for each in found for is_covered in each.is_covered]
-        good = [each for each in found if each.verdict == "good"]
-        wrong = sum(not each.is_right for each in good)
-        counts = (len(found), sum(each.is_right for each in found), len(good), wrong, sum(intervals), len(intervals))
-        error = float(np.median([each.error for each in found]))
-        rows.append((case, equation, *map(str, counts), f"{100.0 * error:.1f} %"))
+    for (case, name), alike in grouped(judged, lambda equation: (equation.case, equation.equation)).items():
+        intervals = [is_covered for equation in alike for is_covered in equation.is_covered]
+        right = sum(equation.is_right for equation in alike)
+        good = [equation for equation in alike if equation.verdict == "good"]
+        wrong = sum(not equation.is_right for equation in good)
+        counts = (len(alike), right, len(good), wrong, sum(intervals), len(intervals))
+        error = float(np.median([equation.error for equation in alike]))
+        rows.append((case, name, *map(str, counts), f"{100.0 * error:.1f} %"))
     return rows
 
 
