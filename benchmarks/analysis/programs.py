@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.analysis.check import Check, same, seconds
+from benchmarks.harness.service import searching
 
 PART: Final = "programs"
 DATA: Final = Path(__file__).resolve().parents[2] / "examples" / "lotka_volterra.csv"
@@ -125,16 +126,6 @@ def _digest_of(words: list[str], folder: Path) -> str:
 
 def _submitted(place: Path) -> str:
     """Return the digest of a job that is submitted to a coordinator with one worker."""
-    serve = [sys.executable, "-m", "atoll", "serve", "--listen", "tcp/127.0.0.1:0", "--state", "state"]
-    with subprocess.Popen(serve, cwd=place, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
-        assert server.stdout is not None
-        line = next(line for line in server.stdout if "island-worker --connect" in line)
-        address = line.split("--connect ")[1].split()[0]
-        words = [sys.executable, "-m", "atoll_island_worker", "--connect", address, "--processes", "1"]
-        with subprocess.Popen(words, cwd=place, stderr=subprocess.DEVNULL) as worker:
-            try:
-                submit = [sys.executable, "-m", "atoll", "submit", str(DATA), "--connect", address]
-                return _digest_of([*submit, "--out", "submitted"], place / "submitted")
-            finally:
-                worker.kill()
-                server.kill()
+    with searching(1) as searches:
+        submit = [sys.executable, "-m", "atoll", "submit", str(DATA), "--connect", searches.address]
+        return _digest_of([*submit, "--out", "submitted"], place / "submitted")

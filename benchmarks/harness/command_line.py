@@ -66,32 +66,24 @@ def verbs(*known: tuple[str, str | None, tuple[Fill, ...]]) -> Fill:
         parsers = parser.add_subparsers(dest="verb", required=True)
         for name, purpose, options in known:
             own = parsers.add_parser(name) if purpose is None else parsers.add_parser(name, help=purpose)
-            for each in options:
-                each(own)
+            _filled(own, options)
 
     return fill
 
 
 def one_of(*options: Fill) -> Fill:
     """Return options of which one at most is given."""
-
-    def fill(parser: argparse.ArgumentParser) -> None:
-        group: Any = parser.add_mutually_exclusive_group()
-        for each in options:
-            each(group)
-
-    return fill
+    return lambda parser: _filled(parser.add_mutually_exclusive_group(), options)
 
 
 def group(title: str, *options: Fill) -> Fill:
     """Return options under a title of their own."""
+    return lambda parser: _filled(parser.add_argument_group(title), options)
 
-    def fill(parser: argparse.ArgumentParser) -> None:
-        part: Any = parser.add_argument_group(title)
-        for each in options:
-            each(part)
 
-    return fill
+def _filled(part: Any, options: Sequence[Fill]) -> None:
+    for fill in options:
+        fill(part)
 
 
 class Program:
@@ -118,8 +110,7 @@ def program(name: str, text: str | None, *options: Fill, **how: Any) -> Callable
 
     def made(body: Body) -> Program:
         parser = argparse.ArgumentParser(**described)
-        for each in options:
-            each(parser)
+        _filled(parser, options)
         return Program(body, name, parser)
 
     return made

@@ -11,7 +11,6 @@ A point evaluation is one value of one list at one row; a node evaluation is one
 that of the fastest of several repetitions.
 """
 
-import argparse
 import sys
 from argparse import Namespace
 from dataclasses import asdict
@@ -51,19 +50,10 @@ def corpus_text(size: int, mean: float, measured: Speed) -> str:
     )
 
 
-def _rows(text: str) -> list[int]:
-    parts = text.split(",")
-    if not all(part.isdigit() and int(part) > 0 for part in parts):
-        raise argparse.ArgumentTypeError(f"numbers of rows such as 64,1024 were expected, but {text!r} was given")
-    return [int(part) for part in parts]
-
-
 @program(
     "benchmarks.kernels",
     __doc__,
-    option(
-        "--rows", type=_rows, default=list(ROWS), help=f"besides {LANES}, such as 64,1024 ({','.join(map(str, ROWS))})"
-    ),
+    option("--rows", type=whole, nargs="+", default=ROWS, help=f"besides {LANES} ({' '.join(map(str, ROWS))})"),
     option("--operator", choices=BY_NAME, action="append", help="repeat for several; default: all"),
     option("--repetitions", type=whole, default=7, help="the fastest counts (%(default)s)"),
     OUT,

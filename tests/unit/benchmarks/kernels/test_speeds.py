@@ -112,11 +112,3 @@ def test_the_goals_stand_beside_the_speed():
     assert "mean live size 7.23" in text
     assert "25.2 M point evaluations/s, 0.18 G node evaluations/s (goals 100 M and 1.4 G)" in text
     assert "2.0 times a processor of the paper" in text
-
-
-@pytest.mark.parametrize("text", ["", "a", "16,", "0", "-1"])
-def test_other_rows_are_refused(text, capsys):
-    with pytest.raises(SystemExit) as ended:
-        kernels.main([f"--rows={text}"])
-    assert ended.value.code == 2
-    assert "numbers of rows such as" in capsys.readouterr().err
