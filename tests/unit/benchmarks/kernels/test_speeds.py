@@ -1,5 +1,8 @@
 """The corpus of operation lists, the loops that are timed on it, and what is printed."""
 
+import dataclasses
+import json
+
 import numpy as np
 import pytest
 
@@ -112,3 +115,12 @@ def test_the_goals_stand_beside_the_speed():
     assert "mean live size 7.23" in text
     assert "25.2 M point evaluations/s, 0.18 G node evaluations/s (goals 100 M and 1.4 G)" in text
     assert "2.0 times a processor of the paper" in text
+
+
+def test_the_whole_benchmark_prints_and_writes(corpus, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(kernels, "load_corpus", lambda: dataclasses.replace(corpus, names=corpus.names[:1]))
+    words = ["--rows", "32", "--operator", "+", "--repetitions", "1", "--out", str(tmp_path / "figures.json")]
+    assert kernels.main(words) == 0
+    figures = json.loads((tmp_path / "figures.json").read_text("utf-8"))
+    assert [measured["rows"] for measured in figures["by_rows"]] == [16, 32]
+    assert "16 rows, from list to fitness" in capsys.readouterr().out

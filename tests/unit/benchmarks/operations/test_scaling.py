@@ -1,7 +1,11 @@
 """Scaling: speed-ups, digests, and how they are shown."""
 
+import json
+from contextlib import nullcontext
+
 import pytest
 
+from benchmarks.operations import scaling
 from benchmarks.operations.scaling import Timing, differing, main, speed_ups, timings_table
 
 TIMINGS = [
@@ -39,3 +43,21 @@ def test_other_options_are_refused(words, capsys):
         main(words)
     assert ended.value.code == 2
     assert "error:" in capsys.readouterr().err
+
+
+class Told:
+    """Answers every search with a digest that depends on the seed alone."""
+
+    def solve(self, title, table, config):
+        equations = [{"epoch": config.budget.max_epochs}]
+        return {"equations": equations, "search_seconds": 2.0, "point_evaluations": 10, "digest": str(config.seed)}
+
+
+def test_searches_with_each_number_of_workers_are_written_and_shown(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(scaling, "searching", lambda workers: nullcontext(Told()))
+    out = tmp_path / "f.json"
+    assert main(["--workers", "1,2", "--seeds", "0-1", "--epochs", "3", "--out", str(out)]) == 0
+    contents = json.loads(out.read_text("utf-8"))
+    assert [timing["workers"] for timing in contents["runs"]] == [1, 1, 2, 2]
+    assert contents["speed_up"] == {"1": 1.0, "2": 1.0}
+    assert "the same digests" in capsys.readouterr().out

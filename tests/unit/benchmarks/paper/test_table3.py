@@ -1,6 +1,8 @@
 """Table III: what each search is given, and what the searches for one equation come to."""
 
 import dataclasses
+import json
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_core.errors import UsageError
 from benchmarks.harness.systems import TABLE_III, TRUTH, trajectories
+from benchmarks.paper import table3
 from benchmarks.paper.table3 import (
     PAPER,
     SHOWN,
@@ -132,3 +135,25 @@ def test_a_variable_that_no_system_has_is_one_sentence_and_exit_code_2(capsys):
         main(["--system", "glider", "--only", "x"])
     assert ended.value.code == 2
     assert "none of the systems has a variable x" in capsys.readouterr().err
+
+
+class Told:
+    """Answers every search of the glider's first equation with the truth."""
+
+    def solve(self, title, table, config):
+        shown = {
+            "expression": TRUTH["glider"]["v"] if config.seed else "v", "complexity": 8, "front": [],
+            "normalized_error": 0.0, "why": "target", "epoch": 1, "point_evaluations": 1000,
+        }  # fmt: skip
+        return {"equations": [shown], "search_seconds": 0.2, "seconds": 0.5, "digest": "d"}
+
+
+def test_all_searches_are_written_and_shown(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(table3, "searching", lambda workers: nullcontext(Told()))
+    out = tmp_path / "f.json"
+    words = ["--system", "glider", "--only", "v", "--derivatives", "given", "--seeds", "0-2", "--out", str(out)]
+    assert main(words) == 0
+    assert [search["exact"] for search in json.loads(out.read_text("utf-8"))["runs"]] == [False, True, True]
+    printed = capsys.readouterr().out
+    assert "2 of 3 exact in form" in printed
+    assert "missed:\nglider v given seed 0" in printed
