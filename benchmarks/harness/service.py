@@ -175,14 +175,15 @@ def progress(name: str, view: JobView) -> str:
 class Machines:
     """Programs by name: `coordinator`, perhaps `router`, and workers `w0`, `w1` and so on.
 
-    `folder` takes state and logs. With `has_networks` each worker gets a network that can be cut. With `programs`,
-    a folder of another revision's, those are started.
+    `folder` takes state and logs. With `has_networks` each worker gets a network that can be cut. `guests` are further
+    workers, which are not started with the others. With `programs`, a folder of another revision's, those are started.
     """
 
     folder: Path
     number: int
     has_own_router: bool = False
     has_networks: bool = False
+    guests: tuple[str, ...] = ()
     programs: Path | None = None
 
     def __post_init__(self) -> None:
@@ -233,6 +234,11 @@ class Machines:
     def kill(self, name: str) -> None:
         """Let a program die at once (SIGKILL)."""
         self._signal(name, signal.SIGKILL)
+        self._bury(name)
+
+    def end(self, name: str) -> None:
+        """Ask a program to end (SIGTERM), and wait for it."""
+        self._signal(name, signal.SIGTERM)
         self._bury(name)
 
     def stop(self, name: str) -> None:
@@ -292,7 +298,7 @@ class Machines:
         if name in self._networks:
             network = self._networks[name]
             return [*network.prefix(), *worker_command(f"tcp/{network.outside}:{self._port}", name)]
-        if name in self.workers:
+        if name in (*self.workers, *self.guests):
             if self.programs is not None:
                 return [str(self.programs / "island-worker"), "--connect", self.address, "--processes", "1"]
             return worker_command(self.address, name)
