@@ -1,7 +1,7 @@
 """How the service behaves: time, memory, faults, many workers.
 
 ``scaling`` and ``scale`` (``simulated_islands``, ``island_samples``) measure workers and the coordinator, ``big_data``
-memory, ``faults`` (``strikes``) real faults, ``soak`` (``trend``) an hour of use; ``side_by_side`` compares the times of
+memory, ``faults`` (``strikes``) real faults, ``soak`` (``trend``) an hour of use; ``side_by_side`` compares times of
 two revisions, ``same_results`` (``small_jobs``, ``differences``) all that they write; ``pipelines`` draws tables with
 options.
 """
