@@ -237,7 +237,8 @@ def _with_noise(
         return
     largest, is_tested = tried[-1]
     regression = Regression(form, largest)
-    summed = [products_of(program, SETTINGS.sparse.degree) for program in others]
+    written = [collected(program) for program in others]  # without x/x, of which no sum of products is made
+    summed = [products_of(program, SETTINGS.sparse.degree) for program in written]
     begun = {tuple(terms): None for terms in (*(terms for terms, _ in tried), *filter(None, summed))}
     candidates = [regression.law(terms, is_tested=is_tested) for terms in begun if set(terms) <= set(largest)]
     laws = sorted(
@@ -245,7 +246,7 @@ def _with_noise(
     )
     if not laws:
         return
-    functions = (program for program, terms in zip(others, summed, strict=True) if terms is None)
+    functions = (program for program, terms in zip(written, summed, strict=True) if terms is None)
     rival = min((_nats_of(form, program) for program in functions), default=math.inf)
     structures: set[bytes] = set()
     for law in laws:
@@ -264,7 +265,10 @@ def _half(measured: Measured, span: int | None, variables: int) -> int:
 
 
 def _nats_of(form: WeakForm, program: Program) -> float:
-    """Return the nats of another program by the same criterion; infinite where it has no finite value."""
+    """Return the nats of another program by the same criterion; infinite where it has no finite value.
+
+    Its constants were fitted to derivatives that smoothing has flattened, so one factor of it is fitted to the windows.
+    """
     measured = form.measured
     steps = np.diag(measured.noise)[:, :, None]
     with np.errstate(all="ignore"):
@@ -276,5 +280,17 @@ def _nats_of(form: WeakForm, program: Program) -> float:
     slopes = np.array(moved)
     if not (np.isfinite(values).all() and np.isfinite(slopes).all()):
         return math.inf
-    price = structure_length(program) + len(constant_places(program)) * constant_nats_of(form.independent)
-    return misfit(form, form.sides - form.integrals(values), form.variances_of(slopes)) + price
+    constants = len(constant_places(program))
+    integrals, variances = form.integrals(values), form.variances_of(slopes)
+    factor = _factor(form.sides, integrals, variances) if constants else 1.0
+    left = form.sides - factor * integrals
+    price = structure_length(program) + constants * constant_nats_of(form.independent)
+    return misfit(form, left, form.variances_of(factor * slopes)) + price
+
+
+def _factor(sides: FloatArray, integrals: FloatArray, variances: FloatArray) -> float:
+    """Return by how much integrals (W,) are to be multiplied to be nearest to the left sides, of these variances."""
+    if not (variances > 0.0).all():
+        return 1.0
+    squares = math.fsum((integrals * integrals / variances).tolist())
+    return math.fsum((sides * integrals / variances).tolist()) / squares if squares > 0.0 else 1.0
