@@ -81,7 +81,7 @@ class _Draft:
         if code == MULTIPLY:
             return self._product(index, has_factor=has_factor)
         if code == DIVIDE:
-            above = self.rewrite(left, has_factor=has_factor)
+            above = self.rewrite(left, has_factor=has_factor or self._scales(right))
             return self._new.append(DIVIDE, above, self._scaled(right))
         return self._copy(index) if has_factor else self._factored(self._copy(index))
 
@@ -123,13 +123,20 @@ class _Draft:
         return self.rewrite(index, has_factor=True)
 
     def _holds_factor(self, index: int) -> bool:
-        """Tell whether a product, quotient or negative has a constant factor."""
+        """Tell whether constants scale a product, quotient or negative."""
         code, left, right, _ = self._old[index]
         if code == MULTIPLY:
             return self._holds_factor(left) or self._holds_factor(right)
-        if code in (DIVIDE, NEGATE):
-            return self._holds_factor(left)
-        return code == CONSTANT
+        if code == DIVIDE:
+            return self._holds_factor(left) or self._scales(right)
+        return self._holds_factor(left) if code == NEGATE else code == CONSTANT
+
+    def _scales(self, index: int) -> bool:
+        """Tell whether constants scale a divisor: all its terms, which together stand for a factor above the line."""
+        code, left, right, _ = self._old[index]
+        if code == MULTIPLY:
+            return self._scales(left) or self._scales(right)
+        return next(self._without_factor(index), None) is None
 
     def _holds_sum(self, index: int) -> bool:
         """Tell whether a product or quotient has a sum above its line."""

@@ -21,6 +21,10 @@ CASES = {
     "-0.1*x": ((), 1),
     "(1.5 + x)*(2.0 - y)": (("y",), 3),
     "y - cos(x)/y": (("y", "cos(x)"), 2),
+    "-x/(0.4 + 0.8*x)": ((), 2),
+    "y - x/(0.4 + 0.8*x)": (("y",), 3),
+    "x/((0.4 + 0.8*x)*(0.3 + y))": ((), 3),
+    "(y + x*x)/(0.4 + 0.8*x)": (("x**2",), 3),
 }
 """By expression: what has a factor of one, and how many constants there are with these."""
 
