@@ -13,6 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
 from benchmarks.first_hour.tables import (
     Columns,
     bouncing,
@@ -317,6 +320,54 @@ SIZES: Final = (
          clean=partial(_million, 0.0), tolerance=0.1, is_long=True),
 )  # fmt: skip
 
+WAVES: Final[Mapping[str, Callable[[FloatArray], FloatArray]]] = {
+    "u": lambda t: np.sin(0.7 * t) + 0.5 * np.cos(1.9 * t),
+    "w": lambda t: 0.3 * np.cos(1.2 * t),
+}
+"""Inputs of recordings, by name."""
+
+
+def _inputs(laws: Mapping[str, str]) -> tuple[str, ...]:
+    return tuple(name for name in WAVES if any(name in law for law in laws.values()))
+
+
+def _recording(laws: Mapping[str, str], start: tuple[float, ...], step: float, noise: float = 0.02) -> Columns:
+    """Return 2,000 rows of what obeys these laws, with as much noise, and the inputs that they name without any."""
+    inputs = _inputs(laws)
+    programs = [from_infix(law, (*laws, *inputs)) for law in laws.values()]
+
+    def rates(time: float, states: FloatArray) -> list[float]:
+        waves = [float(WAVES[name](np.array(time))) for name in inputs]
+        columns = np.array([*states, *waves])[:, None]
+        return [float(values_of(program, columns)[0]) for program in programs]
+
+    columns = noisy(solved(rates, "".join(laws), start, grid(2000, step)), noise, 6)
+    return joined(columns, **{name: WAVES[name](columns["t"]) for name in inputs})
+
+
+RECORDINGS: Final = tuple(
+    Case(f"a recording of {title}", partial(_recording, laws, start, step), laws, is_long=True,
+         words=("--inputs", ",".join(_inputs(laws))) if _inputs(laws) else (),
+         clean=partial(_recording, laws, start, step, 0.0), tolerance=0.05)
+    for title, laws, start, step in (
+        ("a pendulum", {"x": "v", "v": "-sin(x)"}, (2.5, 0.0), 0.05),
+        ("a damped swing", {"x": "v", "v": "-2*x - 0.1*v"}, (1.0, 0.0), 0.02),
+        ("hunters and prey", {"x": "x - x*y", "y": "x*y - y"}, (2.5, 1.0), 0.05),
+        ("a relaxation", {"x": "v", "v": "v - x*x*v - x"}, (2.5, 0.0), 0.05),
+        ("a driven swing", {"x": "v", "v": "u - 2*x - 0.3*v"}, (1.0, 0.0), 0.05),
+        ("a driven double well", {"x": "v", "v": "x - x*x*x - 0.2*v + w"}, (1.0, 0.0), 0.05),
+        ("a reactor", {"x": "1 + x*x*y - 4*x", "y": "3*x - x*x*y"}, (1.0, 1.0), 0.02),
+        ("a nerve", {"V": "V - V*V*V/3 - R + 0.5", "R": "0.08*V + 0.056 - 0.064*R"}, (1.0, 1.0), 0.1),
+        ("an enzyme", {"s": "-1.2*s/(0.5 + s)"}, (5.0,), 0.004),
+        ("growth with a limit", {"n": "0.8*n - 0.26666666666666666*n*n"}, (0.1,), 0.006),
+        ("an epidemic", {"S": "-0.5*S*I", "I": "0.5*S*I - 0.1*I"}, (0.99, 0.01), 0.04),
+        ("two masses", {"x": "v", "v": "y - 3*x", "y": "z", "z": "x - 2*y"}, (1.0, 0.0, 0.0, 0.5), 0.05),
+        ("two clocks", {"a": "0.3 - sin(a - b)", "b": "sin(a - b) - 0.1"}, (2.8, 0.0), 0.008),
+        ("a glider", {"v": "-0.05*v*v - sin(a)", "a": "v - cos(a)/v"}, (1.5, 0.1), 0.008),
+    )
+)  # fmt: skip
+"""Longer than what is simulated at a stretch."""
+
 LAWLESS: Final = (
     *(
         Case(f"{title}, seed {seed}", partial(drawn, 200, seed, **kinds), dict.fromkeys(kinds))
@@ -358,6 +409,7 @@ GROUPS: Final = {
     "names": NAMES,
     "few rows": SHORT,
     "sizes": SIZES,
+    "long recordings": RECORDINGS,
     "no law": LAWLESS,
 }
 CASES: Final = {case.name: case for cases in GROUPS.values() for case in cases}

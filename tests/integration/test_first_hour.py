@@ -40,6 +40,7 @@ QUICK = [
 LONGER = [
     *("5 rows a period", "10 rows a period", "called prey, grey, größe", "called dx, x", "relaxation to 20 degrees"),
     *("1e-30 beside 1e30", "decay, 8 rows", "white noise, 8 rows", "3 rows a period"),
+    *("a recording of an enzyme", "a recording of a damped swing"),
 ]
 ENDLESS_S = 1e6
 """Virtual seconds: epochs end a job here, never its time."""
