@@ -132,6 +132,17 @@ class Final:
 
 
 @dataclass(frozen=True, eq=False)
+class LongRun:
+    """What is known of a model along trajectories that are longer than the pieces of its fit.
+
+    It `fits` them in whole or not, None where that is not known, which may be since there is `chaos`.
+    """
+
+    fits: bool | None
+    chaos: Chaos | None
+
+
+@dataclass(frozen=True, eq=False)
 class HeldOut:
     """The simulations of trajectories that took no part, and their R2 by variable."""
 
@@ -157,7 +168,8 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         known.with_simple(simple) for known, simple in zip(described, final.equations.rounded.simple, strict=True)
     ]
     out = None if final.unseen is None else _held_out(final, final.unseen, final.shown, errors)
-    chaos = _chaos(final)
+    long_run = _long_run(final)
+    chaos = long_run.chaos
     predictions = _predictions(final, errors, is_near=chaos is not None and chaos.is_kept)
     equations = {
         name: refined_equation(
@@ -166,7 +178,7 @@ def summarize(selection: SelectedModel) -> Refinement | None:
             constants[index],
             _prediction_r2(final, out, index),
             None if predictions is None else predictions[index],
-            chaos,
+            long_run,
         )
         for index, name in enumerate(task.variables)
     }
@@ -185,7 +197,7 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         ),
         find_correlations(final.comparison, task.variables, final.explicit, of_constants),
         state_errors(final),
-        (*remarks(task), *pole_remarks(final)),
+        (*remarks(task, is_tested_in_whole=long_run.fits is True), *pole_remarks(final)),
         chaos,
         shared_terms=final.equations.shared_terms,
         covariance=joint_covariance(final.comparison, task.variables, final.explicit, of_constants),
@@ -456,29 +468,49 @@ def _carried_bands(final: Final, comparison: ModelComparison, fit: TrajectoryFit
     return np.concatenate(trajectory_bands, axis=1)
 
 
+def _long_run(final: Final) -> LongRun:
+    fits = _fits_in_whole(final)
+    chaos = None if fits else _chaos(final)
+    if final.task.is_nearly_clean and not fits:
+        fits = None  # along whole trajectories, errors of a solver add up to more than the noise
+    return LongRun(fits, chaos)
+
+
 def _chaos(final: Final) -> Chaos | None:
     """Return what is known of a model whose initial states are of no use for a whole trajectory, else None.
 
-    Nor is there chaos where errors grow no faster than the trajectories do: growth has no attractor to stay on. Errors
-    of a phase grow in proportion to time, which is fast at first; whole trajectories can be fitted all the same.
+    Nor is there chaos where errors grow no faster than the trajectories do: growth has no attractor to stay on.
     """
     fit, comparison = final.free.fit, final.comparison
     rate = growth_rate(fit)
     for growth in (rate, rate - speed_growth(fit)):
         if predictable_rows(fit, comparison, growth) >= longest(final.task):
             return None
-    if _fits_in_whole(final):
-        return None
     return look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
 
 
-def _fits_in_whole(final: Final) -> bool:
-    """Tell whether what is shown, its constants fitted again, describes whole trajectories up to their noise."""
-    task = replace(final.task, piece=longest(final.task))
-    measurements = task.measurements(task.variables).thinned(final.comparison.estimator.measurements.rows)
-    comparison = task.compare(measurements, task.variables)
-    model = comparison.fit_model(final.shown, SETTINGS.effort.brief_steps, (final.task.piece, None))
-    return model is not None and comparison.excess(model) <= SETTINGS.inference.excess
+def _fits_in_whole(final: Final) -> bool | None:
+    """Tell whether what is shown describes whole trajectories up to their noise; None where that cannot be asked.
+
+    Errors of a phase grow in proportion to time, which is fast at first: that tells it from chaos. The constants are
+    fitted once more, in pieces that grow to whole trajectories, where there are very many rows to every so-manyth.
+    """
+    task, programs = final.task, final.shown
+    if task.piece >= longest(task):
+        return None
+    measurements = task.measurements(task.variables)
+    stride = -(-measurements.rows // (SETTINGS.selection.fitted_sensitivities // len(task.variables) ** 2))
+    if stride > 1 and len(measurements.inputs):
+        return None
+    while task.piece < longest(task):
+        begun = max(task.piece // stride, SETTINGS.shooting.lengths[1])
+        task = replace(task, piece=min(task.piece * SETTINGS.shooting.segment_growth, longest(task)))
+        comparison = task.compare(task.measurements(task.variables).strided(stride), task.variables)
+        model = comparison.fit_model(programs, lengths=(begun, None))
+        if model is None or not comparison.excess(model) <= SETTINGS.inference.excess:
+            return False
+        programs = model.programs
+    return True
 
 
 def _predictions(final: Final, errors: Errors, *, is_near: bool) -> list[Prediction] | None:
@@ -497,7 +529,7 @@ def _predictions(final: Final, errors: Errors, *, is_near: bool) -> list[Predict
 
 def refined_equation(
     final: Final, index: int, known: Known, held_out_r2: float | None, prediction: Prediction | None,
-    chaos: Chaos | None,
+    long_run: LongRun,
 ) -> Refined:  # fmt: skip
     task = final.task
     name, program = task.variables[index], final.shown[index]
@@ -527,7 +559,8 @@ def refined_equation(
         constants=known.written,
         unit_coefficients=[coefficient.constant for coefficient in known.unit_coefficients],
         prediction=prediction,
-        chaos=chaos,
+        chaos=long_run.chaos,
+        fails_beyond=final.task.piece if long_run.fits is False and long_run.chaos is None else None,
         alternative=min((alternative.nats for alternative in nearest), default=None),
         passes_pole=_passes_pole(final, program),
         distinct_rows=_distinct_rows(measurements),

@@ -16,6 +16,7 @@ import numpy as np
 from atoll_coordinator.model.inference.conclusion import (
     Final,
     HeldOut,
+    LongRun,
     Shown,
     pole_remarks,
     refined_equation,
@@ -129,7 +130,7 @@ def _refinement(final: Final, shared: frozenset[Place], errors: Errors, values: 
         known = Known(described.means(index, shared), ())
         r2 = None if out is None else out.r2[index]
         equations[name] = replace(
-            refined_equation(final, index, known, r2, None, None),
+            refined_equation(final, index, known, r2, None, LongRun(None, None)),
             by_group=described.equations(index),
             shared=()
             if index in comparison.fixed

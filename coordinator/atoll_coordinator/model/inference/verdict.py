@@ -39,11 +39,11 @@ class Evidence:
     Of the model: `constants`, as they are reported, and `unit_coefficients`, factors of one that are not written;
     `alternative` is how many nats longer the description is with the next best equation that is another function and
     has no more constants; `prediction` is how far the state can be foretold from other initial states, None where that
-    is not known; `chaos` is what is known of a model whose courses
-    cannot be foretold for long; `passes_pole` tells that its simulation goes through a point where this equation has no
-    finite value; `distinct_rows` counts rows that differ by more than rounding, None where that is not known;
-    `is_known` tells that the equation was given; `is_unsimulated` that there are
-    trajectories, along which it was not simulated.
+    is not known; `chaos` is what is known of a model whose courses cannot be foretold for long; `fails_beyond` is how
+    many rows long the pieces are that it describes where it does not describe whole trajectories, None where it does or
+    that is not known; `passes_pole` tells that its simulation goes through a point where this equation has no finite
+    value; `distinct_rows` counts rows that differ by more than rounding, None where that is not known; `is_known` tells
+    that the equation was given; `is_unsimulated` that there are trajectories, along which it was not simulated.
     """
 
     error: float = math.inf
@@ -63,6 +63,7 @@ class Evidence:
     alternative: float | None = None
     prediction: Prediction | None = None
     chaos: Chaos | None = None
+    fails_beyond: int | None = None
     passes_pole: bool = False
     distinct_rows: int | None = None
     is_known: bool = False
@@ -245,6 +246,11 @@ def _objections_to_model(evidence: Evidence) -> Iterator[str]:
         yield (
             f"the rows repeat {evidence.distinct_rows} measurements, through which many equations lead: measure at "
             "other times"
+        )
+    if evidence.fails_beyond is not None:
+        yield (
+            f"it describes pieces of {evidence.fails_beyond} rows and not whole trajectories: what shows in the long "
+            "run is missing"
         )
     if evidence.passes_pole:  # such as 6e-13/(3e-12 - x**3), by which a state seems to be switched
         yield "its simulation passes a pole, where it has no value: measure there, or leave out divisions"

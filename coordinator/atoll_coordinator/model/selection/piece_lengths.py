@@ -92,10 +92,10 @@ def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     return selections[0] if selections else None
 
 
-def remarks(task: ModellingTask) -> Iterator[str]:
+def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:
     """Yield sentences for the user: trajectories were not simulated in whole, states are without an equation."""
     whole = longest(task)
-    if whole > task.piece:
+    if whole > task.piece and not is_tested_in_whole:
         yield (
             f"Trajectories were simulated in pieces of {task.piece} rows or less, each from an initial state of its "
             f"own, not in whole (up to {whole} rows); beyond a piece the model has not been tested."

@@ -130,13 +130,21 @@ class Measurements:
 
     def pieces(self, kept: Sequence[tuple[int, int, int]]) -> "Measurements":
         """Return the pieces `kept`: first row, end, owner."""
-        rows = np.concatenate([np.arange(first, end) for first, end, _ in kept])
-        lengths = np.array([end - first for first, end, _ in kept])
+        return self._chosen([np.arange(first, end) for first, end, _ in kept], [owner for *_, owner in kept])
+
+    def strided(self, stride: int) -> "Measurements":
+        """Return every `stride`-th row of each piece."""
+        if stride == 1:
+            return self
+        return self._chosen([np.arange(first, end, stride) for first, end in self.bounds], self.owners.tolist())
+
+    def _chosen(self, rows_by_piece: Sequence[Ints], owners: Sequence[int]) -> "Measurements":
+        rows, lengths = np.concatenate(rows_by_piece), np.array([len(rows) for rows in rows_by_piece])
         ends = np.cumsum(lengths)
         return replace(
             self,
             bounds=np.stack([ends - lengths, ends], axis=1).astype(np.int64),
-            owners=np.array([owner for *_, owner in kept], dtype=np.int64),
+            owners=np.array(owners, dtype=np.int64),
             times=np.ascontiguousarray(self.times[rows]),
             measured=np.ascontiguousarray(self.measured[:, rows]),
             weights=np.ascontiguousarray(self.weights[:, rows]),

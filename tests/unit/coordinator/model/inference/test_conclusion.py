@@ -327,6 +327,23 @@ def test_growth_that_was_measured_to_go_on_is_no_doubt(noise, grades):
     assert all(each.prediction.followed == each.prediction.starts for each in its.equations.values())
 
 
+def test_what_is_missing_in_the_long_run_alone_is_a_doubt():
+    """Along 500 rows, a twelfth of a period, the damping is less than noise; in the long run nothing is left."""
+    slow = Known(("x", "v"), lambda _, z: [z[1], -z[0] - 0.05 * z[1]])
+    times, wrong = 0.001 * np.arange(30_000.0), {"x": ("v",), "v": ("-x",)}
+    its = refined(slow, [[1.0, 0.0]], wrong, times=times, noise=0.05, config=NOTHING_ELSE)
+    assert is_same(slow, its, x="v", v="-x")
+    assert {each.grade for each in its.equations.values()} == {"doubtful"}
+    assert all("pieces of 500 rows and not whole" in each.reason for each in its.equations.values())
+
+
+def test_a_model_that_describes_whole_trajectories_is_said_to_be_tested_on_them():
+    its = refined(SWING, [[4.0, 0.0]], {"x": ("y",), "y": ("-2*x - 0.3*y",)}, times=0.03 * np.arange(700.0), noise=0.05,
+                  config=NOTHING_ELSE)  # fmt: skip
+    assert {each.grade for each in its.equations.values()} == {"good"}
+    assert not any("pieces of" in warning for warning in its.warnings)
+
+
 TURNING = Known(("x", "v"), lambda _, z: [z[1], -z[0]])
 
 

@@ -131,6 +131,7 @@ def test_a_small_pattern_may_stay() -> None:
         ({"constants": (replace(KNOWN[1], identifiable=False),)}, "Its constant is not determined"),
         ({"constants": (replace(KNOWN[1], value=0.5, is_at_bound=True),)}, "have the constant 0.5 beyond its bound"),
         ({"residuals": waves(0.1), "noise": 0.0}, "there is no noise, but the simulation misses"),
+        ({"fails_beyond": 500}, "it describes pieces of 500 rows and not whole trajectories"),
         ({"passes_pole": True}, "its simulation passes a pole"),
         ({"distinct_rows": 4}, "the rows repeat 4 measurements"),
     ],
