@@ -12,10 +12,10 @@ import os, sys
 package, *words = sys.argv[1:]
 sys.argv[1:] = words
 main = __import__(package + ".__main__", fromlist=["main"]).main
-os.write(1, b"begun\\n")
 try:
+    os.write(1, b"begun\\n")
     main()
-except KeyboardInterrupt:  # in the one line before there is a handler of ours
+except KeyboardInterrupt:  # before there is a handler of ours
     os._exit(130)
 """
 """Runs a program from its entry on; what Python does before that cannot be guarded, and is not looked at."""

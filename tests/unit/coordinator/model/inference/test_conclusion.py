@@ -328,9 +328,9 @@ def test_growth_that_was_measured_to_go_on_is_no_doubt(noise, grades):
 
 
 def test_what_is_missing_in_the_long_run_alone_is_a_doubt():
-    """Along 500 rows, a twelfth of a period, the damping is less than noise; in the long run nothing is left."""
+    """Along 500 rows, a sixth of a period, the damping is less than noise; in the long run nothing is left."""
     slow = Known(("x", "v"), lambda _, z: [z[1], -z[0] - 0.05 * z[1]])
-    times, wrong = 0.001 * np.arange(30_000.0), {"x": ("v",), "v": ("-x",)}
+    times, wrong = 0.002 * np.arange(15_000.0), {"x": ("v",), "v": ("-x",)}
     its = refined(slow, [[1.0, 0.0]], wrong, times=times, noise=0.05, config=NOTHING_ELSE)
     assert is_same(slow, its, x="v", v="-x")
     assert {each.grade for each in its.equations.values()} == {"doubtful"}
