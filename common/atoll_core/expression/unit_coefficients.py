@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from atoll_core.expression.builder import ProgramBuilder
-from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SQUARE, SUBTRACT
 from atoll_core.expression.program import Node, Program, constant_places, with_constants
 from atoll_core.expression.writing.shortest import collected
 
@@ -134,9 +134,11 @@ class _Draft:
     def _scales(self, index: int) -> bool:
         """Tell whether constants scale a divisor: all its terms, which together stand for a factor above the line."""
         code, left, right, _ = self._old[index]
-        if code == MULTIPLY:
+        if code in (ADD, SUBTRACT):
+            return self._scales(left) and self._scales(right)
+        if code in (MULTIPLY, DIVIDE):
             return self._scales(left) or self._scales(right)
-        return next(self._without_factor(index), None) is None
+        return self._scales(left) if code in (NEGATE, SQUARE) else code == CONSTANT
 
     def _holds_sum(self, index: int) -> bool:
         """Tell whether a product or quotient has a sum above its line."""

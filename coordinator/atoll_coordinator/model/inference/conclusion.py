@@ -135,7 +135,7 @@ class Final:
 class LongRun:
     """What is known of a model along trajectories that are longer than the pieces of its fit.
 
-    It `fits` them in whole or not, None where that is not known, which may be since there is `chaos`.
+    It `fits` them in whole or not, None where that is not known, as where there is or may be `chaos`.
     """
 
     fits: bool | None
@@ -469,45 +469,48 @@ def _carried_bands(final: Final, comparison: ModelComparison, fit: TrajectoryFit
 
 
 def _long_run(final: Final) -> LongRun:
-    fits = _fits_in_whole(final)
-    chaos = None if fits else _chaos(final)
-    if final.task.is_nearly_clean and not fits:
-        fits = None  # along whole trajectories, errors of a solver add up to more than the noise
-    return LongRun(fits, chaos)
+    """Return what is known of a model along whole trajectories.
 
-
-def _chaos(final: Final) -> Chaos | None:
-    """Return what is known of a model whose initial states are of no use for a whole trajectory, else None.
-
-    Nor is there chaos where errors grow no faster than the trajectories do: growth has no attractor to stay on.
+    It is chaotic where initial states are of no use for these, errors growing faster than the trajectories do: growth
+    has no attractor to stay on. A model that is, or may be, is not asked to fit whole trajectories.
     """
-    fit, comparison = final.free.fit, final.comparison
+    fits, fit = _fits_in_whole(final), final.free.fit
+    if fits:
+        return LongRun(fits, None)
     rate = growth_rate(fit)
-    for growth in (rate, rate - speed_growth(fit)):
-        if predictable_rows(fit, comparison, growth) >= longest(final.task):
-            return None
-    return look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
+    is_unstable = all(
+        predictable_rows(fit, final.comparison, growth) < longest(final.task)
+        for growth in (rate, rate - speed_growth(fit))
+    )
+    if is_unstable:
+        return LongRun(None, look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance))
+    return LongRun(None if final.task.is_nearly_clean else fits, None)  # errors of a solver add up
 
 
 def _fits_in_whole(final: Final) -> bool | None:
-    """Tell whether what is shown describes whole trajectories up to their noise; None where that cannot be asked.
+    """Tell whether equations as they are shown describe whole trajectories up to their noise; None: it was not asked.
 
     Errors of a phase grow in proportion to time, which is fast at first: that tells it from chaos. The constants are
-    fitted once more, in pieces that grow to whole trajectories, where there are very many rows to every so-manyth.
+    fitted once more, in pieces that grow to whole trajectories, where there are very many rows to every so-manyth. It
+    is not asked of a model that does not describe the pieces, nor when the time is over.
     """
     task, programs = final.task, final.shown
-    if task.piece >= longest(task):
+    limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
+    if task.piece >= longest(task) or not final.comparison.excess(final.free) <= limit:
         return None
-    measurements = task.measurements(task.variables)
-    stride = -(-measurements.rows // (SETTINGS.selection.fitted_sensitivities // len(task.variables) ** 2))
-    if stride > 1 and len(measurements.inputs):
+    rows, allowed = task.measurements(task.variables).rows, SETTINGS.selection.fitted_sensitivities
+    stride = -(-rows // max(allowed // len(task.variables) ** 2, SETTINGS.shooting.piece))
+    if stride > 1 and len(final.comparison.estimator.measurements.inputs):
         return None
     while task.piece < longest(task):
         begun = max(task.piece // stride, SETTINGS.shooting.lengths[1])
         task = replace(task, piece=min(task.piece * SETTINGS.shooting.segment_growth, longest(task)))
-        comparison = task.compare(task.measurements(task.variables).strided(stride), task.variables)
+        measurements = task.measurements(task.variables).strided(stride)
+        comparison = task.compare(measurements, task.variables, is_precise=True, measured_rows=rows)
         model = comparison.fit_model(programs, lengths=(begun, None))
-        if model is None or not comparison.excess(model) <= SETTINGS.inference.excess:
+        if deadline.is_over:
+            return None
+        if model is None or not comparison.excess(model) <= limit:
             return False
         programs = model.programs
     return True
@@ -560,7 +563,7 @@ def refined_equation(
         unit_coefficients=[coefficient.constant for coefficient in known.unit_coefficients],
         prediction=prediction,
         chaos=long_run.chaos,
-        fails_beyond=final.task.piece if long_run.fits is False and long_run.chaos is None else None,
+        fails_beyond=final.task.piece if long_run.fits is False else None,
         alternative=min((alternative.nats for alternative in nearest), default=None),
         passes_pole=_passes_pole(final, program),
         distinct_rows=_distinct_rows(measurements),

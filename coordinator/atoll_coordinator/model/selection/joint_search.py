@@ -126,9 +126,9 @@ class ModellingTask:
 
     def compare(
         self, measurements: Measurements, variables: Sequence[str], *, is_precise: bool = False,
-        has_noise: bool = True,
+        has_noise: bool = True, measured_rows: int = 0,
     ) -> ModelComparison:  # fmt: skip
-        """Return a comparison over these measurements.
+        """Return a comparison over these measurements, which may stand for more `measured_rows` of the same time.
 
         Steps of the integration err by a share of the noise, or as if there were none unless it `has_noise`. They all
         may err to one side, while the noise is averaged over the rows: where it `is_precise`, that share is the one of
@@ -141,13 +141,13 @@ class ModellingTask:
         error = SETTINGS.selection.tolerated_noise * max(noise, SETTINGS.shooting.exact)
         if is_precise:
             longest = int((measurements.bounds[:, 1] - measurements.bounds[:, 0]).max())
-            error /= longest * math.sqrt(measurements.rows)
+            error /= longest * max(1.0, measured_rows / measurements.rows) * math.sqrt(measurements.rows)
         tolerance = max(error, SETTINGS.selection.tolerated_noise * SETTINGS.shooting.exact)
         fixed = [index for index, name in enumerate(variables) if name in self.known]
         restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
         restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
         return ModelComparison(
-            MultipleShooting(measurements, tolerance, self.deadline), self.dataset.names, fixed,
+            MultipleShooting(measurements, tolerance, self.deadline, measured_rows), self.dataset.names, fixed,
             self.leading(variables), self.executor, Constraints(restrictions, self.grouped_rows(variables)),
         )  # fmt: skip
 

@@ -95,10 +95,15 @@ def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
 def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:
     """Yield sentences for the user: trajectories were not simulated in whole, states are without an equation."""
     whole = longest(task)
-    if whole > task.piece and not is_tested_in_whole:
+    if whole > task.piece:
+        tested = (
+            "with constants fitted to these, the model describes whole ones, too"
+            if is_tested_in_whole
+            else "beyond a piece the model has not been tested"
+        )
         yield (
             f"Trajectories were simulated in pieces of {task.piece} rows or less, each from an initial state of its "
-            f"own, not in whole (up to {whole} rows); beyond a piece the model has not been tested."
+            f"own, not in whole (up to {whole} rows); {tested}."
         )
     others = [state for state in task.recording.states if state not in task.variables]
     if others:

@@ -24,6 +24,8 @@ CASES = {
     "-x/(0.4 + 0.8*x)": ((), 2),
     "y - x/(0.4 + 0.8*x)": (("y",), 3),
     "x/((0.4 + 0.8*x)*(0.3 + y))": ((), 3),
+    "x/(0.3 + y*(0.4 + 0.8*x))": ((), 3),
+    "x/(0.4 + 0.8*x)**2": ((), 2),
     "(y + x*x)/(0.4 + 0.8*x)": (("x**2",), 3),
 }
 """By expression: what has a factor of one, and how many constants there are with these."""

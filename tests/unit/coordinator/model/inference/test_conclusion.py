@@ -310,8 +310,10 @@ def test_with_order_2_positions_alone_are_measured():
     (Known(("x", "y"), lambda _, z: [z[0] - z[0] * z[1], z[0] * z[1] - z[1]]), [2.5, 1.0],
      {"x": ("x - x*y",), "y": ("x*y - y",)}),
 ], ids=["damped", "conservative"])  # fmt: skip
-def test_a_trajectory_longer_than_what_is_simulated_at_a_stretch_is_no_chaos(system, start, candidates):
+def test_a_trajectory_longer_than_what_is_simulated_at_a_stretch_is_no_chaos(monkeypatch, system, start, candidates):
     """Where errors shrink, or grow as slowly as those of a phase do, initial states are of use however long it is."""
+    if system is SWING:  # known by its errors alone
+        monkeypatch.setattr(conclusion, "_fits_in_whole", lambda _: None)
     its = refined(system, [start], candidates, times=0.03 * np.arange(700.0), noise=0.05, config=NOTHING_ELSE)
     assert SETTINGS.shooting.piece < 700
     assert its.chaos is None
@@ -341,7 +343,51 @@ def test_a_model_that_describes_whole_trajectories_is_said_to_be_tested_on_them(
     its = refined(SWING, [[4.0, 0.0]], {"x": ("y",), "y": ("-2*x - 0.3*y",)}, times=0.03 * np.arange(700.0), noise=0.05,
                   config=NOTHING_ELSE)  # fmt: skip
     assert {each.grade for each in its.equations.values()} == {"good"}
-    assert not any("pieces of" in warning for warning in its.warnings)
+    assert any("the model describes whole ones, too" in warning for warning in its.warnings)
+
+
+@pytest.mark.slow
+def test_a_conservative_system_is_followed_for_hundreds_of_periods():
+    """Errors of integration add up; a model without a constant to fit has nothing that could make up for them."""
+    pendulum = Known(("x", "v"), lambda _, z: [z[1], -np.sin(z[0])])
+    its = refined(pendulum, [[2.5, 0.0]], {"x": ("v",), "v": ("-sin(x)",)}, times=0.05 * np.arange(12_500.0),
+                  noise=0.05, config=NOTHING_ELSE)  # fmt: skip
+    assert {each.grade for each in its.equations.values()} == {"good"}
+    assert its.chaos is None
+
+
+@pytest.mark.slow
+def test_a_driven_model_that_may_be_chaotic_is_not_asked_to_fit_in_whole():
+    """Where there are inputs, chaos is not looked for."""
+    wave = (lambda t: 0.4 * np.cos(1.2 * t), lambda t: -0.48 * np.sin(1.2 * t))
+    duffing = Known(("x", "v"), lambda t, z: [z[1], z[0] - z[0] ** 3 - 0.15 * z[1] + wave[0](t)], {"w": wave})
+    its = refined(duffing, [[1.0, 0.0]], {"x": ("v",), "v": ("x - x*x*x - 0.15*v + w",)},
+                  times=0.05 * np.arange(5000.0), noise=0.02,
+                  config=JobConfig(space=NO_LIBRARIES, data=DataConfig(states=("x", "v"), inputs=("w",))))  # fmt: skip
+    assert not any("whole trajectories" in each.reason for each in its.equations.values())
+
+
+def test_what_the_time_did_not_allow_to_try_is_no_doubt(monkeypatch):
+    fit = conclusion.ModelComparison.fit_model
+
+    def late(comparison, *args, **named):
+        model = fit(comparison, *args, **named)
+        monkeypatch.setattr(type(comparison.estimator.deadline), "is_over", True)
+        return None if model is None else replace(model, fit=replace(model.fit, squares=9.0 * model.fit.squares))
+
+    tried = conclusion._fits_in_whole
+    answers = []
+
+    def trial(final):
+        with monkeypatch.context() as patch:
+            patch.setattr(conclusion.ModelComparison, "fit_model", late)
+            answers.append(tried(final))
+        return answers[-1]
+
+    monkeypatch.setattr(conclusion, "_fits_in_whole", trial)
+    refined(SWING, [[4.0, 0.0]], {"x": ("y",), "y": ("-2*x - 0.3*y",)}, times=0.03 * np.arange(700.0), noise=0.05,
+            config=NOTHING_ELSE)  # fmt: skip
+    assert answers == [None]
 
 
 TURNING = Known(("x", "v"), lambda _, z: [z[1], -z[0]])
