@@ -32,7 +32,10 @@ class GroupedRows:
         self.count: Final = count
         by_equation = restrictions or {}
         self._fits = [
-            [LeastSquares(problem, restrictions=by_equation.get(index, NONE)) for problem in group_problems]
+            [
+                LeastSquares(problem, restrictions=by_equation.get(index, NONE)) if len(problem.target.values) else None
+                for problem in group_problems
+            ]
             for index, group_problems in enumerate(problems)
         ]
         self._known: dict[tuple[int, bytes], FloatArray] = {}
@@ -75,7 +78,9 @@ class GroupedRows:
         known = self._known.get(key)
         if known is None:
             fits = [
-                least_squares.fit(program, sorted(fixed), steps=SETTINGS.effort.brief_steps).program.constants
+                program.constants
+                if least_squares is None  # its rows are all left out
+                else least_squares.fit(program, sorted(fixed), steps=SETTINGS.effort.brief_steps).program.constants
                 for least_squares in self._fits[index]
             ]
             known = self._known[key] = np.array(fits)

@@ -9,6 +9,7 @@ from atoll_coordinator.model.selection.comparison import Constraints, ModelCompa
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.model.shooting.system import system_of
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.bounds import EquationBounds, parse_bound
 from atoll_core.expression.program import constant_places
@@ -91,3 +92,14 @@ def test_bounds_are_kept_in_each_group():
     assert (found <= 0.8).all()
     assert found[1] == found[2] == 0.8
     assert found[0] == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_group_without_rows_begins_with_the_constants_as_they_are():
+    values = np.linspace(0.5, 2.0, 20)
+    target = Target("x", "dx/dt", 1.5 * values, 0.0, 1.0)
+    problem = Problem(("x",), values[None], target, np.zeros(20, dtype=np.int64))
+    rows = GroupedRows(2, [[problem.of_group(group) for group in range(2)]])
+    program = from_infix("0.8*x", ("x",))
+    system = system_of([program], ("x",), ("x",))
+    (place,) = constant_places(program)
+    assert rows.constants(system, 0, [()], None)[:, place] == pytest.approx([1.5, 0.8])
