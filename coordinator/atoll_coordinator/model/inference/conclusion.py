@@ -472,7 +472,7 @@ def _long_run(final: Final) -> LongRun:
     """Return what is known of a model along whole trajectories.
 
     It is chaotic where initial states are of no use for these, errors growing faster than the trajectories do: growth
-    has no attractor to stay on. A model that is, or may be, is not asked to fit whole trajectories.
+    has no attractor to stay on. That a model that is, or may be, does not fit whole trajectories says nothing.
     """
     fits, fit = _fits_in_whole(final), final.free.fit
     if fits:
