@@ -33,8 +33,7 @@ class Parser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> argparse.Namespace:
         """Parse the words; raises UsageError, and for an unknown option says which one may have been meant."""
-        options: argparse.Namespace
-        options, left = self.parse_known_args(args, namespace)
+        options, left = self.parse_known_args(args, namespace or argparse.Namespace())
         if left:
             used = self._used(options)
             hint = did_you_mean(left[0].partition("=")[0], used._option_string_actions) if left[0][:1] == "-" else ""

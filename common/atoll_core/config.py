@@ -68,26 +68,42 @@ class Angle(Frozen):
 class DataConfig(Frozen):
     """How the columns of the table are to be read. Names are column names as in the header, without units."""
 
-    time: str | None = Field(None, description="time column; `t` or `time` unless named")
-    states: tuple[str, ...] | None = Field(None, description="state columns; all other numeric columns unless named")
-    inputs: tuple[str, ...] = Field((), description="columns that are variables without an equation; may name time")
-    trajectory: str | None = Field(None, description="column whose value changes where a new trajectory begins")
-    target: str | None = Field(None, description="explicit regression of this column on the others; no time needed")
-    derivatives: tuple[str, ...] | None = Field(None, description="given derivatives, one column per state, in order")
-    order: Literal[1, 2] = Field(1, description="2: positions are measured, the second derivative is sought")
-    angles: tuple[Angle, ...] = ()
-    only: tuple[str, ...] | None = Field(None, description="search these equations only")
-    stochastic: bool = Field(False, description="seek the drift and the diffusion of a process with noise of its own")
-    robust: bool = Field(False, description="smooth so that outliers lose their weight")
-    holdout: PositiveInt | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
-        None, description="trajectories kept from the search: so many last ones, or COLUMN=VALUE"
+    time: str | None = Field(default=None, description="time column; `t` or `time` unless named")
+    states: tuple[str, ...] | None = Field(
+        default=None, description="state columns; all other numeric columns unless named"
     )
-    weights: str | None = Field(None, description="column of row weights: inverse variances, up to a factor; 0: unused")
-    offsets: tuple[str, ...] = Field((), description="states measured up to an offset that each trajectory has its own")
-    group: str | None = Field(None, description="column: trajectories of one value share constants, others have own")
-    per_trajectory: bool = Field(False, description="each trajectory has constants of its own")
+    inputs: tuple[str, ...] = Field(
+        default=(), description="columns that are variables without an equation; may name time"
+    )
+    trajectory: str | None = Field(default=None, description="column whose value changes where a new trajectory begins")
+    target: str | None = Field(
+        default=None, description="explicit regression of this column on the others; no time needed"
+    )
+    derivatives: tuple[str, ...] | None = Field(
+        default=None, description="given derivatives, one column per state, in order"
+    )
+    order: Literal[1, 2] = Field(default=1, description="2: positions are measured, the second derivative is sought")
+    angles: tuple[Angle, ...] = ()
+    only: tuple[str, ...] | None = Field(default=None, description="search these equations only")
+    stochastic: bool = Field(
+        default=False, description="seek the drift and the diffusion of a process with noise of its own"
+    )
+    robust: bool = Field(default=False, description="smooth so that outliers lose their weight")
+    holdout: PositiveInt | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
+        default=None, description="trajectories kept from the search: so many last ones, or COLUMN=VALUE"
+    )
+    weights: str | None = Field(
+        default=None, description="column of row weights: inverse variances, up to a factor; 0: unused"
+    )
+    offsets: tuple[str, ...] = Field(
+        default=(), description="states measured up to an offset that each trajectory has its own"
+    )
+    group: str | None = Field(
+        default=None, description="column: trajectories of one value share constants, others have own"
+    )
+    per_trajectory: bool = Field(default=False, description="each trajectory has constants of its own")
     units: dict[str, str] = Field(default_factory=dict, description="units of columns, by name; over those of headers")
-    missing: Literal["refuse", "drop"] = Field("refuse", description="what to do with NaN and infinity")
+    missing: Literal["refuse", "drop"] = Field(default="refuse", description="what to do with NaN and infinity")
 
 
 class SpaceConfig(Frozen):
@@ -101,9 +117,13 @@ class SpaceConfig(Frozen):
     required_of: dict[str, tuple[str, ...]] = Field(
         default_factory=dict, description="per equation, the variables that it must have"
     )
-    terminals: PositiveInt | None = Field(None, description="first nodes of a list; None: max(7, variables + 5)")
+    terminals: PositiveInt | None = Field(
+        default=None, description="first nodes of a list; None: max(7, variables + 5)"
+    )
     operator_nodes: Annotated[int, Field(ge=1, le=100)] = 25
-    max_size: Annotated[int, Field(ge=1, le=120)] | None = Field(None, description="largest complexity on the front")
+    max_size: Annotated[int, Field(ge=1, le=120)] | None = Field(
+        default=None, description="largest complexity on the front"
+    )
 
     def operators_for(self, variable: str) -> tuple[str, ...]:
         """Return the operators that the equation of `variable` is made of."""
@@ -140,19 +160,27 @@ class EvolutionConfig(Frozen):
     islands: Annotated[int, Field(ge=1, le=1024)] = 8
     population: Annotated[int, Field(ge=4, le=4096, multiple_of=2)] = 64
     crossover: Probability = 0.75
-    mutation: Probability = Field(0.05, description="per node")
+    mutation: Probability = Field(default=0.05, description="per node")
     loss: Loss = "mae"
-    constant_fit_steps: Annotated[int, Field(ge=0, le=100)] = Field(4, description="Levenberg-Marquardt steps a child")
-    constant_fit_gate: Annotated[float, Field(gt=0.0)] = Field(
-        0.25, description="steps are taken when a child's loss is at most this share of its worse parent's"
+    constant_fit_steps: Annotated[int, Field(ge=0, le=100)] = Field(
+        default=4, description="Levenberg-Marquardt steps a child"
     )
-    linear_terms: Annotated[int, Field(ge=0, le=4)] = Field(4, description="top-level terms fitted linearly; 0: none")
-    scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
-    constant_steps: ConstantSteps = Field("relative", description="how the mutation of a constant moves it")
-    constant_moves: Probability = Field(0.5, description="share of mutated constants moved; the others are redrawn")
-    refit_interval: PositiveInt = Field(10, description="generations between offers to the front")
+    constant_fit_gate: Annotated[float, Field(gt=0.0)] = Field(
+        default=0.25, description="steps are taken when a child's loss is at most this share of its worse parent's"
+    )
+    linear_terms: Annotated[int, Field(ge=0, le=4)] = Field(
+        default=4, description="top-level terms fitted linearly; 0: none"
+    )
+    scaled_constants: bool = Field(
+        default=True, description="draw constants over the data's scales, not from [-10, 10]"
+    )
+    constant_steps: ConstantSteps = Field(default="relative", description="how the mutation of a constant moves it")
+    constant_moves: Probability = Field(
+        default=0.5, description="share of mutated constants moved; the others are redrawn"
+    )
+    refit_interval: PositiveInt = Field(default=10, description="generations between offers to the front")
     runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
-        None, description="next best of each complexity kept beside the front; None: 0, or 8 with noisy targets"
+        default=None, description="next best of each complexity kept beside the front; None: 0, or 8 with noisy targets"
     )
 
 
@@ -160,30 +188,38 @@ class PredictorConfig(Frozen):
     """Coevolved fitness predictors (paper, section 2.3 and Table II)."""
 
     enabled: bool = True
-    rows: Annotated[int, Field(ge=4, le=1024)] | None = Field(None, description="None: 16, or 32 with noisy targets")
+    rows: Annotated[int, Field(ge=4, le=1024)] | None = Field(
+        default=None, description="None: 16, or 32 with noisy targets"
+    )
     predictors: Annotated[int, Field(ge=2, le=64)] = 8
     trainers: Annotated[int, Field(ge=1, le=64)] = 8
-    renewal: PositiveInt = Field(50, description="predictor generations between trainer renewals")
-    effort: Probability = Field(0.05, description="largest share of all point evaluations")
-    agreement: Agreement = Field("difference", description="how a predicted loss is compared with the exact one")
+    renewal: PositiveInt = Field(default=50, description="predictor generations between trainer renewals")
+    effort: Probability = Field(default=0.05, description="largest share of all point evaluations")
+    agreement: Agreement = Field(
+        default="difference", description="how a predicted loss is compared with the exact one"
+    )
 
 
 class MigrationConfig(Frozen):
     """When solutions are reshuffled over the islands of a variable."""
 
     generations: Annotated[int, Field(ge=1, le=10_000)] = 100
-    joining: PositiveInt | None = Field(4, description="islands that begin the first epoch at a time; None: all")
+    joining: PositiveInt | None = Field(
+        default=4, description="islands that begin the first epoch at a time; None: all"
+    )
 
 
 class BudgetConfig(Frozen):
     """When a job ends. By default by convergence, stagnation or a fixed number of epochs: never by the clock."""
 
-    target_error: Annotated[float, Field(gt=0.0)] | None = Field(None, description="normalized error that is enough")
+    target_error: Annotated[float, Field(gt=0.0)] | None = Field(
+        default=None, description="normalized error that is enough"
+    )
     max_epochs: PositiveInt = 1000
     max_epochs_of: dict[str, PositiveInt] = Field(default_factory=dict, description="per variable; overrides")
-    max_time: Annotated[float, Field(gt=0.0)] | None = Field(None, description="seconds")
+    max_time: Annotated[float, Field(gt=0.0)] | None = Field(default=None, description="seconds")
     stagnation: PositiveInt | None = Field(
-        None, description="epochs without a better equation after which a search ends; None: by the data"
+        default=None, description="epochs without a better equation after which a search ends; None: by the data"
     )
 
 

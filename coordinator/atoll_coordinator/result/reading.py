@@ -101,7 +101,7 @@ def _sentence(fault: ErrorDetails) -> str:
         return f"this result lacks {key!r}; give a result.json as it was written"
     expected = _KINDS.get(kind)
     if kind == "literal_error":
-        expected = " or ".join(sorted(fault["ctx"]["expected"].replace("'", "").split(" or ")))
+        expected = " or ".join(sorted(fault.get("ctx", {})["expected"].replace("'", "").split(" or ")))
     return f"this result has {shown(fault['input'])} as {key!r}, where {expected or 'another value'} is expected; " + (
         "give it as written"
     )

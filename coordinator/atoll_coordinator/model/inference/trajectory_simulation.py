@@ -14,7 +14,7 @@ from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.data.dataset import FloatArray
+from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.expression.program import Program, constant_places
 
 
@@ -32,6 +32,7 @@ def simulated(
 ) -> list[Simulated]:
     """Return the simulations of all trajectories of `states`; `errors` are (O, N)."""
     offsets, measured = _offsets(measurements, fit), _measured(measurements)
+    with_offset = [states[state] for state in measurements.offset.tolist()]
     values = fit.simulated[measurements.observed]
     for state, offset in zip(measurements.offset.tolist(), offsets, strict=True):
         values[state] += offset
@@ -45,10 +46,7 @@ def simulated(
             None if errors is None else errors[:, rows],
             tuple(r2_of(measurements, fit, rows)),
             fit.simulated[:, rows[0]],
-            {
-                states[state]: float(offset[rows].mean())
-                for state, offset in zip(measurements.offset, offsets, strict=True)
-            },
+            {state: float(offset[rows].mean()) for state, offset in zip(with_offset, offsets, strict=True)},
         )
         for name, rows in _rows_of(measurements)
     ]
@@ -75,7 +73,7 @@ def _measured(measurements: Measurements) -> FloatArray:
     return np.where(measurements.weights > 0.0, measurements.measured, np.nan)
 
 
-def _rows_of(measurements: Measurements) -> list[tuple[str, FloatArray]]:
+def _rows_of(measurements: Measurements) -> list[tuple[str, IntArray]]:
     ranges = [np.arange(*bound) for bound in measurements.bounds.tolist()]
     named_rows = []
     for index, name in enumerate(measurements.names):
@@ -85,7 +83,7 @@ def _rows_of(measurements: Measurements) -> list[tuple[str, FloatArray]]:
     return named_rows
 
 
-def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: FloatArray | slice) -> list[float | None]:
+def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice) -> list[float | None]:
     """Return for each measured state the share of its variance along these rows that the simulation explains."""
     shares: list[float | None] = []
     for state in range(len(measurements.observed)):

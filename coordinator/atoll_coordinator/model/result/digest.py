@@ -19,26 +19,32 @@ class Found(Protocol):
     @property
     def variable(self) -> str:
         """Name of the equation."""
+        ...
 
     @property
     def front(self) -> tuple[FrontEntry, ...]:
         """The merged front up to the cut."""
+        ...
 
     @property
     def runners_up(self) -> tuple[FrontEntry, ...]:
         """What was kept beside the front."""
+        ...
 
     @property
     def epoch(self) -> int:
         """Complete epochs up to the cut."""
+        ...
 
     @property
     def generation(self) -> int | None:
         """Generation that met the target, if one did."""
+        ...
 
     @property
     def evaluations(self) -> Mapping[str, int]:
         """Cumulative point evaluations by part."""
+        ...
 
 
 def result_digest(outcomes: Sequence[Found]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -47,6 +47,8 @@ from atoll_core.wire.messages.views import FINAL_STATES, JobState
 
 KNOWN: Final = "known"
 """Why there was no search: the equation was given."""
+EstimateT = TypeVar("EstimateT", bound=parts.Estimate)
+
 MOST_STEPS: Final = 40
 """Improvements of one island that are listed."""
 NOT_BY_GROUP: Final = (
@@ -192,10 +194,11 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
     member = None if shown is None else shown.member
     has_trajectories = given.recording is not None
     grade, reason = verdict(shown, target, state, has_trajectories=has_trajectories, is_known=outcome.why == KNOWN)
-    return parts.Equation(
+    equation = parts.Equation(
         variable=target.variable,
         lhs=target.lhs,
-        **_best(shown, dataset, target, config),
+        expression=None if shown is None else to_infix(shown.program, dataset.names),
+        converged=False,
         verdict=grade,
         reason=reason,
         epoch=outcome.epoch,
@@ -212,6 +215,7 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
         candidates=candidates(shown.alternatives if shown is not None else (), dataset),
         front=_front(config, given, outcome, member),
     )
+    return equation if shown is None else equation.model_copy(update=_best(shown, dataset, target, config))
 
 
 def _front(
@@ -299,13 +303,10 @@ def is_printable(program: bytes, inputs: int) -> bool:
     return tree_size(Program.from_bytes(program, inputs)) <= PRINTABLE_SIZE
 
 
-def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, object]:
-    """Return what is said of the equation, by field; nothing but that it is not known when there is none."""
-    if shown is None:
-        return {"expression": None, "converged": False}
+def _best(shown: Refined, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, object]:
+    """Return what is said of the equation that is shown, by field."""
     normalized = _normalized(shown.error, target)
     return {
-        "expression": to_infix(shown.program, dataset.names),
         "program": shown.program.to_bytes().hex(),
         "origin": shown.origin,
         "complexity": len(shown.program),
@@ -318,7 +319,7 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
         "units": _units(shown),
         "groups": _groups(shown, dataset),
         "implied": tuple(
-            parts.ImpliedConstant(of=to_infix(factor.of, dataset.names), **_estimate(factor.constant))
+            _estimate(parts.ImpliedConstant, factor.constant, of=to_infix(factor.of, dataset.names))
             for factor in shown.unit_coefficients
         ),
     }
@@ -365,8 +366,9 @@ def _constants(
     shared = shown.shared if shown is not None else ()
     units = shown.units.constants if shown is not None and shown.units is not None else ()
     return tuple(
-        parts.Constant(
-            **_estimate(replace(constant, value=value)),
+        _estimate(
+            parts.Constant,
+            replace(constant, value=value),
             shared=shared[place] if shared else None,
             unit=str(units[place]) if units and units[place] is not None else None,
         )
@@ -395,9 +397,9 @@ def _groups(shown: Refined, dataset: Dataset) -> tuple[parts.GroupEquation, ...]
     )
 
 
-def _estimate(constant: Constant) -> dict[str, object]:
-    """Return what is known of a constant, by field."""
-    return {
+def _estimate(kind: type[EstimateT], constant: Constant, **more: object) -> EstimateT:
+    """Return what is known of a constant as this kind of estimate, with the fields that only that kind has."""
+    known = {
         "value": finite(constant.value),
         "std_error": finite(constant.std_error),
         "fitted": finite(constant.fitted),
@@ -407,6 +409,7 @@ def _estimate(constant: Constant) -> dict[str, object]:
         "bounds": _pair(constant.bounds),
         "at_bound": constant.is_at_bound,
     }
+    return kind.model_validate({**known, **more})
 
 
 def _pair(ends: tuple[float, float] | None) -> tuple[float | None, float | None] | None:

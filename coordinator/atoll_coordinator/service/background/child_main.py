@@ -104,8 +104,8 @@ def _read(requests: BinaryIO, waiting: "queue.SimpleQueue[Task]") -> None:
             waiting.put(pickle.load(requests))
     except (EOFError, pickle.UnpicklingError, OSError):  # the coordinator is gone, perhaps in the middle of a message
         os._exit(0)
-    except BaseException:
-        sys.excepthook(*sys.exc_info())
+    except BaseException as error:
+        sys.excepthook(type(error), error, error.__traceback__)
         os._exit(1)
 
 

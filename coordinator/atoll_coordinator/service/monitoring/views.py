@@ -219,4 +219,4 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
 def _stored_variable_view(equation: dict[str, Any]) -> VariableView:
     fields = ("variable", "lhs", "epoch", "error", "normalized_error", "complexity", "expression", "converged", "why")
     known = {name: equation[name] for name in fields} | {"verdict": equation.get("verdict")}
-    return VariableView(**known, point_evaluations=equation["point_evaluations"], finished=True)
+    return VariableView.model_validate({**known, "point_evaluations": equation["point_evaluations"], "finished": True})

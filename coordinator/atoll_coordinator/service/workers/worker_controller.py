@@ -285,9 +285,9 @@ class WorkerController:
                 term=stall.term, worker=stall.worker, cause=stall.cause,
             )  # fmt: skip
 
-    def stalls(self, job: str) -> tuple[str, ...]:
+    def stalls(self, job_id: str) -> tuple[str, ...]:
         """Return why archipelagos of a job stand still, in words, by variable."""
-        return self._stalls.sentences(job)
+        return self._stalls.sentences(job_id)
 
     def waiting_reason(self, job: Job) -> str | None:
         """Return in words what the archipelagos of a job wait for that have no workers; None: all have."""

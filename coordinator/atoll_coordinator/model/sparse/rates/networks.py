@@ -56,7 +56,7 @@ class _Node:
     def begun(self, weights: FloatArray) -> FloatArray:
         """Return the numbers for these weights (V,) of the sum, the others by least squares."""
         columns = np.vstack([self.beside, np.tanh(weights @ self.inputs)])
-        return np.concatenate([np.linalg.lstsq(columns.T, self.values)[0], weights])
+        return np.concatenate([np.asarray(np.linalg.lstsq(columns.T, self.values)[0], np.float64), weights])
 
     def fit(self, numbers: FloatArray) -> FloatArray:
         """Return the numbers of least Cauchy loss nearby."""
