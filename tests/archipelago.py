@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
 from atoll_core.search.pareto import FrontEntry, merge
-from atoll_island_worker.evolution.island import EpochOutcome, Island, senders
+from atoll_island_worker.evolution.island import EpochOutcome, Island
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ def advance(island: Island, stride: int = 10) -> EpochOutcome:
     return island.outcome()
 
 
-def reshuffle(islands: list[Island], config: JobConfig, variable: str) -> None:
+def reshuffle(islands: list[Island]) -> None:
     """Give every island the immigrants of the epoch that has ended."""
     sent = [island.emigrants() for island in islands]
     for number, island in enumerate(islands):
-        sources = senders(config, variable, island.epoch, number) | {number}
+        sources = island.senders() | {number}
         island.immigrate({source: sent[source][number] for source in sources if number in sent[source]})
 
 
@@ -46,7 +46,7 @@ def search(problem: Problem, config: JobConfig, epochs: int, stride: int = 10) -
         outcomes += ended
         if any(outcome.hit for outcome in ended) or epoch == epochs - 1:
             break
-        reshuffle(islands, config, problem.target.variable)
+        reshuffle(islands)
     front = merge((), (entry for outcome in outcomes for entry in outcome.additions))
     return Search(tuple(outcomes), front, any(outcome.hit for outcome in ended))
 

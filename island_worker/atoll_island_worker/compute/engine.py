@@ -11,7 +11,7 @@ from atoll_island_worker.session.events import Computed, JobReady, LoadFailed
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from atoll_core.data.dataset import Dataset, Problem
+    from atoll_core.data.dataset import Dataset
     from atoll_core.search.pareto import FrontEntry
     from atoll_island_worker.evolution.island import EpochOutcome, Island
 
@@ -42,14 +42,17 @@ class Engine:
 
         key = task.key
         config, dataset = self._jobs[key.job]
-        islands = self._islands.setdefault(key.shard, {})
+        problem, islands = dataset.problem(key.variable), self._islands.setdefault(key.shard, {})
         if task.state is not None:
-            islands[key.island] = _restored(task, dataset.problem(key.variable), config)
+            island = Island.from_bytes(task.state, problem, config, key.island)
+            if island.epoch != key.epoch:
+                raise RemoteProtocolError(f"a state of epoch {island.epoch} came for epoch {key.epoch}")
+            islands[key.island] = island
         elif task.blocks is None:
-            islands[key.island] = Island(dataset.problem(key.variable), config, key.island)
+            islands[key.island] = Island(problem, config, key.island)
         else:
             islands[key.island].immigrate(task.blocks)
-        return Epoch(task, islands[key.island], config)
+        return Epoch(task, islands[key.island])
 
     def forget(self, shard: ShardKey) -> None:
         """Forget the islands of an archipelago's term."""
@@ -63,10 +66,9 @@ class Engine:
 class Epoch:
     """One epoch of one island under way; see `atoll_island_worker.compute.run_queue.Work`."""
 
-    def __init__(self, task: Task, island: "Island", config: JobConfig) -> None:
+    def __init__(self, task: Task, island: "Island") -> None:
         self._task = task
         self._island = island
-        self._config = config
         self._is_over = False
         self.snapshot: Final = island.to_bytes() if task.takes_snapshot else None
 
@@ -84,24 +86,11 @@ class Epoch:
 
     def computed(self) -> Computed:
         """See `Work.computed`. There are emigrants after a whole epoch that is not the last."""
-        from atoll_island_worker.evolution.island import senders
-
         key, outcome = self._task.key, self._island.outcome()
         report = report_of(key.island, outcome)
         if not self._is_over or outcome.hit is not None or self._task.is_last:
             return Computed(key, report, {}, frozenset())
-        awaited = senders(self._config, key.variable, key.epoch, key.island)
-        return Computed(key, report, self._island.emigrants(), awaited)
-
-
-def _restored(task: Task, problem: "Problem", config: JobConfig) -> "Island":
-    """Return the island as it was at the checkpoint at which its term begins."""
-    from atoll_island_worker.evolution.island import Island
-
-    island = Island.from_bytes(task.state or b"", problem, config, task.key.island)
-    if island.epoch != task.key.epoch:
-        raise RemoteProtocolError(f"a state of epoch {island.epoch} came for epoch {task.key.epoch}")
-    return island
+        return Computed(key, report, self._island.emigrants(), self._island.senders())
 
 
 def report_of(island: int, outcome: "EpochOutcome") -> IslandReport:
@@ -123,13 +112,4 @@ def report_of(island: int, outcome: "EpochOutcome") -> IslandReport:
 
 
 def _stated(entries: "Iterable[FrontEntry]") -> tuple[Addition, ...]:
-    return tuple(
-        Addition(
-            complexity=entry.complexity,
-            error=entry.error,
-            mse=entry.mse,
-            generation=entry.generation,
-            program=entry.program,
-        )
-        for entry in entries
-    )
+    return tuple(Addition.model_validate(entry, from_attributes=True) for entry in entries)

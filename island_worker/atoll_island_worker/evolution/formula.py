@@ -5,8 +5,10 @@ Nothing here is in a hot loop; whatever is built is put on a tape and measured a
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
 from atoll_core.expression.program import Program
@@ -29,15 +31,13 @@ Formula = tuple[Node, ...]
 
 def from_tape(tape: Tape, count: int) -> Formula:
     """Return the first `count` nodes of `tape`."""
-    columns = (tape.code[:count], tape.left[:count], tape.right[:count], tape.constants[:count])
-    return tuple(map(Node, *(column.tolist() for column in columns)))
+    return _nodes(tape.code[:count], tape.left[:count], tape.right[:count], tape.constants[:count])
 
 
 def from_book(book: Book, k: int) -> Formula:
     """Return program `k` of `book`."""
     count = int(book.size[k])
-    columns = (book.code[k, :count], book.left[k, :count], book.right[k, :count], book.constants[k, :count])
-    return tuple(map(Node, *(column.tolist() for column in columns)))
+    return _nodes(book.code[k, :count], book.left[k, :count], book.right[k, :count], book.constants[k, :count])
 
 
 def onto_tape(formula: Formula, tape: Tape) -> int:
@@ -49,7 +49,10 @@ def onto_tape(formula: Formula, tape: Tape) -> int:
 
 def from_program(program: Program) -> Formula:
     """Return the nodes of `program`."""
-    columns = (program.operators, program.left, program.right, program.constants)
+    return _nodes(program.operators, program.left, program.right, program.constants)
+
+
+def _nodes(*columns: npt.NDArray[Any]) -> Formula:
     return tuple(map(Node, *(column.tolist() for column in columns)))
 
 

@@ -41,13 +41,9 @@ def begin_with_guesses(lists: Lists, setup: IslandSetup, rows: Rows, counters: I
     for p, guess in enumerate(guesses):
         place(lists, p, guess, stream)
     if is_fitted:
-        number = len(guesses)
-        first = Lists(
-            lists.code[:number], lists.left[:number], lists.right[:number], lists.constants[:number],
-            lists.scale[:number],
-        )  # fmt: skip
-        options, scratch = setup.fit._replace(steps=GUESS_STEPS), setup.scratch
-        measure_all(first, np.zeros(number), rows, options, scratch._replace(near=scratch.work), counters, OFFSPRING)
+        first = Lists(*(column[: len(guesses)] for column in lists))
+        fitness, options, scratch = np.zeros(len(guesses)), setup.fit._replace(steps=GUESS_STEPS), setup.scratch
+        measure_all(first, fitness, rows, options, scratch._replace(near=scratch.work), counters, OFFSPRING)
 
 
 def parse_guesses(setup: IslandSetup) -> tuple[Guess, ...]:
@@ -74,10 +70,6 @@ def place(lists: Lists, p: int, guess: Guess, stream: Stream | None) -> None:
         if ARITY[node.code] != 1:
             lists.right[p, node.index] = node.right
         if stream is not None and node.code == CONSTANT:
-            lists.constants[p, node.index] = node.constant * _factor(stream)
-
-
-def _factor(stream: Stream) -> float:
-    """Return a power of two times a number from 1 to 2: nearly log-uniform, without a logarithm."""
-    octave = stream.below(2 * OCTAVES) - OCTAVES
-    return math.ldexp(1.0 + stream.uniform(), octave)
+            octave = stream.below(2 * OCTAVES) - OCTAVES
+            factor = math.ldexp(1.0 + stream.uniform(), octave)  # nearly log-uniform, without a logarithm
+            lists.constants[p, node.index] = node.constant * factor

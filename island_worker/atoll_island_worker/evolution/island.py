@@ -19,10 +19,10 @@ from atoll_core.search.pareto import FrontEntry
 from atoll_core.search.seeding import stream_key
 from atoll_core.wire.codec import decode_arrays, encode_arrays
 from atoll_island_worker.evolution import migration
-from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, use_best_predictor
+from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, measure_population
 from atoll_island_worker.evolution.front import Front, FrontUpdater
 from atoll_island_worker.evolution.guesses import begin_with_guesses
-from atoll_island_worker.evolution.kernels.generation import OFFSPRING, PARTS, measure_all, random_population
+from atoll_island_worker.evolution.kernels.generation import OFFSPRING, PARTS, REEVALUATION, random_population
 from atoll_island_worker.evolution.kernels.trainers import train
 from atoll_island_worker.evolution.runners_up import RunnersUp
 from atoll_island_worker.evolution.setup import IslandSetup
@@ -67,7 +67,8 @@ class Island:
 
     The life of an island: ``Island(...)`` (epoch 0, random population), then for every epoch: `advance` until it
     returns True or no more is needed, `outcome`, and, unless the archipelago ended, `emigrants` to send and `immigrate`
-    with all that is due here (own ones included), which begins the next epoch.
+    with all that is due here (own ones included), which begins the next epoch. `generation` counts the generations of
+    the current epoch that have passed.
 
     Raises:
         LocalProtocolError: a field of `config` that must be resolved is not, or a method is called out of turn.
@@ -85,13 +86,8 @@ class Island:
         self.epoch = 0
         self._start_epoch()
 
-    @property
-    def generation(self) -> int:
-        """Generations of the current epoch that have passed."""
-        return self._generation
-
     def _start_epoch(self) -> None:
-        self._generation = 0
+        self.generation = 0
         self._hit: Hit | None = None
         self._begun = False
         self._additions: list[FrontEntry] = []
@@ -107,47 +103,32 @@ class Island:
         if not self._begun:
             self._begin()
         interval, last = self._setup.config.evolution.refit_interval, self._setup.config.migration.generations
-        end = min(last, self._generation + generations)
-        while self._generation < end and self._hit is None:
-            step = min(end - self._generation, interval - self._generation % interval)
-            self._evolve(step)
-            if self._generation % interval == 0 or self._generation == last:
+        end = min(last, self.generation + generations)
+        while self.generation < end and self._hit is None:
+            step = min(end - self.generation, interval - self.generation % interval)
+            evolve(self._setup, step, self._lists, self._fitness, self._coevolution, self._stream, self._counters)
+            self.generation += step
+            if self.generation % interval == 0 or self.generation == last:
                 self._offer()
-                self._counters_by_slice[self._generation] = self._evaluations()
-        return self._hit is not None or self._generation == last
+                self._counters_by_slice[self.generation] = self._evaluations()
+        return self._hit is not None or self.generation == last
 
     def _begin(self) -> None:
         """Draw the first population and its predictors at epoch 0; measure what immigrated later on."""
-        setup, scratch = self._setup, self._setup.scratch
+        setup, part = self._setup, REEVALUATION
         if self.epoch == 0:
+            part = OFFSPRING
             random_population(self._lists, setup.space, self._stream)
             begin_with_guesses(self._lists, setup, self._updater.sample, self._counters)
             if setup.coevolving.enabled:
-                begin_coevolution(
-                    self._lists, self._coevolution, setup.every, setup.fit, setup.coevolving.relative, scratch,
-                    self._stream, self._counters,
-                )  # fmt: skip
-            setup.gather(self._coevolution)
-            measure_all(self._lists, self._fitness, setup.rows, setup.fit, scratch, self._counters, OFFSPRING)
-        else:
-            use_best_predictor(
-                self._lists, self._fitness, self._coevolution, setup.every, setup.rows, setup.fit, scratch,
-                self._counters, setup.call,
-            )  # fmt: skip
+                begin_coevolution(setup, self._lists, self._coevolution, self._stream, self._counters)
+        measure_population(setup, self._lists, self._fitness, self._coevolution, self._counters, part)
         self._begun = True
-
-    def _evolve(self, generations: int) -> None:
-        setup = self._setup
-        evolve(
-            generations, self._lists, self._fitness, self._coevolution, setup.space, setup.fit, setup.coevolving,
-            setup.every, setup.rows, setup.scratch, self._stream, self._counters, setup.call,
-        )  # fmt: skip
-        self._generation += generations
 
     def _offer(self) -> None:
         config = self._setup.config
         every, last = LOOKS_BESIDE * config.evolution.refit_interval, config.migration.generations
-        looks_beside = self._generation % every == 0 or self._generation == last
+        looks_beside = self.generation % every == 0 or self.generation == last
         additions, near = self._updater.offer(self._lists, self._fitness, self._counters, self._tag(), looks_beside)
         self._additions += additions
         self._near += near
@@ -155,10 +136,10 @@ class Island:
         target = self._setup.target
         if least is not None and least <= target:
             self._additions += self._updater.prune(target, self._counters, self._tag())
-            self._hit = Hit(self._generation, self._normalized(self._front.least_error()))
+            self._hit = Hit(self.generation, self._normalized(self._front.least_error()))
 
     def _tag(self) -> tuple[int, int, int]:
-        return (self.epoch, self._generation, self._setup.island)
+        return (self.epoch, self.generation, self._setup.island)
 
     def _normalized(self, error: float | None) -> float:
         return math.inf if error is None else error / self._setup.deviation
@@ -177,7 +158,7 @@ class Island:
         best = self._normalized(self._front.least_error())
         return EpochOutcome(
             self.epoch,
-            self._generation,
+            self.generation,
             self._hit,
             self.additions(),
             tuple(self._setup.outward(entry) for entry in self._near),
@@ -202,8 +183,13 @@ class Island:
         places = migration.destinations(setup.config, setup.variable, self.epoch)[setup.island]
         return migration.pack(self._lists, places)
 
+    def senders(self) -> frozenset[int]:
+        """Return the other islands whose solutions the reshuffle of this epoch sends here."""
+        setup = self._setup
+        return migration.senders(setup.config, setup.variable, self.epoch, setup.island)
+
     def immigrate(self, blocks: Mapping[int, bytes]) -> None:
-        """Rebuild the population by slot from the blocks of exactly `senders(...)`, keyed by source island.
+        """Rebuild the population by slot from the blocks of exactly `senders()` and of this island, keyed by source.
 
         Raises RemoteProtocolError when a block is malformed or the slots do not add up; the island is then unchanged.
         """
@@ -212,7 +198,7 @@ class Island:
         self._go_on_with(migration.unpack(blocks, len(self._fitness), self._setup.space, self._setup.allowed))
 
     def _go_on_with(self, lists: Lists) -> None:
-        for mine, theirs in zip(self._lists._asdict().values(), lists, strict=True):
+        for mine, theirs in zip(self._lists, lists, strict=True):
             mine[...] = theirs
         self.epoch += 1
         self._start_epoch()
@@ -279,15 +265,7 @@ class Island:
         if setup.coevolving.enabled and self.epoch > 0:
             for t in range(self._coevolution.exact.shape[0]):
                 uncounted = np.zeros(len(PARTS), np.int64)
-                train(
-                    self._coevolution,
-                    t,
-                    setup.every,
-                    setup.fit,
-                    setup.scratch.tape,
-                    setup.scratch.work,
-                    uncounted,
-                )
+                train(self._coevolution, t, setup.every, setup.fit, setup.scratch.tape, setup.scratch.work, uncounted)
 
 
 def reshuffle(islands: Sequence[Island]) -> None:
@@ -304,8 +282,3 @@ def reshuffle(islands: Sequence[Island]) -> None:
 
 def _listed(entries: Iterable[FrontEntry]) -> list[list[object]]:
     return [[e.complexity, e.error, e.mse, e.epoch, e.generation, e.island, e.program] for e in entries]
-
-
-senders = migration.senders
-receivers = migration.receivers
-__all__ = ["EpochOutcome", "Hit", "Island", "receivers", "reshuffle", "senders"]

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.expression.operators import ARITY, BY_NAME, CONSTANT, VARIABLE
+from atoll_core.expression.operators import CONSTANT, VARIABLE
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.codec import decode_arrays, encode_arrays
 from atoll_island_worker.evolution.structures import MOST_TERMS, Lists, Space, empty_lists
@@ -24,28 +24,21 @@ _KINDS: Final = {"slots": "i4", "code": "i1", "left": "i4", "right": "i4", "cons
 """Types of the arrays of a block."""
 
 
+def destinations(config: JobConfig, variable: str, epoch: int) -> Slots:
+    """Return, for every place (island * population + slot), the place its solution goes to; shape (islands, P)."""
+    return _destinations(config.seed, variable, epoch, config.evolution.islands, config.evolution.population)
+
+
 @lru_cache(maxsize=32)
 def _destinations(seed: int, variable: str, epoch: int, islands: int, population: int) -> Slots:
-    """Return, for every place (island * population + slot), the place its solution goes to; shape (islands, P)."""
     stream = Stream(stream_key(seed, variable, -1, epoch, "reshuffle"))
     return np.array(stream.permutation(islands * population), np.int64).reshape(islands, population)
-
-
-def destinations(config: JobConfig, variable: str, epoch: int) -> Slots:
-    """Return the reshuffle of `epoch`, see `_destinations`."""
-    return _destinations(config.seed, variable, epoch, config.evolution.islands, config.evolution.population)
 
 
 def senders(config: JobConfig, variable: str, epoch: int, island: int) -> frozenset[int]:
     """Return the islands (never `island` itself) whose solutions the reshuffle of `epoch` sends to `island`."""
     goes_to = destinations(config, variable, epoch) // config.evolution.population
     return frozenset(np.flatnonzero((goes_to == island).any(axis=1)).tolist()) - {island}
-
-
-def receivers(config: JobConfig, variable: str, epoch: int, island: int) -> frozenset[int]:
-    """Return the islands (never `island` itself) to which the reshuffle of `epoch` sends solutions of `island`."""
-    goes_to = destinations(config, variable, epoch)[island] // config.evolution.population
-    return frozenset(goes_to.tolist()) - {island}
 
 
 def pack(lists: Lists, places: Slots) -> dict[int, bytes]:
@@ -86,14 +79,11 @@ def unpack(blocks: Mapping[int, bytes], population: int, space: Space, allowed: 
     taken = np.zeros(population, np.bool_)
     for source, block in sorted(blocks.items()):
         slots, part = _parsed(block, space, allowed)
-        if (
-            not ((slots >= 0) & (slots < population)).all()
-            or taken[slots].any()
-            or len(set(slots.tolist())) < len(slots)
-        ):
+        exist = ((slots >= 0) & (slots < population)).all()
+        if not exist or taken[slots].any() or len(np.unique(slots)) < len(slots):
             raise RemoteProtocolError(f"the solutions from island {source} claim slots that are taken or do not exist")
         taken[slots] = True
-        for column, values in zip(lists._asdict().values(), part, strict=True):
+        for column, values in zip(lists, part, strict=True):
             column[slots] = values
     if not taken.all():
         missing = int(population - taken.sum())
@@ -119,18 +109,9 @@ def check_nodes(lists: Lists, space: Space, allowed: frozenset[int]) -> None:
     index = np.arange(space.nodes)
     is_terminal = index < space.terminals
     code = lists.code
-    terminal_codes = (code == VARIABLE) | (code == CONSTANT)
-    operator_codes = np.isin(code, sorted(allowed))
     limit = np.where(is_terminal, np.where(code == VARIABLE, space.variables, 1), index)
-    fits = np.where(is_terminal, terminal_codes, operator_codes)
+    fits = np.where(is_terminal, (code == VARIABLE) | (code == CONSTANT), np.isin(code, sorted(allowed)))
     fits &= (lists.left >= 0) & (lists.left < limit) & (lists.right >= 0)
     fits &= lists.right < np.where(is_terminal, 1, index)
     if not fits.all():
         raise RemoteProtocolError("a list has a node that no list of this job can have")
-
-
-def operator_codes(names: tuple[str, ...]) -> list[int]:
-    """Return the codes of operators by name, in the order of the one table; raises KeyError for an unknown name."""
-    codes = sorted({BY_NAME[name].code for name in names})
-    assert all(ARITY[code] > 0 for code in codes)
-    return codes

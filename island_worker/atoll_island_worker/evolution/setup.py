@@ -3,6 +3,7 @@
 import math
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, get_args
 
@@ -12,12 +13,11 @@ from atoll_core.compilation.jit import entry_point
 from atoll_core.config import ConstantSteps, JobConfig
 from atoll_core.data.dataset import FloatArray, Problem, Target
 from atoll_core.errors import LocalProtocolError
-from atoll_core.expression.kernels.tape import functions_address
-from atoll_core.expression.operators import COS, SIN
+from atoll_core.expression.operators import BY_NAME, COS, SIN, VARIABLE
+from atoll_core.expression.program import Program
 from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.search.pareto import FrontEntry
-from atoll_island_worker.evolution.kernels.measured_rows import gather, padded_rows
-from atoll_island_worker.evolution.migration import operator_codes
+from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.structures import (
     MOST_REQUIRED,
     Coevolution,
@@ -29,7 +29,6 @@ from atoll_island_worker.evolution.structures import (
     empty_rows,
     empty_scratch,
 )
-from atoll_island_worker.evolution.variable_subset import restore_variables, select_variables
 
 LEAST_INNER = 2
 """Constants inside terms that may be fitted on few rows all the same, beyond a quarter of their number (ADR 0005)."""
@@ -42,7 +41,10 @@ UNREACHABLE_TARGET = -1.0
 
 
 class IslandSetup:
-    """Everything about one island that follows from problem and configuration, as kernels want it."""
+    """Everything about one island that follows from problem and configuration, as kernels want it.
+
+    The island knows the variables alone that its equation may use: `columns` of those of the whole problem.
+    """
 
     def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
         if problem.groups is not None:  # solutions meet the rows of all groups on their way from island to island
@@ -52,7 +54,8 @@ class IslandSetup:
         self.columns = config.space.columns_for(self.variable, problem.names)
         self.is_narrowed = len(self.columns) < len(problem.names)
         if self.is_narrowed:
-            problem = select_variables(problem, self.columns)
+            names = tuple(problem.names[column] for column in self.columns)
+            problem = Problem(names, np.ascontiguousarray(problem.inputs[list(self.columns)]), problem.target)
         self.names = problem.names
         self.island = island
         self.restrictions = restrictions_of(config, self.variable, problem.names)
@@ -98,12 +101,13 @@ class IslandSetup:
 
     def outward(self, entry: FrontEntry) -> FrontEntry:
         """Return a front member as all others know it: its program over all variables, not over those allowed here."""
-        return restore_variables(entry, self.columns) if self.is_narrowed else entry
-
-    def gather(self, coevolution: Coevolution) -> None:
-        """Fill `rows` with those of the best predictor; nothing to do while predictors are off."""
-        if self.coevolving.enabled:
-            gather(self.rows, self.every, coevolution.predictors[coevolution.best[0]], functions_address())
+        if not self.is_narrowed:
+            return entry
+        program = Program.from_bytes(entry.program, len(self.columns))
+        left = program.left.copy()
+        is_variable = program.operators == VARIABLE
+        left[is_variable] = np.array(self.columns, np.int16)[left[is_variable]]
+        return replace(entry, program=replace(program, left=left).to_bytes())
 
     def empty_coevolution(self) -> Coevolution:
         """Return predictors and trainers not yet drawn; a single unused one of each when predictors are off."""
@@ -156,13 +160,14 @@ def target_error(config: JobConfig, target: Target) -> float:
 
 def _space(problem: Problem, config: JobConfig) -> Space:
     terminals, evolution = config.space.terminals, config.evolution
+    operators = config.space.operators_for(problem.target.variable)
     if terminals is None:
         raise LocalProtocolError("space.terminals is not resolved")
     return Space(
         terminals=terminals,
         nodes=terminals + config.space.operator_nodes,
         variables=problem.inputs.shape[0],
-        operators=np.array(operator_codes(config.space.operators_for(problem.target.variable)), np.int64),
+        operators=np.array(sorted({BY_NAME[name].code for name in operators}), np.int64),
         scales=_scales(problem) if evolution.scaled_constants else np.zeros(0),
         crossover=evolution.crossover,
         mutation=evolution.mutation,

@@ -65,6 +65,9 @@ class FakeIsland:
     def emigrants(self) -> dict[int, bytes]:
         return {self.island: b"own", 1: b"other"}
 
+    def senders(self) -> frozenset[int]:
+        return frozenset({1, 2})
+
     def to_bytes(self) -> bytes:
         return b"state"
 
@@ -79,7 +82,6 @@ def results(monkeypatch: pytest.MonkeyPatch) -> "queue.Queue[object]":
     FakeIsland.may_go_on.set()
     module = ModuleType("atoll_island_worker.evolution.island")
     module.Island = FakeIsland  # type: ignore[attr-defined]
-    module.senders = lambda config, variable, epoch, island: frozenset({1, 2})  # type: ignore[attr-defined]
     warmup = ModuleType("atoll_island_worker.compute.warmup")
     warmup.warm_up = lambda report: report("compiling")  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "atoll_island_worker.evolution.island", module)

@@ -1,6 +1,7 @@
 """Predictors and trainers: judged by their definitions, renewed in turn, and never dearer than allowed."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll_core.expression.kernels.tape import functions_address
-from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, renew_trainer, use_best_predictor
-from atoll_island_worker.evolution.kernels.generation import COEVOLUTION, PARTS
+from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, measure_population, renew_trainer
+from atoll_island_worker.evolution.kernels.generation import COEVOLUTION, PARTS, REEVALUATION
 from atoll_island_worker.evolution.kernels.measured_rows import gather, padded_rows
 from atoll_island_worker.evolution.kernels.predictors import judge, judge_all, predictor_generation
 from atoll_island_worker.evolution.kernels.trainers import most_disputed, train
@@ -40,14 +41,17 @@ class Arena:
         self.stream = stream_of(seed)
         self.coevolution = empty_coevolution(SPACE, PREDICTORS, SAMPLE, TRAINERS, rows)
 
-    def begin(self):
-        begin_coevolution(
-            self.lists, self.coevolution, self.every, self.options, self.relative, self.scratch, self.stream,
-            self.counters,
+    def setup(self, effort=0.0, renewal=50):
+        return SimpleNamespace(
+            every=self.every, rows=self.rows, space=SPACE, fit=self.options, scratch=self.scratch,
+            coevolving=Coevolving(1, effort, renewal, self.relative),
+            call=lambda kernel, *arguments: kernel(*arguments),
         )  # fmt: skip
-        use_best_predictor(
-            self.lists, self.fitness, self.coevolution, self.every, self.rows, self.options, self.scratch, self.counters
-        )
+
+    def begin(self):
+        setup = self.setup()
+        begin_coevolution(setup, self.lists, self.coevolution, self.stream, self.counters)
+        measure_population(setup, self.lists, self.fitness, self.coevolution, self.counters, REEVALUATION)
         return self
 
     def step(self):
@@ -55,14 +59,11 @@ class Arena:
         return predictor_generation(self.coevolution, self.relative, self.every.length, children, self.stream)
 
     def renew(self):
-        return renew_trainer(
-            self.lists, self.coevolution, self.every, self.options, self.relative, self.scratch, self.counters
-        )
+        return renew_trainer(self.setup(), self.lists, self.coevolution, self.counters)
 
     def evolve(self, generations, effort, renewal=50):
         evolve(
-            generations, self.lists, self.fitness, self.coevolution, SPACE, self.options,
-            Coevolving(1, effort, renewal, self.relative), self.every, self.rows, self.scratch, self.stream,
+            self.setup(effort, renewal), generations, self.lists, self.fitness, self.coevolution, self.stream,
             self.counters,
         )  # fmt: skip
 

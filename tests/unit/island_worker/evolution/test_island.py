@@ -23,7 +23,7 @@ from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.expression.program import Program
 from atoll_core.expression.simplification import complexity
 from atoll_core.wire.codec import decode_arrays, encode_arrays
-from atoll_island_worker.evolution.island import Island, receivers, senders
+from atoll_island_worker.evolution.island import Island
 from atoll_island_worker.evolution.island import reshuffle as reshuffle_here
 from tests.archipelago import advance, reshuffle, search
 from tests.oracles import fitting
@@ -90,7 +90,7 @@ def test_islands_of_one_process_are_reshuffled_as_by_blocks():
         for island in islands:
             while not island.advance():
                 pass
-    reshuffle(by_blocks, CONFIG, PROBLEM.target.variable)
+    reshuffle(by_blocks)
     reshuffle_here(at_once)
     assert [island.to_bytes() for island in at_once] == [island.to_bytes() for island in by_blocks]
 
@@ -123,7 +123,7 @@ def test_an_island_written_and_read_between_epochs_goes_on_with_the_same_bits(pr
     for _ in range(3):
         islands = [Island.from_bytes(island.to_bytes(), PROBLEM, config, k) for k, island in enumerate(islands)]
         ended = [advance(island) for island in islands]
-        reshuffle(islands, config, "x")
+        reshuffle(islands)
     assert tuple(ended) == run(config, epochs=3).outcomes[-2:]
 
 
@@ -135,7 +135,7 @@ def test_runners_up_are_part_of_an_island_that_is_written_and_read():
     for _ in range(3):
         islands = [Island.from_bytes(island.to_bytes(), PROBLEM, NEAR, k) for k, island in enumerate(islands)]
         ended = [advance(island) for island in islands]
-        reshuffle(islands, NEAR, "x")
+        reshuffle(islands)
     assert tuple(ended) == run(NEAR, epochs=3).outcomes[-2:]
     assert any(outcome.runners_up for outcome in ended)
 
@@ -167,7 +167,7 @@ def test_bytes_are_the_same_after_reading_and_writing():
     other = Island(PROBLEM, CONFIG, 1)
     for one in (island, other):
         advance(one)
-    reshuffle([island, other], CONFIG, "x")
+    reshuffle([island, other])
     data = island.to_bytes()
     assert Island.from_bytes(data, PROBLEM, CONFIG, 0).to_bytes() == data
 
@@ -201,7 +201,7 @@ def with_array(data, name, array):
 def test_a_state_that_does_not_fit_is_refused(spoil):
     island = Island(PROBLEM, config_of(islands=1), 0)
     advance(island)
-    reshuffle([island], config_of(islands=1), "x")
+    reshuffle([island])
     with pytest.raises(RemoteProtocolError):
         Island.from_bytes(spoil(island.to_bytes()), PROBLEM, config_of(islands=1), 0)
 
@@ -218,7 +218,7 @@ def test_an_island_that_refused_immigrants_is_unchanged():
         assert islands[0].epoch == 0
         assert islands[0].emigrants() == before
         assert islands[0].outcome() == outcome
-    reshuffle(islands, CONFIG, "x")
+    reshuffle(islands)
     assert advance(islands[0]) == run().outcomes[2]
 
 
@@ -316,13 +316,6 @@ def test_an_island_that_meets_the_target_stops_there():
 def test_no_entry_is_more_complex_than_allowed():
     config = config_of(space=SpaceConfig(terminals=7, max_size=5))
     assert max(entry.complexity for entry in run(config).front) <= 5
-
-
-def test_who_sends_is_who_is_waited_for():
-    config = config_of(islands=6, population=4)
-    for island in range(6):
-        assert island not in senders(config, "x", 0, island)
-        assert all(island in receivers(config, "x", 0, source) for source in senders(config, "x", 0, island))
 
 
 TINY = """
