@@ -8,20 +8,20 @@ RemoteProtocolError with one sentence. Nothing that travels is code, and nothing
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Final, TypeVar, cast
 
 import msgpack
 import numpy as np
 import numpy.typing as npt
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from atoll_core.config import Frozen
 from atoll_core.data.dataset import AnyArray, Dataset, FloatArray, Target
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire.bus.interface import MAX_PAYLOAD
 
-M = TypeVar("M")
+M = TypeVar("M", bound=Frozen)
 
 MAX_NESTING: Final = 32
 MAX_ITEMS: Final = 2_000_000
@@ -58,19 +58,19 @@ def encode(model: Frozen) -> bytes:
     return _pack(model.model_dump(warnings="none"))
 
 
-def decode(data: bytes, kind: type[M] | TypeAdapter[M], max_bytes: int = MAX_PAYLOAD) -> M:
-    """Return the message in `data`, checked by the model (or, for a tagged union, by the type adapter) `kind`.
+def decode(data: bytes, kind: type[M], max_bytes: int = MAX_PAYLOAD) -> M:
+    """Return the message in `data`, checked by the model `kind`.
 
     Raises:
         RemoteProtocolError: `data` is oversized, malformed or not what `kind` describes.
     """
     tree = _unpack(data, max_bytes)
     try:
-        return _validated(tree, kind)
+        return kind.model_validate(tree)
     except ValidationError as error:
-        raise RemoteProtocolError(f"a message does not fit {_name(kind)}: {_first(error)}") from error
+        raise RemoteProtocolError(f"a message does not fit {kind.__name__}: {_first(error)}") from error
     except BROKEN as error:
-        raise RemoteProtocolError(f"a message does not fit {_name(kind)}: {_brief(error)}") from error
+        raise RemoteProtocolError(f"a message does not fit {kind.__name__}: {_brief(error)}") from error
 
 
 def encode_arrays(header: Mapping[str, object], arrays: Mapping[str, AnyArray]) -> bytes:
@@ -92,14 +92,14 @@ def encode_arrays(header: Mapping[str, object], arrays: Mapping[str, AnyArray]) 
     return b"".join(parts)
 
 
-def decode_arrays(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> tuple[dict[str, Any], dict[str, AnyArray]]:
+def decode_arrays(data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     """Return header and arrays of `encode_arrays`. The arrays are read-only views of `data`.
 
     Raises:
         RemoteProtocolError: the block is oversized, malformed, or its shapes do not fit its bytes.
     """
-    if len(data) > max_bytes:
-        raise RemoteProtocolError(f"a block of arrays has {len(data)} bytes, more than the {max_bytes} allowed")
+    if len(data) > MAX_ARRAYS_BYTES:
+        raise RemoteProtocolError(f"a block of arrays has {len(data)} bytes, more than the {MAX_ARRAYS_BYTES} allowed")
     try:
         return _decode_arrays(data)
     except BROKEN as error:
@@ -124,13 +124,13 @@ def dataset_to_bytes(dataset: Dataset) -> bytes:
     return encode_arrays(header, arrays)
 
 
-def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Dataset:
+def dataset_from_bytes(data: bytes) -> Dataset:
     """Return the dataset in `data`: finite, shapes checked, arrays aligned and writable as compiled kernels expect.
 
     Raises:
         RemoteProtocolError: the bytes are not those of a dataset.
     """
-    header, arrays = decode_arrays(data, max_bytes)
+    header, arrays = decode_arrays(data)
     try:
         names = _texts(header["names"])
         inputs = _finite("inputs", arrays["inputs"], (len(names), -1))
@@ -149,10 +149,9 @@ def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Datase
 def _pack(tree: object) -> bytes:
     try:
         _check_tree(tree)
-        data = cast(bytes, msgpack.packb(tree, default=_plain))
+        return cast(bytes, msgpack.packb(tree, default=_plain))
     except BROKEN as error:
         raise LocalProtocolError(f"a message cannot be encoded: {_brief(error)}") from error
-    return data
 
 
 def _plain(value: object) -> object:
@@ -168,9 +167,9 @@ def _unpack(data: bytes, max_bytes: int) -> object:
         _walk(data)
         tree = _built(data)
         _check_tree(tree)
+        return tree
     except BROKEN as error:
         raise RemoteProtocolError(f"a message is not well-formed msgpack: {_brief(error)}") from error
-    return tree
 
 
 def _built(data: bytes) -> object:
@@ -178,32 +177,19 @@ def _built(data: bytes) -> object:
 
     A container costs up to ninety times the one byte that it takes in a message.
     """
+    left = MAX_ITEMS
+
+    def count(built: Collection[object]) -> Collection[object]:
+        nonlocal left
+        left -= 1 + len(built) * (2 if isinstance(built, dict) else 1)
+        if left < 0:
+            raise ValueError(_TOO_MANY)
+        return built
+
     limits: dict[str, Any] = {"raw": False, "strict_map_key": True, "max_map_len": MAX_MAP}
     if len(data) > _SMALL:
-        count = _Count()
-        limits |= {"max_array_len": MAX_ITEMS, "list_hook": count.items, "object_hook": count.entries}
+        limits |= {"max_array_len": MAX_ITEMS, "list_hook": count, "object_hook": count}
     return msgpack.unpackb(data, **limits)
-
-
-class _Count:
-    """Counts items while they are built."""
-
-    def __init__(self) -> None:
-        self._left = MAX_ITEMS
-
-    def items(self, built: list[object]) -> list[object]:
-        """Count a list and what it holds."""
-        self._left -= 1 + len(built)
-        if self._left < 0:
-            raise ValueError(_TOO_MANY)
-        return built
-
-    def entries(self, built: dict[str, object]) -> dict[str, object]:
-        """Count a map and what it holds."""
-        self._left -= 1 + 2 * len(built)
-        if self._left < 0:
-            raise ValueError(_TOO_MANY)
-        return built
 
 
 def _walk(data: bytes) -> None:
@@ -255,16 +241,6 @@ _CONTAINERS: Final = frozenset({list, tuple, dict})
 _REFUSED: Final = frozenset({msgpack.ExtType, msgpack.Timestamp})
 _TOO_MANY: Final = f"it holds more than {MAX_ITEMS} items"
 _TOO_DEEP: Final = f"it is nested deeper than {MAX_NESTING} levels"
-
-
-def _validated(tree: object, kind: type[M] | TypeAdapter[M]) -> M:
-    if isinstance(kind, TypeAdapter):
-        return kind.validate_python(tree)
-    return cast(M, cast(type[Frozen], kind).model_validate(tree))
-
-
-def _name(kind: object) -> str:
-    return kind.__name__ if isinstance(kind, type) else "any known kind of message"
 
 
 def _first(error: ValidationError) -> str:

@@ -201,46 +201,35 @@ def parse(key: str) -> Key:
     Raises:
         RemoteProtocolError: It is none of the keys at the top of this module.
     """
-    parsed = _parse(key.split("/")) if len(key) <= 512 else None
+    root, *parts = key.split("/") if len(key) <= 512 else [""]
+    parsed = _parse(parts) if root == ROOT and all(map(is_id, parts)) else None
     if parsed is None:
         raise RemoteProtocolError(f"key {key[:200]!r} is none of ours")
     return parsed
 
 
 def _parse(parts: list[str]) -> Key | None:
-    if parts[:2] == [ROOT, "hello"]:
-        return _parse_hello(parts[2:])
-    if len(parts) < 3 or parts[0] != ROOT or not all(is_id(part) for part in parts[1:]):
-        return None
-    return _parse_in_cluster(parts[1], parts[2:])
-
-
-def _parse_hello(rest: list[str]) -> HelloKey | None:
-    if not rest:
-        return HelloKey()
-    return HelloKey(rest[0]) if len(rest) == 1 and is_id(rest[0]) else None
-
-
-def _parse_in_cluster(cluster: str, rest: list[str]) -> Key | None:
     parsed: Key | None = None
-    match rest:
-        case ["control"]:
+    match parts:
+        case ["hello", *names]:
+            parsed = HelloKey(*names) if len(names) <= 1 else None
+        case [cluster, "control"]:
             parsed = ControlKey(cluster)
-        case ["control", name]:
+        case [cluster, "control", name]:
             parsed = ControlKey(cluster, name)
-        case ["job", name]:
+        case [cluster, "job", name]:
             parsed = JobKey(cluster, name)
-        case ["job", name, "placement"]:
+        case [cluster, "job", name, "placement"]:
             parsed = PlacementKey(cluster, name)
-        case ["job", name, "state"]:
+        case [cluster, "job", name, "state"]:
             parsed = StateKey(cluster, name)
-        case ["blob", digest, index] if DIGEST.fullmatch(digest) and re.fullmatch("0|[1-9][0-9]{0,4}", index):
+        case [cluster, "blob", digest, index] if DIGEST.fullmatch(digest) and re.fullmatch("0|[1-9][0-9]{0,4}", index):
             parsed = BlobKey(cluster, digest, int(index)) if int(index) < MAX_CHUNKS else None
-        case ["worker", name, part] if part in get_args(WorkerPart):
+        case [cluster, "worker", name, part] if part in get_args(WorkerPart):
             parsed = WorkerKey(cluster, name, cast(WorkerPart, part))
-        case ["worker", name, "to", peer]:
+        case [cluster, "worker", name, "to", peer]:
             parsed = MailKey(cluster, name, peer)
-        case ["client", name, "ask"]:
+        case [cluster, "client", name, "ask"]:
             parsed = ClientKey(cluster, name)
     return parsed
 

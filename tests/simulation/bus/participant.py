@@ -8,8 +8,18 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
 from atoll_core.errors import LocalProtocolError
-from atoll_core.wire.bus.interface import Event, Posted, Presence, Query, Reply, Timer
-from atoll_core.wire.bus.keys import check_expression, check_key, check_payload, matches
+from atoll_core.wire.bus.interface import (
+    Event,
+    Posted,
+    Presence,
+    Query,
+    Reply,
+    Timer,
+    check_expression,
+    check_key,
+    check_payload,
+)
+from tests.simulation.bus.matching import matches
 
 if TYPE_CHECKING:
     from tests.simulation.bus.network import SimulatedNetwork

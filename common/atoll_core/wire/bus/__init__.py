@@ -1,8 +1,8 @@
 """The bus: publish, query, presence and timers, whatever carries the messages.
 
-- ``interface``: what every participant may rely on; `tests/contract` checks it on every bus.
+- ``interface``: what every participant may rely on, and legal keys; `tests/contract` checks it on every bus.
 - ``zenoh_bus``: the bus over Zenoh, as a router or a client. The only module that imports zenoh.
-- ``inbox``: events and timers that wait for the owner thread. ``keys``: legal keys, and what an expression matches.
+- ``inbox``: events and timers that wait for the owner thread.
 - ``metered_bus``: counts what goes through a bus, by kind.
 
 Events come from Zenoh's threads into the ``inbox``; the owner's loop takes them by `Bus.receive`. The bus in virtual

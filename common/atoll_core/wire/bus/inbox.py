@@ -23,8 +23,13 @@ class Inbox:
 
     def add(self, event: Event) -> None:
         """Hand in an event; from any thread, never blocking."""
-        if self._admit(event, _size(event)):
-            self._events.put(event)
+        size = _size(event)
+        with self._lock:
+            if isinstance(event, Message | Query) and self._bytes + size > INBOX_BYTES:
+                self.dropped += 1
+                return
+            self._bytes += size
+        self._events.put(event)
 
     def take(self, timeout_s: float) -> Event | None:
         """Return the oldest event, waiting at most `timeout_s` (a wait may end early, with None)."""
@@ -36,14 +41,6 @@ class Inbox:
         with self._lock:
             self._bytes -= _size(event)
         return event
-
-    def _admit(self, event: Event, size: int) -> bool:
-        with self._lock:
-            if isinstance(event, Message | Query) and self._bytes + size > INBOX_BYTES:
-                self.dropped += 1
-                return False
-            self._bytes += size
-            return True
 
 
 class Timers:

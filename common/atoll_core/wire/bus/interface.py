@@ -16,14 +16,21 @@ the answer, or `payload=None` when nobody serves the key, the answerer refused, 
 *Presence.* A participant's `announce`d key is seen by watchers until the participant closes or dies; a watcher is also
 told of those already there.
 
+*Keys.* A key is a path of non-empty chunks, such as ``atoll/r1/workers/w3/inbox``. In an expression a chunk may be
+``*`` (any one chunk) or ``**`` (any number of chunks, none included). A chunk that begins with ``@`` is only matched by
+itself.
+
 *Time.* `now` is monotonic seconds; timers fire once, not before their time.
 """
 
+import itertools
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Final, Protocol
+
+from atoll_core.errors import LocalProtocolError
 
 MAX_PAYLOAD: Final = 64 * 1024 * 1024
+_RESERVED: Final = frozenset("*$?#")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +94,7 @@ Event = Message | Query | Reply | Presence | Link | Timer | Posted
 
 
 class Bus(Protocol):
-    """One participant's access to the bus; a context manager, closed exactly once."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    """One participant's access to the bus."""
 
     @property
     def dropped(self) -> int:
@@ -131,3 +132,30 @@ class Bus(Protocol):
 
     def receive(self, timeout_s: float) -> Event | None:
         """Return the next event, waiting at most `timeout_s`; None when there was none."""
+
+
+def check_key(key: str) -> str:
+    """Return `key`; raises LocalProtocolError when it is not a legal concrete key."""
+    if not all(_is_literal(chunk) for chunk in key.split("/")):
+        raise LocalProtocolError(f"{key!r} is not a key: non-empty chunks without *, $, ?, # were expected")
+    return key
+
+
+def check_expression(expression: str) -> str:
+    """Return `expression`; raises LocalProtocolError when it is not a legal key expression in canonical form."""
+    chunks = expression.split("/")
+    if not all(chunk in ("*", "**") or _is_literal(chunk) for chunk in chunks):
+        raise LocalProtocolError(f"{expression!r} is not a key expression: chunks, * or ** were expected")
+    if any(one == "**" and two in ("*", "**") for one, two in itertools.pairwise(chunks)):
+        raise LocalProtocolError(f"{expression!r} is not canonical: write * before **, and ** once")
+    return expression
+
+
+def check_payload(key: str, payload: bytes) -> None:
+    """Raise LocalProtocolError when `payload` is larger than what a bus carries."""
+    if len(payload) > MAX_PAYLOAD:
+        raise LocalProtocolError(f"{len(payload)} bytes for {key} are more than the {MAX_PAYLOAD} a bus carries")
+
+
+def _is_literal(chunk: str) -> bool:
+    return bool(chunk) and _RESERVED.isdisjoint(chunk)

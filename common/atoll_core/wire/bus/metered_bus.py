@@ -1,8 +1,7 @@
 """A bus that counts what goes through it, by kind: what the key says it is (report, mail, status, ask …)."""
 
 from functools import lru_cache
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire import topics
@@ -14,13 +13,25 @@ OTHER: Final = "other"
 
 
 class MeteredBus:
-    """An `atoll_core.wire.bus.interface.Bus` around another one. Its owner counts what it receives by
-    `count_received`."""
+    """A `Bus` around another one. Its owner counts what it receives by `count_received`."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._asked: dict[int, str] = {}
         self._counts: dict[str, list[int]] = {}
+        self.subscribe = bus.subscribe  # what is not counted is the other's
+        self.serve = bus.serve
+        self.announce = bus.announce
+        self.watch = bus.watch
+        self.now = bus.now
+        self.call_later = bus.call_later
+        self.post = bus.post
+        self.receive = bus.receive
+
+    @property
+    def dropped(self) -> int:
+        """See `Bus.dropped`."""
+        return self._bus.dropped
 
     def count_received(self, event: Event) -> None:
         """Count an event that was received."""
@@ -60,54 +71,6 @@ class MeteredBus:
         counts = self._counts.setdefault(kind, [0, 0, 0, 0])
         counts[place] += 1
         counts[place + 1] += size
-
-    # what is not counted
-
-    def __enter__(self) -> Self:
-        self._bus.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bus.__exit__(kind, error, trace)
-
-    @property
-    def dropped(self) -> int:
-        """See `Bus.dropped`."""
-        return self._bus.dropped
-
-    def subscribe(self, key_expression: str) -> None:
-        """See `Bus.subscribe`."""
-        self._bus.subscribe(key_expression)
-
-    def serve(self, key_expression: str) -> None:
-        """See `Bus.serve`."""
-        self._bus.serve(key_expression)
-
-    def announce(self, key: str) -> None:
-        """See `Bus.announce`."""
-        self._bus.announce(key)
-
-    def watch(self, key_expression: str) -> None:
-        """See `Bus.watch`."""
-        self._bus.watch(key_expression)
-
-    def now(self) -> float:
-        """See `Bus.now`."""
-        return self._bus.now()
-
-    def call_later(self, delay_s: float, name: str) -> None:
-        """See `Bus.call_later`."""
-        self._bus.call_later(delay_s, name)
-
-    def post(self, item: object) -> None:
-        """See `Bus.post`."""
-        self._bus.post(item)
-
-    def receive(self, timeout_s: float) -> Event | None:
-        """See `Bus.receive`."""
-        return self._bus.receive(timeout_s)
 
 
 @lru_cache(4096)

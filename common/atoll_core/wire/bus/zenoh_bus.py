@@ -21,10 +21,22 @@ import zenoh
 from zenoh.handlers import Callback
 
 from atoll_core.errors import LocalProtocolError, UnreachableError, UsageError
-from atoll_core.wire.addresses import Address, Destination, bindable, check_certificates, destination, why_unreachable
+from atoll_core.wire.addresses import Destination, bindable, check_certificates, destination, why_unreachable
 from atoll_core.wire.bus.inbox import Inbox, Timers
-from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Link, Message, Posted, Presence, Query, Reply, Timer
-from atoll_core.wire.bus.keys import check_expression, check_key, check_payload
+from atoll_core.wire.bus.interface import (
+    MAX_PAYLOAD,
+    Event,
+    Link,
+    Message,
+    Posted,
+    Presence,
+    Query,
+    Reply,
+    Timer,
+    check_expression,
+    check_key,
+    check_payload,
+)
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.security.access_control import access_control
 from atoll_core.wire.security.role_bindings import RoleBindings
@@ -69,14 +81,14 @@ def open_router(
         UsageError: nobody can listen there, or a setting is unknown to zenoh.
     """
     wanted = listen if isinstance(listen, Destination) else destination(listen)
-    guards = {
-        **_guards(wanted),
-        **({"access_control": access_control(role_bindings)} if role_bindings is not None else {}),
-    }
+    further = _guards(wanted)
+    if role_bindings is not None:
+        further["access_control"] = access_control(role_bindings)
+    further.update(settings or {})
     for attempt in itertools.count(1):
         address = bindable(wanted.address)
         try:
-            session = zenoh.open(_config("router", [str(address)], [], {**guards, **(settings or {})}))
+            session = zenoh.open(_config("router", [str(address)], [], further))
             return ZenohBus(session, str(address), is_router=True)
         except zenoh.ZError as error:  # between finding a free port and listening on it, somebody may have taken it
             if wanted.address.port or wanted.address.is_socket or attempt == _FREE_PORT_ATTEMPTS:
@@ -108,13 +120,16 @@ def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Setti
             except zenoh.ZError:
                 reason = check_certificates(to, _SLOW_S) or "what listens there did not answer as a coordinator does"
         if time.monotonic() >= end:
-            raise UnreachableError(_unreachable(address, wait_s, reason))
+            waited = f" within {wait_s:g} s" if wait_s > 0.0 else ""
+            raise UnreachableError(
+                f"no coordinator answers at {address}{waited}: {reason}; "
+                "check the address, or start one with `coordinator serve`"
+            )
         time.sleep(min(_PAUSE_S, max(0.0, end - time.monotonic())))
 
 
 class ZenohBus:
-    """One zenoh session as an `atoll_core.wire.bus.interface.Bus`. `endpoint` is the address listened on or connected
-    to."""
+    """One zenoh session as a `Bus`; `endpoint` is the address listened on or connected to."""
 
     def __init__(self, session: zenoh.Session, endpoint: str, is_router: bool) -> None:
         self.endpoint: Final = endpoint
@@ -124,7 +139,9 @@ class ZenohBus:
         self._tokens = itertools.count(1)
         self._kept: list[object] = []  # liveliness tokens vanish with their Python objects
         if not is_router:
-            self._follow_link()
+            session.info.declare_transport_events_listener(_directly(self._on_transport))
+            if not session.info.routers_zid():  # lost between opening and listening
+                self._inbox.add(Link(False))
 
     def __enter__(self) -> Self:
         return self
@@ -153,9 +170,7 @@ class ZenohBus:
     def serve(self, key_expression: str) -> None:
         """See `Bus.serve`."""
         check_expression(key_expression)
-        self._call(
-            lambda: self._session.declare_queryable(key_expression, _directly(self._on_query), complete=True),
-        )
+        self._call(lambda: self._session.declare_queryable(key_expression, _directly(self._on_query), complete=True))
 
     def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int:
         """See `Bus.get`."""
@@ -240,11 +255,6 @@ class ZenohBus:
     def _on_presence(self, sample: zenoh.Sample) -> None:
         self._inbox.add(Presence(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
-    def _follow_link(self) -> None:
-        self._session.info.declare_transport_events_listener(_directly(self._on_transport))
-        if not self._session.info.routers_zid():  # lost between opening and listening
-            self._inbox.add(Link(False))
-
     def _on_transport(self, event: zenoh.TransportEvent) -> None:
         self._inbox.add(Link(event.kind == zenoh.SampleKind.PUT))
 
@@ -279,9 +289,9 @@ def _directly(callback: Callable[[Any], None]) -> Any:
     return Callback(callback, indirect=False)
 
 
-def _config(mode: str, listen: list[str], connect: list[str], settings: Settings | None) -> zenoh.Config:
+def _config(mode: str, listen: list[str], connect: list[str], settings: Settings) -> zenoh.Config:
     config = zenoh.Config.from_json5(json.dumps(_tree(mode, listen, connect)))
-    for path, value in (settings or {}).items():
+    for path, value in settings.items():
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
@@ -300,8 +310,10 @@ def _guards(to: Destination) -> dict[str, object]:
         "enable_mtls": True,
         "verify_name_on_connect": True,
         "close_link_on_expiration": True,
-        **{f"{side}_certificate": certificate for side in ("listen", "connect")},
-        **{f"{side}_private_key": key for side in ("listen", "connect")},
+        "listen_certificate": certificate,
+        "listen_private_key": key,
+        "connect_certificate": certificate,
+        "connect_private_key": key,
     }
     return {"transport/link/tls": tls, "transport/link/protocols": [to.address.protocol]}
 
@@ -340,11 +352,3 @@ def _reason(error: zenoh.ZError) -> str:
     """Return what zenoh says without its places in source code."""
     text = str(error).split(" at /")[0].strip().splitlines()
     return text[0][:200] if text else "no reason was given"
-
-
-def _unreachable(address: Address, wait_s: float, reason: str) -> str:
-    waited = f" within {wait_s:g} s" if wait_s > 0.0 else ""
-    return (
-        f"no coordinator answers at {address}{waited}: {reason}; "
-        "check the address, or start one with `coordinator serve`"
-    )

@@ -23,6 +23,16 @@ from atoll_core.wire.messages.limits import (
     Variable,
 )
 
+
+class OfTerm(Frozen):
+    """A message about one archipelago under one term."""
+
+    kind: str
+    job: Id
+    variable: Variable
+    term: Term
+
+
 # ---------------------------------------------------------------------------------------------- reports
 
 
@@ -68,13 +78,10 @@ class IslandReport(Frozen):
     digest: Annotated[str, Field(pattern=r"^[0-9a-f]{16,128}$")]
 
 
-class EpochReport(Frozen):
+class EpochReport(OfTerm):
     """One worker's islands of one archipelago, one epoch: all but those that the cut spares the whole epoch."""
 
     kind: Literal["report"] = "report"
-    job: Id
-    variable: Variable
-    term: Term
     epoch: Count
     islands: Annotated[tuple[IslandReport, ...], Field(min_length=1)]
 
@@ -90,24 +97,18 @@ class Block(Frozen):
     data: bytes
 
 
-class Migrants(Frozen):
+class Migrants(OfTerm):
     """Emigrants of one finished epoch for islands of one worker."""
 
     kind: Literal["migrants"] = "migrants"
-    job: Id
-    variable: Variable
-    term: Term
     epoch: Count
     blocks: Annotated[tuple[Block, ...], Field(min_length=1)]
 
 
-class Finished(Frozen):
+class Finished(OfTerm):
     """In place of emigrants: `island` met the target at `generation` of `epoch`; nothing after that is needed."""
 
     kind: Literal["finished"] = "finished"
-    job: Id
-    variable: Variable
-    term: Term
     epoch: Count
     generation: Count
     island: IslandIndex
@@ -122,36 +123,27 @@ class Mail(Frozen):
 # ---------------------------------------------------------------------------------------------- pulls
 
 
-class PullMigrants(Frozen):
+class PullMigrants(OfTerm):
     """What did the `sources` of yours send in `epoch` to island `destination`?"""
 
     kind: Literal["pull-migrants"] = "pull-migrants"
-    job: Id
-    variable: Variable
-    term: Term
     epoch: Count
     destination: IslandIndex
     sources: Annotated[tuple[IslandIndex, ...], Field(min_length=1)]
 
 
-class PullReports(Frozen):
+class PullReports(OfTerm):
     """What did you report of these epochs (first included, last excluded)?"""
 
     kind: Literal["pull-reports"] = "pull-reports"
-    job: Id
-    variable: Variable
-    term: Term
     first: Count
     last: Count
 
 
-class PullStates(Frozen):
+class PullStates(OfTerm):
     """What are the states of these islands at checkpoint `epoch`, of the first one from byte `offset` on?"""
 
     kind: Literal["pull-states"] = "pull-states"
-    job: Id
-    variable: Variable
-    term: Term
     epoch: Count
     islands: Annotated[tuple[IslandIndex, ...], Field(min_length=1, max_length=1024)]
     offset: Count = 0
@@ -201,12 +193,10 @@ class NotYet(Frozen):
     kind: Literal["not-yet"] = "not-yet"
 
 
-class NewerTerm(Frozen):
+class NewerTerm(OfTerm):
     """The question's term is over; `term` is the one that the answerer knows (0: it holds nothing there)."""
 
     kind: Literal["newer-term"] = "newer-term"
-    job: Id
-    variable: Variable
     term: Count
 
 

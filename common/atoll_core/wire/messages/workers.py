@@ -14,6 +14,7 @@ from pydantic import Field
 
 from atoll_core.config import Frozen, JobConfig
 from atoll_core.search.commit_order import CommitOrder
+from atoll_core.wire.messages.epochs import OfTerm
 from atoll_core.wire.messages.limits import (
     MAX_ISLANDS,
     Count,
@@ -100,28 +101,22 @@ class Placements(Frozen):
     placements: tuple[Placement, ...]
 
 
-class Commit(Frozen):
+class Commit(OfTerm):
     """The checkpoint for `epoch` is durable, and these are the next ones.
 
     Every island has reported epoch `reported` under this term: what was sent in the epochs below is needed no more.
     """
 
     kind: Literal["commit"] = "commit"
-    job: Id
-    variable: Variable
-    term: Term
     epoch: Count
     schedule: Schedule
     reported: Count = 0
 
 
-class Close(Frozen):
+class Close(OfTerm):
     """Stop computing one archipelago, as far as it is placed under `term` or a lower one, and forget it."""
 
     kind: Literal["close"] = "close"
-    job: Id
-    variable: Variable
-    term: Term
 
 
 class CloseJob(Frozen):

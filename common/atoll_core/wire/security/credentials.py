@@ -10,7 +10,7 @@ import ipaddress
 import socket
 import ssl
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, TypedDict, cast
@@ -99,7 +99,10 @@ def load(authority: Path, certificate: Path, key: Path, use: Use) -> Credentials
         UsageError: a file cannot be read or holds something else; key and certificate do not fit; the certificate was
             issued by somebody else, has expired, is for the other side, or names nobody.
     """
-    _check_files(authority, certificate, key)
+    _check_contents(authority, "--tls-ca", "CERTIFICATE-----", "the certificate of an authority")
+    _check_contents(certificate, "--tls-cert", "CERTIFICATE-----", "a certificate")
+    if "ENCRYPTED" in _check_contents(key, "--tls-key", "PRIVATE KEY-----", "a private key"):
+        raise UsageError(f"the key {key} is encrypted; give --tls-key one that is not, readable by its owner only")
     shown = _shown(authority, certificate, key, use)
     _check_dates(certificate, shown)
     hosts = tuple(_plain(kind, name) for kind, name in shown.get("subjectAltName", ()))
@@ -141,10 +144,10 @@ def check_welcome(host: str, port: int, credentials: Credentials, listen_s: floa
     except ssl.SSLCertVerificationError as error:
         raise RefusedError(_distrust(error, host, port, credentials)) from error
     except ssl.SSLError as error:
-        sentence = _alert(error, credentials)
-        if sentence is None:
-            return "what listens there does not speak TLS as a coordinator does"
-        raise RefusedError(sentence) from error
+        for ending, sentence in _ALERTS.items():
+            if (error.reason or "").endswith(ending):
+                raise RefusedError(sentence.format(certificate=credentials.certificate)) from error
+        return "what listens there does not speak TLS as a coordinator does"
     except OSError as error:
         return "what listens there does not speak TLS" if isinstance(error, TimeoutError) else str(error).lower()
     return None
@@ -198,22 +201,6 @@ def _names_there(host: str, port: int, credentials: Credentials) -> str:
     return ", ".join(_plain(kind, name) for kind, name in names)[:300] or "no name at all"
 
 
-def _alert(error: ssl.SSLError, credentials: Credentials) -> str | None:
-    reason = error.reason or ""
-    for ending, sentence in _ALERTS.items():
-        if reason.endswith(ending):
-            return sentence.format(certificate=credentials.certificate)
-    return None
-
-
-def _check_files(authority: Path, certificate: Path, key: Path) -> None:
-    _check_contents(authority, "--tls-ca", "CERTIFICATE-----", "the certificate of an authority")
-    _check_contents(certificate, "--tls-cert", "CERTIFICATE-----", "a certificate")
-    text = _check_contents(key, "--tls-key", "PRIVATE KEY-----", "a private key")
-    if "ENCRYPTED" in text:
-        raise UsageError(f"the key {key} is encrypted; give --tls-key one that is not, readable by its owner only")
-
-
 def _check_contents(file: Path, option: str, mark: str, expected: str) -> str:
     try:
         text = file.read_text("ascii", "replace")
@@ -263,7 +250,7 @@ def _handshake(authority: Path, certificate: Path, key: Path, use: Use, flags: i
 def _context(protocol: int, certificate: Path, key: Path) -> ssl.SSLContext:
     context = ssl.SSLContext(protocol)
     try:
-        context.load_cert_chain(certificate, key, password=_no_password())
+        context.load_cert_chain(certificate, key, password=lambda: "")  # so that OpenSSL asks nobody
     except ssl.SSLError as error:
         if error.reason == "KEY_VALUES_MISMATCH":
             raise UsageError(f"the key {key} does not belong to the certificate {certificate}") from error
@@ -271,11 +258,6 @@ def _context(protocol: int, certificate: Path, key: Path) -> ssl.SSLContext:
             f"{certificate} and {key} are damaged or of an unknown kind ({error.reason or error})"
         ) from error
     return context
-
-
-def _no_password() -> Callable[[], str]:
-    """Return what answers OpenSSL's question for a password, so that nobody is asked."""
-    return lambda: ""
 
 
 def _check_dates(certificate: Path, shown: _Certificate) -> None:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire import topics
-from atoll_core.wire.bus.keys import matches
+from tests.simulation.bus.matching import matches
 
 IDS = st.from_regex(topics.ID, fullmatch=True)
 DIGESTS = st.from_regex(topics.DIGEST, fullmatch=True)

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from atoll_core.errors import LocalProtocolError
-from atoll_core.wire.bus.interface import MAX_PAYLOAD
-from atoll_core.wire.bus.keys import check_expression, check_key, check_payload, matches
+from atoll_core.wire.bus.interface import MAX_PAYLOAD, check_expression, check_key, check_payload
+from tests.simulation.bus.matching import matches
 
 CHUNKS = st.sampled_from(["a", "b", "ab", "@a", "θ x"])
 KEYS = st.lists(CHUNKS, min_size=1, max_size=6).map("/".join)

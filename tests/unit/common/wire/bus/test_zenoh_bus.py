@@ -120,7 +120,7 @@ def test_a_flood_loses_nothing(router: ZenohBus) -> None:
 def test_a_message_larger_than_ours_is_not_read_and_changes_nothing(
     router: ZenohBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("atoll_core.wire.bus.keys.MAX_PAYLOAD", 2 * MAX_PAYLOAD)
+    monkeypatch.setattr("atoll_core.wire.bus.interface.MAX_PAYLOAD", 2 * MAX_PAYLOAD)
     router.subscribe("large")
     with open_client(router.endpoint) as stranger:
         stranger.get("barrier", timeout_s=5.0)
