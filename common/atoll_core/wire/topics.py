@@ -211,12 +211,10 @@ def parse(key: str) -> Key:
 def _parse(parts: list[str]) -> Key | None:
     parsed: Key | None = None
     match parts:
-        case ["hello", *names]:
-            parsed = HelloKey(*names) if len(names) <= 1 else None
-        case [cluster, "control"]:
-            parsed = ControlKey(cluster)
-        case [cluster, "control", name]:
-            parsed = ControlKey(cluster, name)
+        case ["hello", *name]:
+            parsed = HelloKey(*name) if len(name) <= 1 else None
+        case [cluster, "control", *worker] if len(worker) <= 1:
+            parsed = ControlKey(cluster, *worker)
         case [cluster, "job", name]:
             parsed = JobKey(cluster, name)
         case [cluster, "job", name, "placement"]:

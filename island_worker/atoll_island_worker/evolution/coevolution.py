@@ -46,7 +46,8 @@ def renew_trainer(setup: IslandSetup, lists: Lists, coevolution: Coevolution, co
     if disputed < 0:
         return False
     oldest = int(np.argmin(coevolution.born))
-    for column, values in zip(coevolution.trainers, lists, strict=True):
+    individuals = lists._asdict().values()
+    for column, values in zip(coevolution.trainers._asdict().values(), individuals, strict=True):
         column[oldest] = values[disputed]
     coevolution.born[oldest] = coevolution.clock[0]
     train(coevolution, oldest, setup.every, setup.fit, scratch.tape, scratch.work, counters)

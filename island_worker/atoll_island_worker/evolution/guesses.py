@@ -41,7 +41,7 @@ def begin_with_guesses(lists: Lists, setup: IslandSetup, rows: Rows, counters: I
     for p, guess in enumerate(guesses):
         place(lists, p, guess, stream)
     if is_fitted:
-        first = Lists(*(column[: len(guesses)] for column in lists))
+        first = Lists(*(column[: len(guesses)] for column in lists._asdict().values()))
         fitness, options, scratch = np.zeros(len(guesses)), setup.fit._replace(steps=GUESS_STEPS), setup.scratch
         measure_all(first, fitness, rows, options, scratch._replace(near=scratch.work), counters, OFFSPRING)
 

@@ -198,7 +198,7 @@ class Island:
         self._go_on_with(migration.unpack(blocks, len(self._fitness), self._setup.space, self._setup.allowed))
 
     def _go_on_with(self, lists: Lists) -> None:
-        for mine, theirs in zip(self._lists, lists, strict=True):
+        for mine, theirs in zip(self._lists._asdict().values(), lists, strict=True):
             mine[...] = theirs
         self.epoch += 1
         self._start_epoch()

@@ -83,7 +83,7 @@ def unpack(blocks: Mapping[int, bytes], population: int, space: Space, allowed: 
         if not exist or taken[slots].any() or len(np.unique(slots)) < len(slots):
             raise RemoteProtocolError(f"the solutions from island {source} claim slots that are taken or do not exist")
         taken[slots] = True
-        for column, values in zip(lists, part, strict=True):
+        for column, values in zip(lists._asdict().values(), part, strict=True):
             column[slots] = values
     if not taken.all():
         missing = int(population - taken.sum())
