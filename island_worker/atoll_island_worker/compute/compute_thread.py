@@ -50,26 +50,24 @@ Result = WarmUpNote | WarmedUp | ComputeFailed | JobReady | LoadFailed | Snapsho
 
 
 class ComputeThread:
-    """Computes the islands of one worker, one slice at a time. Methods return at once; results are posted later."""
+    """Computes the islands of one worker, one slice at a time. Methods return at once; results are posted later.
+
+    `progress` is a number that rises while work gets on.
+    """
 
     def __init__(self, show: Callable[[str], None] | None = None) -> None:
         """`show` is called with each sentence of the warm-up, in this thread of computing."""
         self._show = show
-        self._commands: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._unposted: list[Result] = []
         self._post: Callable[[object], None] | None = None
         self._lock = threading.Lock()
         self._closed = False
-        self._progress = 0
+        self.progress = 0
         self._engine = Engine()
         self._queue = RunQueue(self._engine.begin, time.monotonic)
         self._thread = threading.Thread(target=self._work, name="compute", daemon=True)
         self._thread.start()
-
-    @property
-    def progress(self) -> int:
-        """A number that rises while work gets on."""
-        return self._progress
 
     @property
     def current(self) -> TaskKey | None:
@@ -90,7 +88,8 @@ class ComputeThread:
 
     def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
         """Load a job's configuration and encoded dataset: JobReady or LoadFailed. Its turns are shared by `weight`."""
-        self._commands.put(lambda: self._load(job, config, dataset, weight))
+        self._commands.put(lambda: self._queue.set_weight(job, weight))
+        self._commands.put(lambda: self._post_all([self._engine.load(job, config, dataset)]))
 
     def run(self, task: Task) -> None:
         """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
@@ -105,37 +104,33 @@ class ComputeThread:
 
     def discard(self, shard: ShardKey) -> None:
         """Forget the islands of an archipelago under one term, and give up those under way."""
-        self._commands.put(lambda: self._discard(shard))
+        self._commands.put(lambda: self._queue.discard(shard))
+        self._commands.put(lambda: self._engine.forget(shard))
 
     def discard_job(self, job: str) -> None:
         """Forget a job's dataset, and give up its tasks."""
-        self._commands.put(lambda: self._discard_job(job))
+        self._commands.put(lambda: self._queue.discard_job(job))
+        self._commands.put(lambda: self._engine.forget_job(job))
 
     def close(self) -> None:
         """Give up everything. Waits a little for the thread; it is a daemon and keeps no process alive. Repeatable."""
         self._closed = True
-        self._commands.put(None)
+        self._commands.put(lambda: None)  # the thread may be waiting for a command
         self._thread.join(_JOIN_LIMIT_S)
 
     # -------------------------------------------------------------------------- on the compute thread
 
     def _work(self) -> None:
         try:
-            self._compute_until_closed()
+            while not self._closed:
+                if self._queue.is_idle or not self._commands.empty():
+                    self._commands.get()()
+                else:
+                    self._post_all(self._queue.turn())
+                self.progress += 1
         except BaseException as error:  # a worker without this thread would send heartbeats and compute nothing
             _LOG.exception("the compute thread failed")
             self._post_all([ComputeFailed(f"the compute thread failed: {brief(error)}")])
-
-    def _compute_until_closed(self) -> None:
-        while not self._closed:
-            if self._queue.is_idle or not self._commands.empty():
-                command = self._commands.get()
-                if command is None:
-                    return
-                command()
-            else:
-                self._post_all(self._queue.turn())
-            self._progress += 1
 
     def _post_all(self, results: Iterable[Result]) -> None:
         with self._lock:
@@ -162,15 +157,3 @@ class ComputeThread:
         if self._show is not None:
             self._show(sentence)
         self._post_all([WarmUpNote(sentence)])
-
-    def _load(self, job: str, config: JobConfig, dataset: bytes, weight: float) -> None:
-        self._queue.set_weight(job, weight)
-        self._post_all([self._engine.load(job, config, dataset)])
-
-    def _discard(self, shard: ShardKey) -> None:
-        self._queue.discard(shard)
-        self._engine.forget(shard)
-
-    def _discard_job(self, job: str) -> None:
-        self._queue.discard_job(job)
-        self._engine.forget_job(job)

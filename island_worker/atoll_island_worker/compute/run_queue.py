@@ -91,24 +91,32 @@ class RunQueue:
         """Compute one slice of the task whose turn it is; return its snapshot and what came of tasks done by it."""
         key = min(self._open, key=self._rank)
         open_task = self._open[key]
+        task = open_task.task
         self.current = key
         began = self._clock()
-        snapshots: list[Snapshot | Outcome] = []
+        results: list[Snapshot | Outcome] = []
         outcome: Outcome | None = None
         try:
-            snapshots += self._begin_if_new(open_task)
-            outcome = None if open_task.task.is_at_barrier else self._advance(open_task)
+            if open_task.work is None:
+                open_task.work = self._begin(task)
+                if open_task.work.snapshot is not None:
+                    results.append(Snapshot(key, open_task.work.snapshot, task.is_at_barrier))
+            if not task.is_at_barrier and open_task.work.advance():
+                outcome = open_task.work.computed()
         except RemoteProtocolError as error:
             outcome = Rejected(key, str(error))
         except Exception as error:  # it is the job that fails, not the worker
             outcome = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}")
         self._charged[key.job] += (self._clock() - began) / self._weights.get(key.job, 1.0)
-        if outcome is None and not open_task.task.is_at_barrier:
-            return snapshots + self._settle([key])
+        if outcome is None and not task.is_at_barrier:
+            return results + self._settle([key])
         del self._open[key]
-        return snapshots + (
-            [outcome, *self._stop_others(outcome, open_task.task.commit_order)] if outcome is not None else []
-        )
+        if outcome is not None:
+            results.append(outcome)
+        if isinstance(outcome, Computed) and outcome.report.hit is not None:
+            hit = Position(key.epoch, outcome.report.hit.generation, key.island)
+            results += self.stop_at(key.shard, hit, task.commit_order)
+        return results
 
     def discard(self, shard: ShardKey) -> None:
         """Forget the tasks of an archipelago's term."""
@@ -129,23 +137,6 @@ class RunQueue:
         epoch, group, generation, island = open_task.task.commit_order.rank(at)
         return (self._charged.get(key.job, 0.0), epoch, group, generation, key.job, key.variable, island)
 
-    def _begin_if_new(self, open_task: _Open) -> list[Snapshot]:
-        """Begin a task that has not begun, and return the snapshot that it wants."""
-        if open_task.work is not None:
-            return []
-        open_task.work = self._begin(open_task.task)
-        data = open_task.work.snapshot
-        return [Snapshot(open_task.task.key, data, open_task.task.is_at_barrier)] if data is not None else []
-
-    def _advance(self, open_task: _Open) -> Outcome | None:
-        return open_task.work.computed() if open_task.work is not None and open_task.work.advance() else None
-
-    def _stop_others(self, outcome: Outcome, commit_order: CommitOrder) -> list[Outcome]:
-        if not isinstance(outcome, Computed) or outcome.report.hit is None:
-            return []
-        key = outcome.key
-        return self.stop_at(key.shard, Position(key.epoch, outcome.report.hit.generation, key.island), commit_order)
-
     def _settle(self, keys: Iterable[TaskKey]) -> list[Outcome]:
         """Close those of these tasks of which no more is needed, and return what came of them."""
         outcomes: list[Outcome] = []
@@ -154,8 +145,8 @@ class RunQueue:
             if hit is None or self._is_needed(open_task, hit):
                 continue
             del self._open[key]
-            has_begun = open_task.work is not None and key.epoch == hit.epoch
-            outcomes.append(open_task.work.computed() if has_begun and open_task.work else Abandoned(key))
+            part = open_task.work if key.epoch == hit.epoch else None
+            outcomes.append(part.computed() if part is not None else Abandoned(key))
         return outcomes
 
     def _is_needed(self, open_task: _Open, hit: Position) -> bool:
