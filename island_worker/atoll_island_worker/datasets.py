@@ -1,6 +1,7 @@
 """The datasets of a worker's jobs: fetched chunk by chunk, checked, loaded by the compute thread, forgotten."""
 
 import hashlib
+import itertools
 from collections.abc import Callable
 from typing import Final
 
@@ -30,12 +31,8 @@ class Download:
 
     def take(self) -> list[int]:
         """Return the chunks to ask for now; they are under way from then on."""
-        missing = (
-            index
-            for index in range(self.announcement.chunks)
-            if index not in self._chunks and index not in self._under_way
-        )
-        taken = [index for index, _ in zip(missing, range(WINDOW - len(self._under_way)), strict=False)]
+        missing = (i for i in range(self.announcement.chunks) if i not in self._chunks and i not in self._under_way)
+        taken = list(itertools.islice(missing, WINDOW - len(self._under_way)))
         self._under_way.update(taken)
         return taken
 

@@ -56,12 +56,9 @@ def _start(
     from atoll_island_worker.processes.command import worker_command
     from atoll_island_worker.processes.supervisor import start_process
 
-    further = [*_log_options(options), "--exit-reasons", str(exit_reasons.writing_end)]
+    further = ["--log-format", options.log_format, "--log-level", options.log_level]
+    further += ["--exit-reasons", str(exit_reasons.writing_end)]
     return start_process(worker_command(connect, name, options.wait, options.grace, remaining(), further), exit_reasons)
-
-
-def _log_options(options: argparse.Namespace) -> list[str]:
-    return ["--log-format", options.log_format, "--log-level", options.log_level]
 
 
 def _work_as_fork(

@@ -13,20 +13,21 @@ from typing import Final
 from atoll_core.compilation.progress import count_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.logs import fields
+from atoll_core.machine import usage
 from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
-from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
 from atoll_core.wire.codec import decode
 from atoll_core.wire.messages import epochs
 from atoll_core.wire.messages import workers as messages
 from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.messages.views import Counters
 from atoll_core.wire.rejects import Rejects
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.connection.connection import GRACE, GRACE_S, GREET, LIFETIME, CoordinatorConnection
 from atoll_island_worker.connection.requests import FETCH, Request, Requests
 from atoll_island_worker.datasets import Datasets
-from atoll_island_worker.heartbeat import counters_of, worker_status
 from atoll_island_worker.session import actions, events
 from atoll_island_worker.session.worker_session import Session
 
@@ -43,14 +44,9 @@ class Worker:
     """One worker process on one bus. Owned by the bus's owner thread."""
 
     def __init__(
-        self,
-        bus: Bus,
-        compute: ComputeThread,
-        name: str,
-        wait_s: float,
-        lifetime_s: float | None = None,
+        self, bus: Bus, compute: ComputeThread, name: str, wait_s: float, lifetime_s: float | None = None,
         grace_s: float = GRACE_S,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Set up a worker whose `compute` warms up elsewhere; for the times see `CoordinatorConnection`."""
         self.name: Final = name
         self.session = Session(name)
@@ -138,7 +134,11 @@ class Worker:
             self._send_heartbeat()
             self._bus.call_later(HEARTBEAT_S, _HEARTBEAT)
         elif event.name == _TICK:
-            self._on_tick()
+            self._connection.check_absence()
+            if self._is_drain_requested:
+                self._drain()
+            self._handle(events.Tick(self._bus.now()))
+            self._bus.call_later(TICK_S, _TICK)
         elif event.name == LIFETIME:
             self._drain()
         elif event.name == GRACE:
@@ -154,10 +154,6 @@ class Worker:
             self._connection.greet()
         else:
             self._connection.link_lost()
-
-    @_on.register
-    def _on_presence(self, event: Presence) -> None:
-        del event  # a worker watches nobody
 
     @_on.register
     def _on_message(self, event: Message) -> None:
@@ -247,13 +243,6 @@ class Worker:
             raise
         self._handle(events.StatesCame(pull, body if isinstance(body, epochs.States) else None))
 
-    def _on_tick(self) -> None:
-        self._connection.check_absence()
-        if self._is_drain_requested:
-            self._drain()
-        self._handle(events.Tick(self._bus.now()))
-        self._bus.call_later(TICK_S, _TICK)
-
     def _drain(self) -> None:
         """Have this worker end when the coordinator says that nothing is left here, or after a while."""
         if self._connection.drain():
@@ -266,10 +255,36 @@ class Worker:
     # ---------------------------------------------------------------------------------------- session
 
     def _send_heartbeat(self) -> None:
-        counters = counters_of(self._bus, self.session, self.rejects)
-        status = worker_status(self._connection, self.session, self._datasets, self._compute, counters, self._detail)
-        if status is not None:
-            self._requests.send_status(status)
+        """Tell the coordinator, once it has welcomed us, what is held and computed here, what failed, and the cost."""
+        connection, session, task = self._connection, self.session, self._compute.current
+        if connection.welcome is None:
+            return
+        state = "leaving" if connection.is_draining else session.state() if connection.is_accepted else "compiling"
+        doing = None
+        if task is not None and state == "computing":
+            doing = messages.Doing(job=task.job, variable=task.variable, island=task.island, epoch=task.epoch)
+        counters = Counters(
+            traffic=self._bus.traffic(),
+            dropped=self._bus.dropped,
+            refused=self.rejects.total,
+            duplicates=session.duplicates,
+            waited_s=session.waited_s,
+            memory_bytes=usage.memory_bytes(),
+            cpu_s=usage.cpu_s(),
+        )
+        status = messages.WorkerStatus(
+            instance=connection.instance,
+            incarnation=connection.welcome.incarnation,
+            state=state,
+            progress=self._compute.progress,
+            holdings=session.assignment_statuses(),
+            failures=session.failures(),
+            jobs=tuple(dict.fromkeys((*session.jobs(), *self._datasets.jobs()))),
+            detail=self._detail,
+            doing=doing,
+            counters=counters,
+        )
+        self._requests.send_status(status)
 
     def _handle(self, event: events.SessionEvent) -> None:
         """Give the session an event, and do what it wants."""

@@ -51,9 +51,6 @@ class CoordinatorConnection:
         """Set up, without a greeting yet.
 
         Args:
-            bus: the worker's own.
-            requests: through which the coordinator is greeted.
-            name: of the worker.
             wait_s: how long the coordinator may be away, at the start or later.
             lifetime_s: after so many seconds the worker drains; None: never.
             grace_s: how long a drain may take; 0: the worker ends at once.
@@ -115,15 +112,16 @@ class CoordinatorConnection:
         except RefusedError as error:
             self.fail(error)
             return None
-        if self.welcome is not None and welcomes not in (None, self._welcomes) and self._is_former(welcome):
+        former = self.welcome
+        is_late = welcomes not in (None, self._welcomes)  # and may be of a former coordinator
+        if former and is_late and (former.realm != welcome.realm or welcome.incarnation < self._newest):
             self.greet()
             return None
-        former, self.welcome, self._away_since = self.welcome, welcome, None
+        self.welcome, self._away_since = welcome, None
         self._welcomes, self._newest = self._welcomes + 1, welcome.incarnation
         self._requests.cluster = welcome.realm
         self.is_accepted = self.is_accepted or bool(fingerprint)
         if welcome.realm not in self._clusters:
-            self._clusters.add(welcome.realm)
             self._subscribe(welcome.realm)
         if self._fingerprint and not self.is_accepted:
             self.greet()  # the kernels became ready while the greeting was under way
@@ -136,11 +134,6 @@ class CoordinatorConnection:
         """Take in what a placement says: an answer of a former coordinator may still come, to an older greeting."""
         if incarnation > self._newest:
             self._welcomes, self._newest = self._welcomes + 1, incarnation
-
-    def _is_former(self, late: Welcome) -> bool:
-        """Tell whether a welcome that answers an older greeting may be of a former coordinator."""
-        assert self.welcome is not None
-        return late.realm != self.welcome.realm or late.incarnation < self._newest
 
     def _enquire(self) -> None:
         """Ask whether we would be accepted, which changes nothing."""
@@ -242,6 +235,7 @@ class CoordinatorConnection:
 
     def _subscribe(self, cluster: str) -> None:
         """Declare everything that a worker receives, answers and shows in a cluster."""
+        self._clusters.add(cluster)
         self._bus.subscribe(topics.control(cluster))
         self._bus.subscribe(topics.control(cluster, self._name))
         self._bus.subscribe(topics.inbox(cluster, self._name))

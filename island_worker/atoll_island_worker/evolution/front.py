@@ -8,7 +8,6 @@ import math
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from atoll_core.expression.program import Program
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
@@ -36,7 +35,16 @@ from atoll_island_worker.evolution.kernels.tape import canonical_tape
 from atoll_island_worker.evolution.restricted import restrained
 from atoll_island_worker.evolution.runners_up import RunnersUp
 from atoll_island_worker.evolution.setup import IslandSetup
-from atoll_island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, Lists, Rows, empty_book
+from atoll_island_worker.evolution.structures import (
+    MOST_FITTED,
+    MOST_TERMS,
+    Fit,
+    Floats,
+    Ints,
+    Lists,
+    Rows,
+    empty_book,
+)
 
 REFIT_STEPS = 10
 POLISH_STEPS = 4
@@ -52,7 +60,6 @@ _POLISHED = 0.95
 _SLACK = 1.2
 """Where runners-up are kept: how far above the useful loss an individual may be that steps are spent on."""
 
-Counters = npt.NDArray[np.int64]
 Tag = tuple[int, int, int]
 Additions = tuple[list[FrontEntry], list[FrontEntry]]
 """What improved the front, and what the runners-up, each in the order found."""
@@ -63,7 +70,7 @@ class Front:
 
     def __init__(self) -> None:
         self._entries: tuple[FrontEntry, ...] = ()
-        self._least: npt.NDArray[np.float64] | None = None
+        self._least: Floats | None = None
 
     def entries(self) -> tuple[FrontEntry, ...]:
         """Return the entries by rising complexity and falling error."""
@@ -82,7 +89,7 @@ class Front:
         """Return the least error of entries no more complex than that; inf when there is none."""
         return min((e.error for e in self._entries if e.complexity <= complexity), default=math.inf)
 
-    def least_by_size(self, sizes: int) -> npt.NDArray[np.float64]:
+    def least_by_size(self, sizes: int) -> Floats:
         """Return `error_at` each complexity below `sizes`; not to be written to."""
         if self._least is None or len(self._least) != sizes:
             self._least = np.full(sizes, math.inf)
@@ -124,14 +131,7 @@ class FrontUpdater:
         self._largest = setup.config.space.max_size or MOST_NODES
         self.sample = _spread(setup.every)
 
-    def offer(
-        self,
-        lists: Lists,
-        fitness: npt.NDArray[np.float64],
-        counters: Counters,
-        tag: Tag,
-        looks_beside: bool = False,
-    ) -> Additions:
+    def offer(self, lists: Lists, fitness: Floats, counters: Ints, tag: Tag, looks_beside: bool) -> Additions:
         """Measure the best of each size on all rows and offer it; return what improved front and runners-up.
 
         With `looks_beside`, the next best of each size are offered as well where runners-up are kept.
@@ -144,17 +144,14 @@ class FrontUpdater:
             REFIT_STEPS if setup.fit.steps else 0,
             setup.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
         )  # fmt: skip
-        before, additions = self._front.entries(), list[FrontEntry]()
-        for k in range(count):
-            additions += self._offer_one(k, counters, tag)
+        before = self._front.entries()
+        additions = [entry for k in range(count) for entry in self._offer_one(k, counters, tag)]
         if not self._candidates:
             return additions, []
         candidates, self._candidates = self._candidates, []
         return additions, self._runners_up.take(self._front.entries(), (*before, *candidates), (*before, *additions))
 
-    def _choose(
-        self, lists: Lists, fitness: npt.NDArray[np.float64], looks_beside: bool
-    ) -> tuple[int, npt.NDArray[np.float64]]:
+    def _choose(self, lists: Lists, fitness: Floats, looks_beside: bool) -> tuple[int, Floats]:
         """Choose individuals; return their number and, by size, the loss below which one is worth offering."""
         scratch, individuals, runners_up = self._setup.scratch, self._individuals, self._runners_up
         call = self._setup.call
@@ -166,7 +163,7 @@ class FrontUpdater:
         number = int(call(choose_near, lists, fitness, order, most, scratch, known, individuals, number))
         return number, runners_up.limits(len(self.offered))
 
-    def _offer_one(self, k: int, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:
+    def _offer_one(self, k: int, counters: Ints, tag: Tag) -> Iterator[FrontEntry]:
         """Offer every way to write a program down; what does not improve the front may be a runner-up."""
         book, keeps = self._book, self._runners_up.most > 0
         loss = float(book.loss[k])
@@ -229,7 +226,7 @@ class FrontUpdater:
         """Forget what need not outlast an epoch."""
         self._measured_loss.clear()
 
-    def _measured(self, formula: Formula, expected: float, counters: Counters, tag: Tag) -> FrontEntry | None:
+    def _measured(self, formula: Formula, expected: float, counters: Ints, tag: Tag) -> FrontEntry | None:
         """Return an entry for `formula`, its constants refined, or None when it is too large or not finite."""
         setup, scratch = self._setup, self._setup.scratch
         size = self._canonical(formula)
@@ -246,7 +243,7 @@ class FrontUpdater:
             return None
         return self._entry(program, tag) if len(program) <= self._largest else None
 
-    def _refit(self, size: int, rows: Rows, steps: int, counters: Counters) -> None:
+    def _refit(self, size: int, rows: Rows, steps: int, counters: Ints) -> None:
         scratch = self._setup.scratch
         refit(size, rows, self._unscaled, steps, scratch.canonical, scratch.work, self._scale, self._result, counters)
 
@@ -258,7 +255,7 @@ class FrontUpdater:
     def _entry(self, program: Program, tag: Tag) -> FrontEntry:
         return FrontEntry(len(program), self._error(), float(self._result[1]), *tag, program.to_bytes())
 
-    def prune(self, target: float, counters: Counters, tag: Tag) -> list[FrontEntry]:
+    def prune(self, target: float, counters: Ints, tag: Tag) -> list[FrontEntry]:
         """Leave out of the best program whatever it can do without: all that keeps the error at most `target`.
 
         One operator at a time gives way to one of its arguments or to a constant, the constants are fitted anew, and
@@ -267,37 +264,29 @@ class FrontUpdater:
         additions: list[FrontEntry] = []
         if not self._setup.fit.steps:
             return additions
-        formula: Formula | None = self._best(target)
-        while formula is not None:
-            formula = self._reduced(formula, target, counters)
-            if formula is not None:
-                entry = self._entry(to_program(formula), tag)
-                if self._front.add(entry):
-                    additions.append(entry)
+        simplest = next(e for e in self._front.entries() if e.error <= target)
+        formula: Formula | None = from_program(Program.from_bytes(simplest.program, self._setup.space.variables))
+        while (formula := self._reduced(formula, target, counters)) is not None:
+            entry = self._entry(to_program(formula), tag)
+            if self._front.add(entry):
+                additions.append(entry)
         return additions
 
-    def _best(self, target: float) -> Formula:
-        """Return the simplest formula on the front that meets `target`."""
-        entry = next(e for e in self._front.entries() if e.error <= target)
-        return from_program(Program.from_bytes(entry.program, self._setup.space.variables))
-
-    def _reduced(self, formula: Formula, target: float, counters: Counters) -> Formula | None:
+    def _reduced(self, formula: Formula, target: float, counters: Ints) -> Formula | None:
         """Return the first smaller formula that meets `target`; its measurement stands in the scratch arrays."""
         scratch = self._setup.scratch
         for candidate in reductions(formula):
             size = self._canonical(candidate)
-            if size >= len(formula) or not self._promising(size, target, counters):
+            if size >= len(formula):
+                continue
+            self._refit(size, self.sample, PRUNE_STEPS, counters)
+            if not self._error() <= _PROMISING * target:
                 continue
             self._refit(size, self._setup.every, PRUNE_STEPS, counters)
             reduced = from_tape(scratch.canonical, size)
             if self._error() <= target and self._setup.restrictions.are_kept(to_program(reduced)):
                 return reduced
         return None
-
-    def _promising(self, size: int, target: float, counters: Counters) -> bool:
-        """Return whether the program on the canonical tape comes near `target` on a sample of the rows."""
-        self._refit(size, self.sample, PRUNE_STEPS, counters)
-        return self._error() <= _PROMISING * target
 
 
 def _spread(every: Rows) -> Rows:
