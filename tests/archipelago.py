@@ -5,28 +5,29 @@ from dataclasses import dataclass
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
 from atoll_core.search.pareto import FrontEntry, merge
-from atoll_island_worker.evolution.island import EpochOutcome, Island
+from atoll_core.wire.messages.epochs import IslandReport
+from atoll_island_worker.evolution.island import Island
 
 
 @dataclass(frozen=True)
 class Search:
     """What a search came to: all reports, the merged front, and whether the target was met."""
 
-    outcomes: tuple[EpochOutcome, ...]
+    reports: tuple[IslandReport, ...]
     front: tuple[FrontEntry, ...]
     has_hit: bool
 
     @property
     def digests(self) -> list[str]:
         """Digests of all islands at the end of every epoch."""
-        return [outcome.digest for outcome in self.outcomes]
+        return [report.digest for report in self.reports]
 
 
-def advance(island: Island, stride: int = 10) -> EpochOutcome:
+def advance(island: Island, stride: int = 10) -> IslandReport:
     """Advance `island` to the end of its epoch, or to its hit, `stride` generations at a time."""
     while not island.advance(stride):
         pass
-    return island.outcome()
+    return island.report()
 
 
 def reshuffle(islands: list[Island]) -> None:
@@ -40,15 +41,16 @@ def reshuffle(islands: list[Island]) -> None:
 def search(problem: Problem, config: JobConfig, epochs: int, stride: int = 10) -> Search:
     """Search for one equation for at most `epochs` epochs; ends with the epoch in which an island met the target."""
     islands = [Island(problem, config, number) for number in range(config.evolution.islands)]
-    outcomes: list[EpochOutcome] = []
+    reports: list[IslandReport] = []
+    additions: list[FrontEntry] = []
     for epoch in range(epochs):
         ended = [advance(island, stride) for island in islands]
-        outcomes += ended
-        if any(outcome.hit for outcome in ended) or epoch == epochs - 1:
+        reports += ended
+        additions += [entry for island in islands for entry in island.additions()]
+        if any(report.hit for report in ended) or epoch == epochs - 1:
             break
         reshuffle(islands)
-    front = merge((), (entry for outcome in outcomes for entry in outcome.additions))
-    return Search(tuple(outcomes), front, any(outcome.hit for outcome in ended))
+    return Search(tuple(reports), merge((), additions), any(report.hit for report in ended))
 
 
 def search_all(dataset: Dataset, config: JobConfig, epochs: int) -> list[Search]:

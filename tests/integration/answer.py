@@ -48,7 +48,7 @@ def answer(path: Path) -> dict[str, object]:
         "noise": [target.noise.hex() for target in dataset.targets],
         "islands": [search.digests for search in searches],
         "fronts": [[(entry.error.hex(), entry.program.hex()) for entry in search.front] for search in searches],
-        "evaluations": [dict(outcome.evaluations) for search in searches for outcome in search.outcomes],
+        "evaluations": [dict(report.counters[-1].evaluations) for search in searches for report in search.reports],
     }
 
 

@@ -119,7 +119,7 @@ def test_a_search_finds_an_equation_in_any_unit(units: Units) -> None:
     problem = Problem(("x", "y"), np.stack([units.x * x, units.y * y]), target)
     space = SpaceConfig(operators=("+", "-", "*"), terminals=7)
     found = search(problem, config_of(population=32, generations=60, space=space), 3)
-    assert min(each.best_error for each in found.outcomes) < 1e-9
+    assert min(each.best_error for each in found.reports) < 1e-9
 
 
 # ------------------------------------------------------------------------------------------------------------ results

@@ -4,16 +4,12 @@ from typing import TYPE_CHECKING, Final
 
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.session.epoch_tasks import ShardKey, Task
 from atoll_island_worker.session.events import Computed, JobReady, LoadFailed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from atoll_core.data.dataset import Dataset
-    from atoll_core.search.pareto import FrontEntry
-    from atoll_island_worker.evolution.island import EpochOutcome, Island
+    from atoll_island_worker.evolution.island import Island
 
 _MOST: Final = 10
 """Generations at a time, however long a slice is: in between it is asked what else there is to do."""
@@ -86,30 +82,7 @@ class Epoch:
 
     def computed(self) -> Computed:
         """See `Work.computed`. There are emigrants after a whole epoch that is not the last."""
-        key, outcome = self._task.key, self._island.outcome()
-        report = report_of(key.island, outcome)
-        if not self._is_over or outcome.hit is not None or self._task.is_last:
+        key, report = self._task.key, self._island.report()
+        if not self._is_over or report.hit is not None or self._task.is_last:
             return Computed(key, report, {}, frozenset())
         return Computed(key, report, self._island.emigrants(), self._island.senders())
-
-
-def report_of(island: int, outcome: "EpochOutcome") -> IslandReport:
-    """Return what is reported of an island's epoch."""
-    hit = outcome.hit
-    return IslandReport(
-        island=island,
-        generations=outcome.generations,
-        hit=None if hit is None else HitStatement(generation=hit.generation, error=hit.error),
-        additions=_stated(outcome.additions),
-        runners_up=_stated(outcome.runners_up),
-        counters=tuple(
-            SliceCounters(generation=generation, evaluations=dict(evaluations))
-            for generation, evaluations in outcome.counters.items()
-        ),
-        best_error=outcome.best_error,
-        digest=outcome.digest,
-    )
-
-
-def _stated(entries: "Iterable[FrontEntry]") -> tuple[Addition, ...]:
-    return tuple(Addition.model_validate(entry, from_attributes=True) for entry in entries)

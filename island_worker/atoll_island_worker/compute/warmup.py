@@ -43,7 +43,7 @@ def run_small_epochs() -> None:
         island = Island(problem, config, 0)
         while not island.advance():
             pass
-        if island.outcome().hit is None:
+        if island.report().hit is None:
             island.immigrate(island.emigrants())
             Island.from_bytes(island.to_bytes(), problem, config, 0).advance()
 

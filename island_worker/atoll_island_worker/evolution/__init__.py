@@ -8,5 +8,5 @@
 - ``formula``: programs with their coefficients, worked in or not. ``guesses``: prior knowledge.
 
 Rows come in with ``setup``; an epoch advances the population in ``kernels``, offers the best of each size to the front
-after each slice, and ends with an outcome for the report and, packed by ``migration``, the emigrants.
+after each slice, and ends with a report and, packed by ``migration``, the emigrants.
 """

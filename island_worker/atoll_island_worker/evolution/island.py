@@ -7,7 +7,6 @@ No clock, no I/O, no global random state, no thread order in it: one seed, one a
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -18,6 +17,7 @@ from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.search.seeding import stream_key
 from atoll_core.wire.codec import decode_arrays, encode_arrays
+from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.evolution import migration
 from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, measure_population
 from atoll_island_worker.evolution.front import Front, FrontUpdater
@@ -32,41 +32,11 @@ LOOKS_BESIDE = 5
 """Slices from one look at the next best of each size to the next; the last one of an epoch looks as well."""
 
 
-@dataclass(frozen=True)
-class Hit:
-    """The target error was met: at this generation (1-based within the epoch), with this normalized error."""
-
-    generation: int
-    error: float
-
-
-@dataclass(frozen=True)
-class EpochOutcome:
-    """What one island has to say of one epoch, as far as it has come with it.
-
-    `additions` are the entries that improved the island's own front in this epoch, in the order found, `runners_up`
-    those that came to be its runners-up without ever having been on its front; `evaluations` are *cumulative* point
-    evaluations by part since epoch 0, `counters` the same at the end of each slice of this epoch, by generation;
-    `best_error` is the smallest normalized error on all rows so far (None: none finite yet); `digest` is
-    the hex digest of the state.
-    """
-
-    epoch: int
-    generations: int
-    hit: Hit | None
-    additions: tuple[FrontEntry, ...]
-    runners_up: tuple[FrontEntry, ...]
-    evaluations: Mapping[str, int]
-    counters: Mapping[int, Mapping[str, int]]
-    best_error: float | None
-    digest: str
-
-
 class Island:
     """One island of one variable between epochs. Mutable, but only through `advance` and `immigrate`, in turn.
 
     The life of an island: ``Island(...)`` (epoch 0, random population), then for every epoch: `advance` until it
-    returns True or no more is needed, `outcome`, and, unless the archipelago ended, `emigrants` to send and `immigrate`
+    returns True or no more is needed, `report`, and, unless the archipelago ended, `emigrants` to send and `immigrate`
     with all that is due here (own ones included), which begins the next epoch. `generation` counts the generations of
     the current epoch that have passed.
 
@@ -88,11 +58,11 @@ class Island:
 
     def _start_epoch(self) -> None:
         self.generation = 0
-        self._hit: Hit | None = None
+        self._hit: HitStatement | None = None
         self._begun = False
         self._additions: list[FrontEntry] = []
         self._near: list[FrontEntry] = []
-        self._counters_by_slice: dict[int, dict[str, int]] = {}
+        self._counters_by_slice: list[SliceCounters] = []
         self._updater.begin_epoch()
         setup = self._setup
         key = stream_key(setup.config.seed, setup.variable, setup.island, self.epoch, "generations")
@@ -110,7 +80,8 @@ class Island:
             self.generation += step
             if self.generation % interval == 0 or self.generation == last:
                 self._offer()
-                self._counters_by_slice[self.generation] = self._evaluations()
+                evaluations = dict(zip(PARTS, self._counters.tolist(), strict=True))
+                self._counters_by_slice.append(SliceCounters(generation=self.generation, evaluations=evaluations))
         return self._hit is not None or self.generation == last
 
     def _begin(self) -> None:
@@ -136,7 +107,7 @@ class Island:
         target = self._setup.target
         if least is not None and least <= target:
             self._additions += self._updater.prune(target, self._counters, self._tag())
-            self._hit = Hit(self.generation, self._normalized(self._front.least_error()))
+            self._hit = HitStatement(generation=self.generation, error=self._normalized(self._front.least_error()))
 
     def _tag(self) -> tuple[int, int, int]:
         return (self.epoch, self.generation, self._setup.island)
@@ -153,29 +124,22 @@ class Island:
         """Return what improved the island's front in this epoch, from entry number `first` on."""
         return tuple(self._setup.outward(entry) for entry in self._additions[first:])
 
-    def outcome(self) -> EpochOutcome:
-        """Return the report of the epoch, finished or not."""
+    def report(self) -> IslandReport:
+        """Return what is reported of the epoch, finished or not: as far as it has come."""
         best = self._normalized(self._front.least_error())
-        return EpochOutcome(
-            self.epoch,
-            self.generation,
-            self._hit,
-            self.additions(),
-            tuple(self._setup.outward(entry) for entry in self._near),
-            self._evaluations(),
-            dict(self._counters_by_slice),
-            best if math.isfinite(best) else None,
-            self._digest(),
-        )
-
-    def _evaluations(self) -> dict[str, int]:
-        return dict(zip(PARTS, self._counters.tolist(), strict=True))
-
-    def _digest(self) -> str:
         digest = hashlib.blake2b(digest_size=16)
         for array in self._state_arrays().values():
             digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()
+        return IslandReport(
+            island=self._setup.island,
+            generations=self.generation,
+            hit=self._hit,
+            additions=_stated(self.additions()),
+            runners_up=_stated(self._setup.outward(entry) for entry in self._near),
+            counters=tuple(self._counters_by_slice),
+            best_error=best if math.isfinite(best) else None,
+            digest=digest.hexdigest(),
+        )
 
     def emigrants(self) -> dict[int, bytes]:
         """Return, by destination island (this one included), a block of solutions with their destination slots."""
@@ -278,6 +242,10 @@ def reshuffle(islands: Sequence[Island]) -> None:
     moved = migration.exchange([island._lists for island in islands], places)
     for island, lists in zip(islands, moved, strict=True):
         island._go_on_with(lists)
+
+
+def _stated(entries: Iterable[FrontEntry]) -> tuple[Addition, ...]:
+    return tuple(Addition.model_validate(entry, from_attributes=True) for entry in entries)
 
 
 def _listed(entries: Iterable[FrontEntry]) -> list[list[object]]:

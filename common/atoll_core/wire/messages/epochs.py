@@ -37,7 +37,7 @@ class OfTerm(Frozen):
 
 
 class HitStatement(Frozen):
-    """The target was met at `generation` (1-based within the epoch), the end of a slice."""
+    """The target was met at `generation` (1-based within the epoch), the end of a slice, with this normalized error."""
 
     generation: Count
     error: float
@@ -61,11 +61,13 @@ class SliceCounters(Frozen):
 
 
 class IslandReport(Frozen):
-    """What one island says of one epoch, finished or given up (`atoll_island_worker.evolution.island.EpochOutcome`).
+    """What one island says of one epoch, finished or given up.
 
     `generations` is how far it got: to the epoch's end, to its own hit, or, when another island met the target, at
-    least as far as is needed then. `additions` are those to its front, `runners_up` those to the next best beside it.
-    `counters` are those of all slices that it finished; `digest` is that of its state.
+    least as far as is needed then. `additions` are those to its front, in the order found, `runners_up` those that came
+    to be the next best beside it without ever having been on it. `counters` are those of all slices that it finished;
+    `best_error` is the smallest normalized error on all rows so far (None: none finite yet); `digest` is that of its
+    state.
     """
 
     island: IslandIndex

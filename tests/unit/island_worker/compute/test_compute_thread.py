@@ -15,7 +15,7 @@ from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.codec import dataset_to_bytes
-from atoll_core.wire.messages.epochs import SliceCounters
+from atoll_core.wire.messages.epochs import IslandReport, SliceCounters
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.session.epoch_tasks import Task, TaskKey
@@ -23,18 +23,6 @@ from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobR
 
 LIMIT_S = 20.0
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
-
-
-class FakeOutcome:
-    hit = None
-    additions = ()
-    runners_up = ()
-    best_error = None
-    digest = "ab" * 16
-
-    def __init__(self, generations: int, evaluations: int) -> None:
-        self.generations = generations
-        self.counters = {generations: {"offspring": evaluations}}
 
 
 class FakeIsland:
@@ -59,8 +47,17 @@ class FakeIsland:
         self.slices += 1
         return self.island != 7 and self.slices % 10 == 0
 
-    def outcome(self) -> FakeOutcome:
-        return FakeOutcome(self.generation, self.slices)
+    def report(self) -> IslandReport:
+        counters = (SliceCounters(generation=self.generation, evaluations={"offspring": self.slices}),)
+        return IslandReport(
+            island=self.island,
+            generations=self.generation,
+            hit=None,
+            additions=(),
+            counters=counters,
+            best_error=None,
+            digest="ab" * 16,
+        )
 
     def emigrants(self) -> dict[int, bytes]:
         return {self.island: b"own", 1: b"other"}

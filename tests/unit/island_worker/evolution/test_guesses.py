@@ -68,13 +68,13 @@ def test_a_guess_of_the_right_form_is_found_at_once_from_far_off_constants():
     config = with_prior(FORM, budget=config_of().budget.model_copy(update={"target_error": 1e-9}))
     result = search(problem, config, epochs=1)
     assert result.has_hit
-    assert {outcome.hit.generation for outcome in result.outcomes if outcome.hit} == {10}
+    assert {report.hit.generation for report in result.reports if report.hit} == {10}
 
 
 def test_the_first_slice_does_not_find_it_without_a_guess():
     config = with_prior(budget=config_of().budget.model_copy(update={"target_error": 1e-9}))
-    outcomes = search(problem_of(truth=truth), config, epochs=1).outcomes
-    assert not any(outcome.hit and outcome.hit.generation == 10 for outcome in outcomes)
+    reports = search(problem_of(truth=truth), config, epochs=1).reports
+    assert not any(report.hit and report.hit.generation == 10 for report in reports)
 
 
 def test_guesses_for_other_equations_change_nothing():
@@ -92,7 +92,7 @@ def test_the_same_guess_gives_the_same_answer_in_any_strides_and_from_a_checkpoi
     for island in (fresh, again):
         while not island.advance(10):
             pass
-    assert fresh.outcome() == again.outcome() == whole.outcomes[1]
+    assert fresh.report() == again.report() == whole.reports[1]
 
 
 def test_without_fitting_every_island_takes_the_guess_as_it_is():
@@ -122,11 +122,11 @@ def test_an_equation_keeps_to_its_variables_in_all_that_leaves_the_island():
         evolution=EvolutionConfig(islands=2, population=16, runners_up=3),
     )
     result = search(problem, config, epochs=2)
-    assert any(outcome.runners_up for outcome in result.outcomes)
+    assert any(report.runners_up for report in result.reports)
     assert len(result.front) > 3
     used = set()
-    for outcome in result.outcomes:
-        for entry in (*outcome.additions, *outcome.runners_up):
+    for report in result.reports:
+        for entry in (*report.additions, *report.runners_up):
             program = Program.from_bytes(entry.program, 2)
             used |= set(program.left[program.operators == VARIABLE].tolist())
     assert used == {1}

@@ -59,6 +59,11 @@ def run(config=CONFIG, problem=PROBLEM, epochs=2, stride=10):
     return search(problem, config, epochs, stride)
 
 
+def evaluations(report):
+    """Return the point evaluations since epoch 0 by part, at the end of the epoch that is reported."""
+    return report.counters[-1].evaluations
+
+
 def test_the_same_seed_gives_the_same_answer_and_another_seed_another():
     assert run() == run()
     assert not set(run().digests) & set(run(config_of(seed=4)).digests)
@@ -81,7 +86,7 @@ def test_islands_that_take_turns_within_an_epoch_know_nothing_of_each_other(stri
     waiting = list(islands)
     while waiting:
         waiting = [island for island in waiting if not island.advance(stride)]
-    assert [island.outcome() for island in islands] == list(run(epochs=1).outcomes)
+    assert [island.report() for island in islands] == list(run(epochs=1).reports)
 
 
 def test_islands_of_one_process_are_reshuffled_as_by_blocks():
@@ -98,17 +103,18 @@ def test_islands_of_one_process_are_reshuffled_as_by_blocks():
 def test_what_was_spent_and_added_is_that_of_the_outcome():
     island = Island(PROBLEM, CONFIG, 0)
     island.advance(20)
-    outcome = island.outcome()
-    assert island.spent == sum(outcome.evaluations.values())
-    assert island.additions() == outcome.additions
-    assert island.additions(2) == outcome.additions[2:]
+    report = island.report()
+    assert island.spent == sum(report.counters[-1].evaluations.values())
+    assert [entry.program for entry in island.additions()] == [entry.program for entry in report.additions]
+    assert island.additions(2) == island.additions()[2:]
+    assert {(entry.epoch, entry.island) for entry in island.additions()} == {(0, 0)}
 
 
 @pytest.mark.parametrize("generations", [10, 25, 33])
 def test_offers_are_made_at_intervals_and_at_the_epoch_s_end(generations):
-    outcome = run(config_of(generations=generations)).outcomes[0]
-    assert {entry.generation for entry in outcome.additions} <= {10, 20, 30, generations}
-    assert outcome.generations == generations
+    report = run(config_of(generations=generations)).reports[0]
+    assert {entry.generation for entry in report.additions} <= {10, 20, 30, generations}
+    assert report.generations == generations
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
@@ -124,7 +130,7 @@ def test_an_island_written_and_read_between_epochs_goes_on_with_the_same_bits(pr
         islands = [Island.from_bytes(island.to_bytes(), PROBLEM, config, k) for k, island in enumerate(islands)]
         ended = [advance(island) for island in islands]
         reshuffle(islands)
-    assert tuple(ended) == run(config, epochs=3).outcomes[-2:]
+    assert tuple(ended) == run(config, epochs=3).reports[-2:]
 
 
 NEAR = config_of(evolution=EvolutionConfig(islands=2, population=16, runners_up=3), generations=50)
@@ -136,8 +142,8 @@ def test_runners_up_are_part_of_an_island_that_is_written_and_read():
         islands = [Island.from_bytes(island.to_bytes(), PROBLEM, NEAR, k) for k, island in enumerate(islands)]
         ended = [advance(island) for island in islands]
         reshuffle(islands)
-    assert tuple(ended) == run(NEAR, epochs=3).outcomes[-2:]
-    assert any(outcome.runners_up for outcome in ended)
+    assert tuple(ended) == run(NEAR, epochs=3).reports[-2:]
+    assert any(report.runners_up for report in ended)
 
 
 def test_looking_for_runners_up_changes_nothing_in_the_population():
@@ -145,11 +151,11 @@ def test_looking_for_runners_up_changes_nothing_in_the_population():
     still = PredictorConfig(rows=8, enabled=False)
     with_them = run(NEAR.model_copy(update={"predictors": still}))
     without = run(config_of(generations=50, predictors=still))
-    assert not any(outcome.runners_up for outcome in without.outcomes)
-    for theirs, ours in zip(with_them.outcomes, without.outcomes, strict=True):
+    assert not any(report.runners_up for report in without.reports)
+    for theirs, ours in zip(with_them.reports, without.reports, strict=True):
         for part in ("offspring", "constant_fitting", "reevaluation"):
-            assert theirs.evaluations[part] == ours.evaluations[part]
-        assert theirs.evaluations["refitting"] > ours.evaluations["refitting"]
+            assert evaluations(theirs)[part] == evaluations(ours)[part]
+        assert evaluations(theirs)["refitting"] > evaluations(ours)["refitting"]
 
 
 @pytest.mark.parametrize(("noise", "floor"), [(0.1, 0.0), (0.0, 0.05)])
@@ -211,15 +217,15 @@ def test_an_island_that_refused_immigrants_is_unchanged():
     for island in islands:
         advance(island)
     sent = [island.emigrants() for island in islands]
-    before, outcome = islands[0].emigrants(), islands[0].outcome()
+    before, report = islands[0].emigrants(), islands[0].report()
     for blocks in ({}, {0: sent[0][0]}, {0: sent[0][0], 1: b"x"}, {0: sent[0][0], 1: sent[0][0]}):
         with pytest.raises(RemoteProtocolError):
             islands[0].immigrate(blocks)
         assert islands[0].epoch == 0
         assert islands[0].emigrants() == before
-        assert islands[0].outcome() == outcome
+        assert islands[0].report() == report
     reshuffle(islands)
-    assert advance(islands[0]) == run().outcomes[2]
+    assert advance(islands[0]) == run().reports[2]
 
 
 def test_methods_out_of_turn_are_our_own_mistake():
@@ -240,7 +246,7 @@ def test_what_must_be_resolved_beforehand_is_named(field):
 @pytest.mark.parametrize("loss", ["mae", "rmse"])
 def test_every_addition_was_measured_on_all_rows(loss):
     config = config_of(evolution=EvolutionConfig(islands=2, population=16, loss=loss))
-    additions = [entry for outcome in run(config).outcomes for entry in outcome.additions]
+    additions = [entry for report in run(config).reports for entry in report.additions]
     assert len(additions) > 5
     for entry in additions:
         program = Program.from_bytes(entry.program, 2)
@@ -254,20 +260,19 @@ def test_every_addition_was_measured_on_all_rows(loss):
 def test_additions_improve_the_island_s_own_front_in_the_order_they_were_found():
     for number in range(2):
         front = []
-        for outcome in run(epochs=3).outcomes[number::2]:
-            for entry in outcome.additions:
-                assert (entry.epoch, entry.island) == (outcome.epoch, number)
+        for report in run(epochs=3).reports[number::2]:
+            for entry in report.additions:
                 assert all(entry.error < earlier.error for earlier in front if earlier.complexity <= entry.complexity)
                 front.append(entry)
-            assert outcome.best_error == pytest.approx(min(e.error for e in front) / PROBLEM.target.standard_deviation)
+            assert report.best_error == pytest.approx(min(e.error for e in front) / PROBLEM.target.standard_deviation)
 
 
 def test_evaluations_are_cumulative_and_the_coevolution_s_share_stays_small():
     config = config_of(predictors=PredictorConfig(rows=8, effort=0.05, renewal=5))
-    outcomes = run(config, problem_of(rows=400), epochs=4).outcomes[::2]
-    for one, two in pairwise(outcomes):
-        assert all(two.evaluations[part] >= one.evaluations[part] for part in one.evaluations)
-    spent = outcomes[-1].evaluations
+    reports = run(config, problem_of(rows=400), epochs=4).reports[::2]
+    for one, two in pairwise(reports):
+        assert all(evaluations(two)[part] >= evaluations(one)[part] for part in evaluations(one))
+    spent = evaluations(reports[-1])
     one_renewal = 16 * 8 * 8 + 400
     assert 0 < spent["coevolution"] <= 0.05 * sum(spent.values()) + one_renewal
 
@@ -278,27 +283,27 @@ def test_tallies_are_the_evaluations_at_the_end_of_every_slice():
     spent = {}
     for _ in range(3):
         island.advance(10)
-        spent[island.generation] = dict(island.outcome().evaluations)
-    assert island.outcome().counters == spent
+        spent[island.generation] = island.spent
+    assert {each.generation: sum(each.evaluations.values()) for each in island.report().counters} == spent
     assert list(spent) == [10, 20, 25]
-    assert sum(spent[10].values()) < sum(spent[20].values()) < sum(spent[25].values())
+    assert spent[10] < spent[20] < spent[25]
 
 
 def test_an_epoch_that_is_given_up_can_be_reported():
     whole, part = (Island(problem_of(), config_of(), 0) for _ in range(2))
     advance(whole)
     part.advance(10)
-    given_up, outcome = part.outcome(), whole.outcome()
+    given_up, report = part.report(), whole.report()
     assert (given_up.generations, given_up.hit) == (10, None)
-    assert given_up.additions == tuple(entry for entry in outcome.additions if entry.generation <= 10)
-    assert given_up.counters[10] == outcome.counters[10]
+    assert given_up.additions == tuple(entry for entry in report.additions if entry.generation <= 10)
+    assert given_up.counters == report.counters[:1]
 
 
 def test_few_rows_switch_predictors_off():
-    outcome = run(problem=problem_of(rows=16)).outcomes[0]
-    assert outcome.evaluations["coevolution"] == 0
-    assert 0 < outcome.evaluations["offspring"] <= (30 + 1) * 16 * 16
-    assert outcome.evaluations["offspring"] % 16 == 0
+    report = run(problem=problem_of(rows=16)).reports[0]
+    assert evaluations(report)["coevolution"] == 0
+    assert 0 < evaluations(report)["offspring"] <= (30 + 1) * 16 * 16
+    assert evaluations(report)["offspring"] % 16 == 0
 
 
 def test_an_island_that_meets_the_target_stops_there():
@@ -306,7 +311,7 @@ def test_an_island_that_meets_the_target_stops_there():
     config = config_of(population=64, generations=100, rows=16, budget=BudgetConfig(target_error=1e-9))
     result = search(problem, config, 20)
     assert result.has_hit
-    hit = next(outcome for outcome in result.outcomes if outcome.hit)
+    hit = next(report for report in result.reports if report.hit)
     assert hit.hit.error <= 1e-9
     assert hit.hit.generation == hit.generations
     assert hit.best_error == hit.hit.error

@@ -26,9 +26,9 @@ def searched(bounds=(), required=(), truth=lambda x, y: 3.0 * x - 2.0 * x * y):
     island = Island(Problem(NAMES, np.stack([x, y]), Target("x", "dx/dt", values, 0.0, float(values.std()))), config, 0)
     while not island.advance(50):
         pass
-    outcome = island.outcome()
-    programs = [Program.from_bytes(entry.program, 2) for entry in (*outcome.additions, *outcome.runners_up)]
-    return programs, outcome, (x, y, values)
+    report = island.report()
+    programs = [Program.from_bytes(entry.program, 2) for entry in (*report.additions, *report.runners_up)]
+    return programs, report, (x, y, values)
 
 
 def test_a_bound_that_excludes_the_best_constants_is_kept_by_all_that_is_reported():
@@ -36,10 +36,10 @@ def test_a_bound_that_excludes_the_best_constants_is_kept_by_all_that_is_reporte
 
     texts = ("x < 2", "x*y > -1")
     bounds = EquationBounds(tuple(parse_bound(text, NAMES) for text in texts))
-    programs, outcome, _ = searched(texts)
+    programs, report, _ = searched(texts)
     assert programs
     assert all(bounds.are_kept(program) for program in programs)
-    assert outcome.hit is None
+    assert report.hit is None
     assert any(governed.is_active for program in programs for governed in bounds.governed(program))
     free, unbounded, _ = searched()
     assert unbounded.hit is not None
@@ -47,8 +47,8 @@ def test_a_bound_that_excludes_the_best_constants_is_kept_by_all_that_is_reporte
 
 
 def test_constants_are_fitted_within_their_bounds():
-    _, outcome, (x, y, values) = searched(("x*y > -1",))
-    best = {to_infix(Program.from_bytes(entry.program, 2), NAMES): entry.error for entry in outcome.additions}
+    _, report, (x, y, values) = searched(("x*y > -1",))
+    best = {to_infix(Program.from_bytes(entry.program, 2), NAMES): entry.error for entry in report.additions}
     a = np.linalg.lstsq(x[:, None], values + x * y, rcond=None)[0][0]  # the best factor of x beside -1 of x*y
     sizes = [error for text, error in best.items() if "1.0*x*y" in text and "**" not in text]
     assert sizes
@@ -63,6 +63,6 @@ def test_what_lacks_a_required_variable_stands_on_no_front():
 
 @pytest.mark.parametrize("bounds", [("|c| < 100",), ("y > 3", "y < 5")])
 def test_a_bound_that_the_best_constants_keep_changes_nothing(bounds):
-    programs, outcome, _ = searched(bounds)
-    assert outcome.hit is not None
+    programs, report, _ = searched(bounds)
+    assert report.hit is not None
     assert programs
