@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 _WAIT_S: Final = 10.0
 _GRACE_S: Final = 30.0
-_NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _MOST_PROCESSES: Final = 1024
 
 _EPILOG: Final = """\
@@ -187,6 +186,8 @@ def _processes(text: str) -> int | None:
 
 
 def _name(text: str) -> str:
-    if _NAME.fullmatch(text):
+    from atoll_core.wire.topics import is_id
+
+    if is_id(text):
         return text
     raise argparse.ArgumentTypeError(f"up to 64 letters, digits, - and _ were expected, but {text!r} was given")

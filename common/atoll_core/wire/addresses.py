@@ -171,9 +171,7 @@ def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | 
 def check_certificates(to: Destination, listen_s: float) -> str | None:
     """Return what is wrong with TLS at `to`, beyond certificates; None when nothing is, or that cannot be told.
 
-    Args:
-        to: where connections are accepted.
-        listen_s: how long to listen for what the other side thinks of our certificate, in seconds.
+    For `listen_s` seconds it is listened for what the other side thinks of our certificate.
 
     Raises:
         RefusedError: certificates do not fit, or are asked for and not given.

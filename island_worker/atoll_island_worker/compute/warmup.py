@@ -16,9 +16,6 @@ KERNELS: Final = 13
 def warm_up(report: Report) -> None:
     """Compile or load every kernel that an epoch needs, by running a very small one for each preset.
 
-    Args:
-        report: see `compile_or_load`.
-
     Raises:
         AtollError: the cache of compiled kernels cannot be written.
     """

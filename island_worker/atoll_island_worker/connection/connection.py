@@ -93,15 +93,11 @@ class CoordinatorConnection:
         self._requests.ask(topics.hello(self._name), self._hello(), GREET_TIMEOUT_S, request)
 
     def handle_answer(self, fingerprint: str, payload: bytes | None, welcomes: int | None = None) -> Reset | None:
-        """Handle the answer to a greeting that carried `fingerprint` ("": kernels not ready yet).
+        """Handle the answer (None: there was none) to a greeting that carried `fingerprint` ("": kernels not ready).
 
         Returns what the session is to drop when the coordinator, or its store, is another one than before. Without an
         answer another greeting follows, and after a late one of a former coordinator; a refusal ends the worker.
-
-        Args:
-            fingerprint: of the kernels, as it was then.
-            payload: the answer; None: there was none.
-            welcomes: how many, and later incarnations, there had been when the greeting was sent; None: as now.
+        `welcomes`: how many, and later incarnations, there had been when the greeting was sent; None: as now.
         """
         if payload is None:
             self._enquire()

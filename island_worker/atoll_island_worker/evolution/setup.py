@@ -82,9 +82,8 @@ class IslandSetup:
         )  # fmt: skip
         self.runners_up = island_share(evolution.runners_up or 0, evolution.islands)
         variables = problem.inputs.shape[0]
-        self.rows = self.every
-        if self.coevolving.enabled:
-            self.rows = empty_rows(variables, sample, 2 * variables if keeps_waves else 0)
+        waves = 2 * variables if keeps_waves else 0
+        self.rows = empty_rows(variables, sample, waves) if self.coevolving.enabled else self.every
         shared = _shared_scratch(
             threading.get_ident(), evolution.population, self.space.nodes, variables, self.sample, rows
         )

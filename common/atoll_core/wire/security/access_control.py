@@ -48,31 +48,26 @@ def permissions(name: str, role: Role) -> tuple[Permission, ...]:
 
 def access_control(role_bindings: RoleBindings) -> dict[str, object]:
     """Return the router's setting ``access_control``: a rule set and a subject for each name, all else denied."""
-    rules: list[dict[str, object]] = []
-    subjects: list[dict[str, object]] = []
-    policies: list[dict[str, object]] = []
-    for name, role in role_bindings.roles.items():
-        ids = []
-        for number, permission in enumerate(permissions(name, role)):
-            ids.append(f"{name}/{number}")
-            rules.append(_rule(ids[-1], permission))
-        subjects.append({"id": name, "cert_common_names": [name]})
-        policies.append({"rules": ids, "subjects": [name]})
-    for number, permission in enumerate(_OF_ANYBODY):
-        rules.append(_rule(f"{_ANYBODY}/{number}", permission))
+    granted = {name: permissions(name, role) for name, role in role_bindings.roles.items()}
+    granted[_ANYBODY] = _OF_ANYBODY
+    rules = [
+        {
+            "id": f"{name}/{number}",
+            "permission": "allow",
+            "flows": [permission.flow],
+            "messages": list(permission.messages),
+            "key_exprs": list(permission.keys),
+        }
+        for name, allowed in granted.items()
+        for number, permission in enumerate(allowed)
+    ]
+    subjects: list[dict[str, object]] = [{"id": name, "cert_common_names": [name]} for name in role_bindings.roles]
     subjects.append({"id": _ANYBODY})  # without any condition
-    policies.append({"rules": [f"{_ANYBODY}/{number}" for number in range(len(_OF_ANYBODY))], "subjects": [_ANYBODY]})
+    policies = [
+        {"rules": [f"{name}/{number}" for number in range(len(allowed))], "subjects": [name]}
+        for name, allowed in granted.items()
+    ]
     return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
-
-
-def _rule(name: str, permission: Permission) -> dict[str, object]:
-    return {
-        "id": name,
-        "permission": "allow",
-        "flows": [permission.flow],
-        "messages": list(permission.messages),
-        "key_exprs": list(permission.keys),
-    }
 
 
 def _of_worker(name: str) -> tuple[Permission, ...]:

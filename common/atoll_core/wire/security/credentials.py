@@ -89,11 +89,8 @@ def credentials_of(options: Mapping[str, object], environ: Mapping[str, str], us
 def load(authority: Path, certificate: Path, key: Path, use: Use) -> Credentials:
     """Return the credentials in these files, after checking all that can be checked before dialling.
 
-    Args:
-        authority: certificate of the authority, PEM; `certificate` and `key` ours.
-        certificate: with those between it and the authority behind it, if there are any.
-        key: unencrypted.
-        use: whether it is shown by the side that listens or the one that dials.
+    All are PEM. `certificate` has those between it and the authority behind it, if there are any; `key` is unencrypted;
+    `use` says whether the side that listens shows them or the one that dials.
 
     Raises:
         UsageError: a file cannot be read or holds something else; key and certificate do not fit; the certificate was
@@ -125,11 +122,7 @@ def load(authority: Path, certificate: Path, key: Path, use: Use) -> Credentials
 def check_welcome(host: str, port: int, credentials: Credentials, listen_s: float) -> str | None:
     """Try a TLS connection with these credentials; return what else is wrong, None when both sides are content.
 
-    Args:
-        host: with `port` where to dial.
-        port: see `host`.
-        credentials: what to show there.
-        listen_s: how long to listen for what the other side thinks of us, in seconds.
+    For `listen_s` seconds it is listened for what the other side thinks of us.
 
     Raises:
         RefusedError: one side does not accept the other's certificate, so that trying again would not help.

@@ -75,14 +75,10 @@ def checked_role_bindings(entries: Mapping[str, object], source: str) -> RoleBin
             raise UsageError(f"the roster {source} gives {name} the role {role!r}, but one of {expected} was expected")
     role_bindings = RoleBindings(cast(Mapping[str, Role], dict(entries)))
     for name in role_bindings.roles:
-        _check_alone(name, role_bindings, source)
+        principal = role_bindings.principal(name.rpartition("-")[0])
+        if principal is not None:
+            raise UsageError(
+                f"the roster {source} has {principal} and {name}, but names that begin with {principal}- are those of "
+                f"the processes of {principal}; give one of them another name and certificate"
+            )
     return role_bindings
-
-
-def _check_alone(name: str, role_bindings: RoleBindings, source: str) -> None:
-    principal = role_bindings.principal(name.rpartition("-")[0])
-    if principal is not None:
-        raise UsageError(
-            f"the roster {source} has {principal} and {name}, but names that begin with {principal}- are those of the "
-            f"processes of {principal}; give one of them another name and certificate"
-        )
