@@ -31,7 +31,14 @@ def announced(path: Path | None, addresses: Sequence[str]) -> Iterator[None]:
         yield
         return
     text = "".join(f"{address}\n" for address in addresses)
-    _write(path, text)
+    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        draft.write_text(text, "utf-8")
+        draft.replace(path)  # whole or not at all: who reads it meanwhile finds the old one, or none
+    except OSError as error:
+        raise UsageError(
+            f"the addresses cannot be written to {path} ({error.strerror}); name another file with --connect-file"
+        ) from error
     try:
         yield
     finally:
@@ -82,15 +89,3 @@ def _reachable(path: Path) -> tuple[str | None, str]:
             return str(address), ""
         reasons.append(f"{address}: {reason}")
     return None, ", ".join(reasons) or "it is empty"
-
-
-def _write(path: Path, text: str) -> None:
-    """Write the file whole or not at all: who reads it meanwhile finds the old one, or none."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        draft.write_text(text, "utf-8")
-        draft.replace(path)
-    except OSError as error:
-        raise UsageError(
-            f"the addresses cannot be written to {path} ({error.strerror}); name another file with --connect-file"
-        ) from error

@@ -1,6 +1,6 @@
 """What waits for the owner of a real bus: events that other threads hand in, and timers."""
 
-import heapq
+import math
 import queue
 import threading
 from typing import Final
@@ -48,24 +48,21 @@ class Timers:
 
     def __init__(self) -> None:
         self._times: dict[str, float] = {}
-        self._heap: list[tuple[float, str]] = []
 
     def add(self, time_s: float, name: str) -> None:
         """Set alarm `name` to `time_s`, whatever it was set to before."""
         self._times[name] = time_s
-        heapq.heappush(self._heap, (time_s, name))
 
     def next_time(self) -> float:
         """Return the time of the first alarm; infinity when there is none."""
-        while self._heap and self._times.get(self._heap[0][1]) != self._heap[0][0]:
-            heapq.heappop(self._heap)  # replaced by a later call with the same name
-        return self._heap[0][0] if self._heap else float("inf")
+        return min(self._times.values(), default=math.inf)
 
     def pop_due(self, now: float) -> str | None:
         """Remove and return the first alarm whose time is `now` or earlier."""
-        if self.next_time() > now:
+        due = [(time_s, name) for name, time_s in self._times.items() if time_s <= now]
+        if not due:
             return None
-        _, name = heapq.heappop(self._heap)
+        _, name = min(due)
         del self._times[name]
         return name
 

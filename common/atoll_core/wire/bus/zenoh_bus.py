@@ -177,11 +177,20 @@ class ZenohBus:
         check_payload(key, payload)
         check_key(key)
         token = next(self._tokens)
-        answer = _Answer(token, self._inbox)
-        handler = Callback(answer.on_reply, answer.on_end, indirect=False)
+        is_open = threading.Semaphore(1)
+
+        def finish(payload: bytes | None) -> None:
+            if is_open.acquire(blocking=False):  # whatever becomes of the question, one Reply comes of it
+                self._inbox.add(Reply(token, payload))
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                finish(reply.ok.payload.to_bytes())
+
+        handler = Callback(on_reply, lambda: finish(None), indirect=False)
         options = {"payload": payload, "timeout": timeout_s, "consolidation": zenoh.ConsolidationMode.NONE, **_FIRMLY}
         if not self._call(lambda: self._session.get(key, handler, **options)):
-            answer.on_end()
+            finish(None)
         return token
 
     def reply(self, query: Query, payload: bytes | None) -> None:
@@ -257,26 +266,6 @@ class ZenohBus:
 
     def _on_transport(self, event: zenoh.TransportEvent) -> None:
         self._inbox.add(Link(event.kind == zenoh.SampleKind.PUT))
-
-
-class _Answer:
-    """Turns whatever becomes of one `get` into exactly one Reply."""
-
-    def __init__(self, token: int, inbox: Inbox) -> None:
-        self._token = token
-        self._inbox = inbox
-        self._open = threading.Semaphore(1)
-
-    def on_reply(self, reply: zenoh.Reply) -> None:
-        if reply.ok is not None:
-            self._finish(reply.ok.payload.to_bytes())
-
-    def on_end(self) -> None:
-        self._finish(None)
-
-    def _finish(self, payload: bytes | None) -> None:
-        if self._open.acquire(blocking=False):
-            self._inbox.add(Reply(self._token, payload))
 
 
 _FIRMLY: Final[dict[str, Any]] = {  # keywords of several functions of zenoh, whose types differ
