@@ -265,8 +265,9 @@ class FrontUpdater:
         if not self._setup.fit.steps:
             return additions
         simplest = next(e for e in self._front.entries() if e.error <= target)
-        formula: Formula | None = from_program(Program.from_bytes(simplest.program, self._setup.space.variables))
-        while (formula := self._reduced(formula, target, counters)) is not None:
+        formula = from_program(Program.from_bytes(simplest.program, self._setup.space.variables))
+        while (reduced := self._reduced(formula, target, counters)) is not None:
+            formula = reduced
             entry = self._entry(to_program(formula), tag)
             if self._front.add(entry):
                 additions.append(entry)
