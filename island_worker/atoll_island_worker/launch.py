@@ -4,7 +4,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING
@@ -20,54 +20,54 @@ if TYPE_CHECKING:
 
 def work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
     """Have one process for each name work, as often as it dies; forked, where that can be, after all is loaded once."""
-    from atoll_island_worker.processes.fork_server import Forked, can_fork, load_ahead
+    from atoll_island_worker.processes.fork_server import can_fork, load_ahead
     from atoll_island_worker.processes.parent import request_parent_death_signal
-    from atoll_island_worker.processes.supervisor import Start, supervise
+    from atoll_island_worker.processes.supervisor import supervise
 
-    remaining = _remaining(options.lifetime)
+    end = time.monotonic() + options.lifetime if options.lifetime is not None else None
+    start = _fork if can_fork() else _start
     with ExitReasons() as exit_reasons:
-        starts: dict[str, Start] = {}
-        if not can_fork():
-            starts = {name: partial(_start, connect, name, options, exit_reasons, remaining) for name in names}
-            return supervise(starts, exit_reasons, options.parent, options.grace)
-        with exiting():
-            if options.parent is not None:
-                request_parent_death_signal()
-            load_ahead()
-            if options.parent not in (None, os.getppid()):
-                return 0
-        for name in names:
-            act = partial(_work_as_fork, connect, name, options, os.getpid(), remaining, exit_reasons)
-            starts[name] = partial(Forked, act)
+        if can_fork():
+            with exiting():
+                if options.parent is not None:
+                    request_parent_death_signal()
+                load_ahead()
+                if options.parent not in (None, os.getppid()):
+                    return 0
+        starts = {name: partial(start, connect, name, options, end, exit_reasons) for name in names}
         return supervise(starts, exit_reasons, options.parent, options.grace)
 
 
-def _remaining(lifetime_s: float | None) -> Callable[[], float | None]:
-    """Return what tells how many seconds are left of a lifetime; None: it has no end."""
-    end = time.monotonic() + lifetime_s if lifetime_s is not None else None
-    return lambda: max(0.0, end - time.monotonic()) if end is not None else None
-
-
 def _start(
-    connect: "Destination", name: str, options: argparse.Namespace, exit_reasons: ExitReasons,
-    remaining: Callable[[], float | None],
-) -> "Child":  # fmt: skip
-    """Start a process that works, for what is left of its lifetime."""
+    connect: "Destination", name: str, options: argparse.Namespace, end: float | None, exit_reasons: ExitReasons
+) -> "Child":
+    """Start a process that works until `end` of the monotonic clock (None: without end)."""
     from atoll_island_worker.processes.command import worker_command
     from atoll_island_worker.processes.supervisor import start_process
 
     further = ["--log-format", options.log_format, "--log-level", options.log_level]
     further += ["--exit-reasons", str(exit_reasons.writing_end)]
-    return start_process(worker_command(connect, name, options.wait, options.grace, remaining(), further), exit_reasons)
+    command = worker_command(connect, name, options.wait, options.grace, _seconds_until(end), further)
+    return start_process(command, exit_reasons)
 
 
-def _work_as_fork(
-    connect: "Destination", name: str, options: argparse.Namespace, parent: int, remaining: Callable[[], float | None],
-    exit_reasons: ExitReasons,
-) -> int:  # fmt: skip
-    """Work as a fork, for what is left of the lifetime."""
-    options.lifetime = remaining()
-    return exit_code_of(partial(work, connect, name, options, parent), exit_reasons.report)
+def _fork(
+    connect: "Destination", name: str, options: argparse.Namespace, end: float | None, exit_reasons: ExitReasons
+) -> "Child":
+    """Start a fork of this process that works until `end`."""
+    from atoll_island_worker.processes.fork_server import Forked
+
+    parent = os.getpid()
+
+    def act() -> int:
+        options.lifetime = _seconds_until(end)
+        return exit_code_of(partial(work, connect, name, options, parent), exit_reasons.report)
+
+    return Forked(act)
+
+
+def _seconds_until(end: float | None) -> float | None:
+    return None if end is None else max(0.0, end - time.monotonic())
 
 
 def work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:

@@ -95,7 +95,7 @@ def test_the_settings_for_zenohd_are_those_of_our_own_router() -> None:
     from atoll_core.wire.bus import zenoh_bus
 
     theirs = zenoh.Config.from_file(str(ROOT / "deploy" / "router" / "zenohd.json5"))
-    ours = zenoh_bus._config("router", ["tcp/0.0.0.0:7447"], [], None)
+    ours = zenoh_bus._config("router", ["tcp/0.0.0.0:7447"], [], {})
     for place in (
         "mode", "listen/endpoints", "scouting", "transport/shared_memory", "transport/unicast",
         "transport/link/tx", "transport/link/rx",

@@ -279,7 +279,29 @@ def _directly(callback: Callable[[Any], None]) -> Any:
 
 
 def _config(mode: str, listen: list[str], connect: list[str], settings: Settings) -> zenoh.Config:
-    config = zenoh.Config.from_json5(json.dumps(_tree(mode, listen, connect)))
+    sizes = {"control": 2, "real_time": 2, "interactive_high": 2, "interactive_low": 2}
+    sizes |= {"data_high": 4, "data": 16, "data_low": 4, "background": 4}
+    patience = {"block": {"wait_before_close": _WAIT_FOR_PEER_US}, "drop": {"wait_before_drop": 20_000}}
+    link_tx = {"lease": _LEASE_MS, "queue": {"size": sizes, "congestion_control": patience}}
+    retry = {"period_init_ms": 100, "period_max_ms": 1_000, "period_increase_factor": 2}
+    taken_in = {"flows": ["ingress"], "messages": ["put", "query"]}
+    filters = [
+        {"id": f"at most {size}", **taken_in, "key_exprs": keys, "size_limit": size}
+        for size, keys in _SIZE_LIMITS.items()
+    ]
+    tree = {
+        "mode": mode,
+        "low_pass_filter": filters if mode == "router" else [],
+        "listen": {"endpoints": listen},
+        "connect": {"endpoints": connect, "timeout_ms": _ATTEMPT_MS, "exit_on_failure": True, "retry": retry},
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "unicast": {"max_sessions": 10_000, "open_timeout": _ATTEMPT_MS, "accept_timeout": 10_000},
+            "link": {"tx": link_tx, "rx": {"max_message_size": MAX_PAYLOAD + _OVERHEAD}},
+        },
+    }
+    config = zenoh.Config.from_json5(json.dumps(tree))
     for path, value in settings.items():
         try:
             config.insert_json5(path, json.dumps(value))
@@ -305,36 +327,6 @@ def _guards(to: Destination) -> dict[str, object]:
         "connect_private_key": key,
     }
     return {"transport/link/tls": tls, "transport/link/protocols": [to.address.protocol]}
-
-
-def _tree(mode: str, listen: list[str], connect: list[str]) -> dict[str, object]:
-    sizes = {"control": 2, "real_time": 2, "interactive_high": 2, "interactive_low": 2}
-    sizes |= {"data_high": 4, "data": 16, "data_low": 4, "background": 4}
-    patience = {"block": {"wait_before_close": _WAIT_FOR_PEER_US}, "drop": {"wait_before_drop": 20_000}}
-    link_tx = {"lease": _LEASE_MS, "queue": {"size": sizes, "congestion_control": patience}}
-    retry = {"period_init_ms": 100, "period_max_ms": 1_000, "period_increase_factor": 2}
-    filters = [
-        {
-            "id": f"at most {size}",
-            "flows": ["ingress"],
-            "messages": ["put", "query"],
-            "key_exprs": keys,
-            "size_limit": size,
-        }
-        for size, keys in _SIZE_LIMITS.items()
-    ]
-    return {
-        "mode": mode,
-        "low_pass_filter": filters if mode == "router" else [],
-        "listen": {"endpoints": listen},
-        "connect": {"endpoints": connect, "timeout_ms": _ATTEMPT_MS, "exit_on_failure": True, "retry": retry},
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "transport": {
-            "shared_memory": {"enabled": False},
-            "unicast": {"max_sessions": 10_000, "open_timeout": _ATTEMPT_MS, "accept_timeout": 10_000},
-            "link": {"tx": link_tx, "rx": {"max_message_size": MAX_PAYLOAD + _OVERHEAD}},
-        },
-    }
 
 
 def _reason(error: zenoh.ZError) -> str:
