@@ -66,34 +66,30 @@ Additions = tuple[list[FrontEntry], list[FrontEntry]]
 
 
 class Front:
-    """Non-dominated entries by complexity. Ties go to the earlier one."""
+    """Non-dominated `entries` by rising complexity and falling error. Ties go to the earlier one."""
 
     def __init__(self) -> None:
-        self._entries: tuple[FrontEntry, ...] = ()
+        self.entries: tuple[FrontEntry, ...] = ()
         self._least: Floats | None = None
-
-    def entries(self) -> tuple[FrontEntry, ...]:
-        """Return the entries by rising complexity and falling error."""
-        return self._entries
 
     def replace(self, entries: Iterable[FrontEntry]) -> None:
         """Take over a front that was saved."""
-        self._entries = merge((), entries)
+        self.entries = merge((), entries)
         self._least = None
 
     def least_error(self) -> float | None:
         """Return the least error, None while the front is empty."""
-        return self._entries[-1].error if self._entries else None
+        return self.entries[-1].error if self.entries else None
 
     def error_at(self, complexity: int) -> float:
         """Return the least error of entries no more complex than that; inf when there is none."""
-        return min((e.error for e in self._entries if e.complexity <= complexity), default=math.inf)
+        return min((e.error for e in self.entries if e.complexity <= complexity), default=math.inf)
 
     def least_by_size(self, sizes: int) -> Floats:
         """Return `error_at` each complexity below `sizes`; not to be written to."""
         if self._least is None or len(self._least) != sizes:
             self._least = np.full(sizes, math.inf)
-            for entry in self._entries:
+            for entry in self.entries:
                 self._least[entry.complexity :] = entry.error
         return self._least
 
@@ -101,7 +97,7 @@ class Front:
         """Add `entry` unless an entry as simple is as good; return whether it was added."""
         if not entry.error < self.error_at(entry.complexity):
             return False
-        self._entries = merge(self._entries, (entry,))
+        self.entries = merge(self.entries, (entry,))
         self._least = None
         return True
 
@@ -144,12 +140,12 @@ class FrontUpdater:
             REFIT_STEPS if setup.fit.steps else 0,
             setup.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
         )  # fmt: skip
-        before = self._front.entries()
+        before = self._front.entries
         additions = [entry for k in range(count) for entry in self._offer_one(k, counters, tag)]
         if not self._candidates:
             return additions, []
         candidates, self._candidates = self._candidates, []
-        return additions, self._runners_up.take(self._front.entries(), (*before, *candidates), (*before, *additions))
+        return additions, self._runners_up.take(self._front.entries, (*before, *candidates), (*before, *additions))
 
     def _choose(self, lists: Lists, fitness: Floats, looks_beside: bool) -> tuple[int, Floats]:
         """Choose individuals; return their number and, by size, the loss below which one is worth offering."""
@@ -264,7 +260,7 @@ class FrontUpdater:
         additions: list[FrontEntry] = []
         if not self._setup.fit.steps:
             return additions
-        simplest = next(e for e in self._front.entries() if e.error <= target)
+        simplest = next(e for e in self._front.entries if e.error <= target)
         formula = from_program(Program.from_bytes(simplest.program, self._setup.space.variables))
         while (reduced := self._reduced(formula, target, counters)) is not None:
             formula = reduced

@@ -187,7 +187,7 @@ class Island:
         if self._begun:
             raise LocalProtocolError("an island is written between epochs only, before generation 0")
         arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}
-        front, near = _listed(self._front.entries()), _listed(self._runners_up.entries())
+        front, near = _listed(self._front.entries), _listed(self._runners_up.entries)
         return encode_arrays({"epoch": self.epoch, "front": front, "runners up": near}, arrays)
 
     @classmethod

@@ -43,7 +43,7 @@ def front_of(entries):
 @QUICK
 @given(ENTRIES)
 def test_a_front_falls_in_error_as_it_rises_in_complexity(entries):
-    kept = front_of(entries)[0].entries()
+    kept = front_of(entries)[0].entries
     assert all(math.isfinite(entry.error) for entry in kept)
     assert [e.complexity for e in kept] == sorted({e.complexity for e in kept})
     assert [e.error for e in kept] == sorted({e.error for e in kept}, reverse=True)
@@ -56,7 +56,7 @@ def test_nothing_that_was_offered_is_better_than_what_was_kept(entries):
     front, added = front_of(entries)
     for entry, was_added in zip(entries, added, strict=True):
         assert not entry.error < front.error_at(entry.complexity)
-        assert was_added or not any(kept is entry for kept in front.entries())
+        assert was_added or not any(kept is entry for kept in front.entries)
     finite = [entry.error for entry in entries if math.isfinite(entry.error)]
     assert front.least_error() == (min(finite) if finite else None)
 
@@ -66,8 +66,8 @@ def test_nothing_that_was_offered_is_better_than_what_was_kept(entries):
 @given(ENTRIES)
 def test_a_saved_front_is_the_same(entries):
     front, other = front_of(entries)[0], Front()
-    other.replace(front.entries())
-    assert other.entries() == front.entries()
+    other.replace(front.entries)
+    assert other.entries == front.entries
 
 
 class Arena:
@@ -109,14 +109,14 @@ class Arena:
         return improvements
 
     def texts(self):
-        return [to_infix(Program.from_bytes(e.program, 2), NAMES) for e in self.front.entries()]
+        return [to_infix(Program.from_bytes(e.program, 2), NAMES) for e in self.front.entries]
 
 
 def test_an_offer_is_refitted_on_all_rows_and_counted():
     arena = Arena(lambda x, y: 3.0 * np.exp(-0.0 * x) + 2.0 * x / (y + 0.7), steps=4)
     improvements = arena.offer("x/(y + 0.5)")
     assert improvements
-    assert arena.front.entries()[-1].error < 1e-9
+    assert arena.front.entries[-1].error < 1e-9
     assert arena.counters.sum() == arena.counters[REFITTING] > 100
 
 
@@ -124,14 +124,14 @@ def test_coefficients_near_one_and_shifts_near_zero_are_dropped_when_that_costs_
     arena = Arena(lambda x, y: x * y - x)
     arena.offer("x*y - x")
     assert arena.texts()[-1] == "x*y - x"
-    assert arena.front.entries()[-1].error < 1e-14
+    assert arena.front.entries[-1].error < 1e-14
 
 
 def test_without_fitting_an_individual_is_measured_as_it_stands():
     arena = Arena(lambda x, y: 2.0 * x, steps=0)
     arena.offer("3.0*x")
     assert arena.texts() == ["3.0*x"]
-    assert arena.front.entries()[0].error == pytest.approx(arena.x.mean())
+    assert arena.front.entries[0].error == pytest.approx(arena.x.mean())
     assert arena.counters[REFITTING] == 200
 
 
@@ -147,11 +147,11 @@ def test_pruning_leaves_out_what_is_superfluous():
     arena = Arena(lambda x, y: 3.0 * x - 2.0 * x * y)
     arena.offer("3.0*x - 2.0*x*(y + (x + 0.5)/(x + 0.5) - 1.0)")
     target = 1e-9 * arena.setup.deviation
-    before = arena.front.entries()[-1]
+    before = arena.front.entries[-1]
     assert before.error <= target
     additions = arena.offering.prune(target, arena.counters, (0, 10, 0))
     assert additions
-    simplest = next(e for e in arena.front.entries() if e.error <= target)
+    simplest = next(e for e in arena.front.entries if e.error <= target)
     assert simplest.complexity < before.complexity
     assert simplest.complexity <= 9
 
@@ -160,16 +160,16 @@ def test_pruning_turns_a_difference_from_next_to_nothing_into_a_negative():
     arena = Arena(lambda x, y: -x)
     arena.offer("y*1e-17 - x")
     arena.offering.prune(1e-9 * arena.setup.deviation, arena.counters, (0, 10, 0))
-    simplest = next(e for e in arena.front.entries() if e.error <= 1e-9 * arena.setup.deviation)
+    simplest = next(e for e in arena.front.entries if e.error <= 1e-9 * arena.setup.deviation)
     assert to_infix(Program.from_bytes(simplest.program, 2), ("x", "y")) == "-x"
 
 
 def test_pruning_changes_nothing_where_nothing_can_go():
     arena = Arena(lambda x, y: x * y)
     arena.offer("x*y")
-    before = arena.front.entries()
+    before = arena.front.entries
     assert arena.offering.prune(1e-9, arena.counters, (0, 10, 0)) == []
-    assert arena.front.entries() == before
+    assert arena.front.entries == before
 
 
 def test_the_paper_s_preset_prunes_nothing():
@@ -186,7 +186,7 @@ def noisy(x, y):
 def offered(arena, texts):
     for text in texts:
         arena.offer(text)
-    return arena.runners_up.entries()
+    return arena.runners_up.entries
 
 
 BESIDE = (
@@ -198,7 +198,7 @@ BESIDE = (
 def test_runners_up_are_measured_on_all_rows_and_no_two_are_one_function():
     """Their errors are those of their programs, and no two programs agree at every row, whatever they look like."""
     arena = Arena(noisy, runners_up=4)
-    near, front = offered(arena, BESIDE), arena.front.entries()
+    near, front = offered(arena, BESIDE), arena.front.entries
     values = []
     for entry in (*near, *front):
         program = Program.from_bytes(entry.program, 2)
@@ -219,7 +219,7 @@ def test_with_runners_up_the_front_is_no_worse():
     with_them, without = Arena(noisy, runners_up=3), Arena(noisy)
     assert offered(with_them, BESIDE)
     assert not offered(without, BESIDE)
-    for entry in without.front.entries():
+    for entry in without.front.entries:
         assert with_them.front.error_at(entry.complexity) <= entry.error * (1.0 + 1e-9)
 
 
@@ -227,6 +227,6 @@ def test_what_comes_to_be_a_runner_up_is_reported_once():
     arena = Arena(noisy, runners_up=3)
     reported = [entry for text in (*BESIDE, *BESIDE) for entry in arena.offer_all(text)[1]]
     assert len(reported) == len({entry.key for entry in reported})
-    displaced = {entry.key for entry in arena.runners_up.entries()} - {entry.key for entry in reported}
+    displaced = {entry.key for entry in arena.runners_up.entries} - {entry.key for entry in reported}
     ever_on_front = {entry.key for entry in arena.additions}
     assert displaced <= ever_on_front

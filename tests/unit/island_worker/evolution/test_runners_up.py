@@ -21,14 +21,14 @@ def test_only_what_is_new_is_returned():
     first, second = entry(3, 1.1, 3), entry(3, 1.2, 4)
     assert kept.take(FRONT, (*FRONT, second), FRONT) == [second]
     assert kept.take(FRONT, (first, second), FRONT) == [first]
-    assert kept.entries() == (first, second)
+    assert kept.entries == (first, second)
 
 
 def test_a_member_that_a_better_one_displaced_is_kept_but_was_reported():
     kept = RunnersUp(2)
     better = entry(3, 0.9, 5)
     assert kept.take((better, FRONT[1]), FRONT, (*FRONT, better)) == []
-    assert kept.entries() == (FRONT[0],)
+    assert kept.entries == (FRONT[0],)
 
 
 def test_a_loss_is_useful_while_some_complexity_it_may_come_to_has_room():
@@ -40,7 +40,7 @@ def test_a_loss_is_useful_while_some_complexity_it_may_come_to_has_room():
     assert limits[3] == 97.0
     assert limits[20] == 80.0
     assert math.isinf(limits[2])
-    kept.replace(member for member in kept.entries() if member.complexity != 12)
+    kept.replace(member for member in kept.entries if member.complexity != 12)
     limits = kept.limits(sizes)
     assert np.isinf(limits[2:13]).all()
     assert limits[13] == 87.0
