@@ -22,7 +22,7 @@ from atoll_core.wire.codec import decode
 from atoll_core.wire.messages import epochs
 from atoll_core.wire.messages import workers as messages
 from atoll_core.wire.messages.limits import MAX_MESSAGE
-from atoll_core.wire.messages.views import Counters
+from atoll_core.wire.messages.views import Counters, WorkerState
 from atoll_core.wire.rejects import Rejects
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.connection.connection import GRACE, GRACE_S, GREET, LIFETIME, CoordinatorConnection
@@ -44,9 +44,14 @@ class Worker:
     """One worker process on one bus. Owned by the bus's owner thread."""
 
     def __init__(
-        self, bus: Bus, compute: ComputeThread, name: str, wait_s: float, lifetime_s: float | None = None,
+        self,
+        bus: Bus,
+        compute: ComputeThread,
+        name: str,
+        wait_s: float,
+        lifetime_s: float | None = None,
         grace_s: float = GRACE_S,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Set up a worker whose `compute` warms up elsewhere; for the times see `CoordinatorConnection`."""
         self.name: Final = name
         self.session = Session(name)
@@ -259,7 +264,9 @@ class Worker:
         connection, session, task = self._connection, self.session, self._compute.current
         if connection.welcome is None:
             return
-        state = "leaving" if connection.is_draining else session.state() if connection.is_accepted else "compiling"
+        state: WorkerState = session.state() if connection.is_accepted else "compiling"
+        if connection.is_draining:
+            state = "leaving"
         doing = None
         if task is not None and state == "computing":
             doing = messages.Doing(job=task.job, variable=task.variable, island=task.island, epoch=task.epoch)
