@@ -18,10 +18,14 @@ from atoll.analysis.flow import Flow
 from atoll.analysis.limit_cycles import LimitCycle, LimitCycles, limit_cycles
 from atoll.analysis.lyapunov import LyapunovSpectrum, lyapunov_spectrum
 from atoll.analysis.nullclines import nullclines
+from atoll.model.arguments import by_name, interval, number
+from atoll.model.model import Model
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
+from atoll_core.hints import did_you_mean
+from atoll_core.quoting import shown
 
 MOST_STATES: Final = 12
 """Lorenz's model of 1996 with so many takes 8 s of one core, near the 10 s that an analysis may take."""
@@ -77,6 +81,7 @@ class Analysis:
         return self.basins.attractors
 
 
+@np.errstate(all="ignore")  # a box may reach to where rates overflow
 def analyse(
     field: VectorField,
     box: Box,
@@ -100,27 +105,18 @@ def analyse(
     if len(field.states) > MOST_STATES:
         raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
     flow, coefficients = Flow.of(field, inputs), Coefficients.of(field)
-    along = None if vary is None else (*coefficients.find(flow, vary[0]), vary[1])
-    with np.errstate(all="ignore"):  # a box may reach to where rates overflow
-        return _analysed(coefficients, box, flow, measured, along)
-
-
-def _analysed(
-    coefficients: Coefficients,
-    box: Box,
-    flow: Flow,
-    measured: Sequence[Measured],
-    along: tuple[Flow, ContinuationParameter, tuple[float, float]] | None,
-) -> Analysis:
+    parameter, branches, cycle_branches = None, (), ()
     fixed = fixed_points(flow, box)
     cycles = limit_cycles(flow, box, fixed.points)
     stable: list[Attractor] = [point for point in (*fixed.points, *cycles.resting) if point.is_stable]
     stable += [cycle for cycle in cycles.cycles if cycle.is_stable]
     reached = basins(flow, box, stable)
     is_open = flow.size > 2 and len(cycles.unsettled) > 0
-    branches, cycle_branches = ((), ()) if along is None else _continued(box, *along, cycles.cycles)
+    if vary is not None:
+        varied, parameter = coefficients.find(flow, vary[0])
+        branches, cycle_branches = _continued(box, varied, parameter, vary[1], cycles.cycles)
     return Analysis(
-        flow.field,
+        field,
         box,
         flow.inputs,
         fixed,
@@ -132,10 +128,10 @@ def _analysed(
         is_volume_preserving(flow, box),
         compared(flow, box, stable, measured, reached.duration, has_family=cycles.has_family),
         coefficients,
-        None if along is None else along[1],
+        parameter,
         branches,
         cycle_branches,
-        tuple(trajectory.name for trajectory in measured if flow.field.inputs and trajectory.inputs is None),
+        tuple(trajectory.name for trajectory in measured if field.inputs and trajectory.inputs is None),
     )
 
 
@@ -153,57 +149,41 @@ def _continued(
     return branches, cycle_continuation(flow, box, parameter, bounds, branches=branches, known=known)
 
 
-def analyse_result(
-    result: Result,
-    bounds: Mapping[str, tuple[float, float]],
+def analyse_model(
+    model: Model,
+    box: Mapping[str, tuple[float, float]] | None = None,
     *,
     inputs: Mapping[str, float] | None = None,
     vary: tuple[str, tuple[float, float]] | None = None,
 ) -> Analysis:
-    """Return the dynamics of the model that a result shows.
-
-    Args:
-        result: the result.
-        bounds: of states, by name; see `box_of` for the others.
-        inputs: values at which inputs are held, by name; zeros unless given.
-        vary: what to vary, and over which range: constants (c1, or c1,c2 in their ratio), the coefficient of a term
-            (y:x*y for that of x*y in dy/dt), or an input.
-
-    Raises:
-        UsageError: a name is unknown, or a range is none.
-    """
-    field = VectorField.from_result(result)
-    for name in inputs or {}:
+    """Return the dynamics of a model; see `atoll.Model.analyse`."""
+    model.require_one_group()
+    bounds = {name: interval(ends, f"the bounds of {name!r}") for name, ends in by_name(box, "the box").items()}
+    given = {name: number(value, f"the input {name!r}") for name, value in by_name(inputs, "inputs").items()}
+    if vary is not None and not (isinstance(vary, tuple) and len(vary) == 2 and isinstance(vary[0], str)):
+        raise UsageError(f"vary must be a name and a range, such as ('c1', (0.0, 1.0)), but {shown(vary)} was given")
+    along = None if vary is None else (vary[0], interval(vary[1], f"the range of {vary[0]!r}"))
+    field = model.field
+    for name in given:
         if name not in field.inputs:
             raise UsageError(f"there is no input '{name}' to hold; inputs: {', '.join(field.inputs) or 'none'}")
-    held = np.array([float((inputs or {}).get(name, 0.0)) for name in field.inputs])
-    box, measured = box_of(result, field, bounds)
-    parameter = None if vary is None else (vary[0], _range(*vary[1]))
-    return replace(analyse(field, box, inputs=held, measured=measured, vary=parameter), caveat=_caveat(result))
-
-
-def _caveat(result: Result) -> str:
-    sides = [equation.lhs for equation in result.equations if equation.verdict == "no model"]
-    if not sides:
-        return ""
-    return f"The verdict on {', '.join(sides)} is no model: these are dynamics of equations that do not fit the data."
-
-
-def _range(lower: float, upper: float) -> tuple[float, float]:
-    if not (np.isfinite([lower, upper]).all() and lower < upper):
-        raise UsageError(f"the range from {lower:g} to {upper:g} is no interval; give a lower bound, then an upper one")
-    return lower, upper
+    held = np.array([given.get(name, 0.0) for name in field.inputs])
+    measured = measured_trajectories(model.result, field)
+    where = box_of(model.result, field, measured, bounds)
+    sides = [equation.lhs for equation in model.result.equations if equation.verdict == "no model"]
+    what = "these are dynamics of equations that do not fit the data"
+    caveat = f"The verdict on {', '.join(sides)} is no model: {what}." if sides else ""
+    return replace(analyse(field, where, inputs=held, measured=measured, vary=along), caveat=caveat)
 
 
 def box_of(
-    result: Result, field: VectorField, bounds: Mapping[str, tuple[float, float]]
-) -> tuple[Box, tuple[Measured, ...]]:
-    """Return the box to look at and the measured trajectories of a result.
+    result: Result, field: VectorField, measured: Sequence[Measured], bounds: Mapping[str, tuple[float, float]]
+) -> Box:
+    """Return the box to look at.
 
     Where `bounds` leave a state out its measured range is taken, wider by half on either side, but not below 0 where
     nothing below 0 was measured. Raises UsageError where a state has neither.
     """
-    measured = measured_trajectories(result, field)
     ranges = {name: ends for name, ends in result.ranges.items() if name in field.states}
     if measured:
         states = np.vstack([trajectory.states for trajectory in measured])
@@ -214,4 +194,18 @@ def box_of(
         # what was measured at one value has its own size, and what was never anything but 0 has none
         beyond = _MARGIN * (high - low) or _MARGIN * abs(high) or 1.0
         known[name] = (max(low - beyond, 0.0) if low >= 0.0 else low - beyond, high + beyond)
-    return Box.of(field.states, {**known, **bounds}), measured
+    for name in bounds:
+        if name not in field.states:
+            hint = did_you_mean(name, field.states)
+            raise UsageError(f"there is no state '{name}' to bound; the states are {', '.join(field.states)}{hint}")
+    known |= bounds
+    for name in field.states:
+        if name not in known:
+            raise UsageError(f"state '{name}' was not measured, so that the box needs its lower and upper bound")
+        lower, upper = known[name]
+        if not (np.isfinite([lower, upper]).all() and lower < upper):
+            raise UsageError(
+                f"the bounds {lower:g} and {upper:g} of '{name}' are no interval; give the lower one first"
+            )
+    ends = np.array([known[name] for name in field.states], dtype=np.float64)
+    return Box(ends[:, 0].copy(), ends[:, 1].copy())

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.analysis.box import Box
-from atoll.analysis.fixed_points import FixedPoint
+from atoll.analysis.fixed_points import FixedPoint, time_scale
 from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch
-from atoll.analysis.limit_cycles import LimitCycle, distance, time_scale
+from atoll.analysis.limit_cycles import LimitCycle, distance
 from atoll_core.data.dataset import FloatArray
 
 GRID: Final = 40
@@ -55,12 +55,16 @@ class Basins:
         return share, float(np.sqrt(share * (1.0 - share) / len(self.reached)))
 
 
-def basins(flow: Flow, box: Box, attractors: Sequence[Attractor], *, grid: int = GRID, seed: int = 0) -> Basins:
+def basins(flow: Flow, box: Box, attractors: Sequence[Attractor], *, grid: int = GRID) -> Basins:
     """Return which of the stable `attractors` starts in `box` reach: the middles of a grid's cells in two dimensions.
 
-    Elsewhere starts are drawn uniformly by `seed`.
+    Elsewhere starts are drawn uniformly.
     """
-    starts = _grid(box, grid) if flow.size == 2 else _drawn(box, STARTS, seed)
+    if flow.size == 2:
+        axes = [low + width * (np.arange(grid) + 0.5) / grid for low, width in zip(box.lower, box.widths, strict=True)]
+        starts = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    else:
+        starts = box.lower + box.widths * np.random.default_rng(0).random((STARTS, flow.size))
     duration = SETTLING * time_scale(flow, box)
     reached = destinations(flow, box, attractors, starts, duration)
     return Basins(tuple(attractors), starts, reached, duration, grid if flow.size == 2 else None)
@@ -80,7 +84,7 @@ def destinations(
         )
         destination = np.full(len(rows), UNDECIDED, dtype=np.int64)
         with np.errstate(invalid="ignore"):
-            destination[(np.abs(batch.states - box.middle) / box.widths).max(axis=1) > UNBOUNDED] = RUNS_AWAY
+            destination[box.excursions(batch.states) > UNBOUNDED] = RUNS_AWAY
         for index, (attractor, radius) in enumerate(zip(attractors, radii, strict=True)):
             destination[(destination == UNDECIDED) & (_distances(attractor, batch.states, box) < radius)] = index
         destination[(destination == UNDECIDED) & batch.is_lost] = NO_VALUE
@@ -88,12 +92,8 @@ def destinations(
         rows = rows[destination == UNDECIDED]
         if not len(rows):
             break
-        batch = _part(batch, destination == UNDECIDED)
+        batch = batch.of_rows(destination == UNDECIDED)
     return reached
-
-
-def _part(batch: IntegrationBatch, rows: np.ndarray) -> IntegrationBatch:
-    return IntegrationBatch(batch.states[rows], batch.times[rows], batch.sizes[rows], batch.is_lost[rows])
 
 
 def _distances(attractor: Attractor, states: FloatArray, box: Box) -> FloatArray:
@@ -115,13 +115,3 @@ def _radii(attractors: Sequence[Attractor], box: Box) -> list[float]:
         slow = isinstance(attractor, FixedPoint) and attractor.kind == "non-hyperbolic"
         radii.append(min(5.0 * _CAUGHT if slow else _CAUGHT, 0.1 * nearest))
     return radii
-
-
-def _grid(box: Box, cells: int) -> FloatArray:
-    axes = [low + width * (np.arange(cells) + 0.5) / cells for low, width in zip(box.lower, box.widths, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-
-
-def _drawn(box: Box, count: int, seed: int) -> FloatArray:
-    drawn = np.random.default_rng(seed).random((count, len(box.lower)))
-    return np.asarray(box.lower + box.widths * drawn)

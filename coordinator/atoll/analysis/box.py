@@ -1,13 +1,10 @@
 """The box of states that an analysis looks at."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from atoll_core.data.dataset import FloatArray
-from atoll_core.errors import UsageError
-from atoll_core.hints import did_you_mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,24 +13,6 @@ class Box:
 
     lower: FloatArray
     upper: FloatArray
-
-    @classmethod
-    def of(cls, states: Sequence[str], bounds: Mapping[str, tuple[float, float]]) -> "Box":
-        """Return the box of these bounds by state; raises UsageError where a state has none or they are no interval."""
-        for name in bounds:
-            if name not in states:
-                hint = did_you_mean(name, states)
-                raise UsageError(f"there is no state '{name}' to bound; the states are {', '.join(states)}{hint}")
-        for name in states:
-            if name not in bounds:
-                raise UsageError(f"state '{name}' was not measured, so that the box needs its lower and upper bound")
-            lower, upper = bounds[name]
-            if not (np.isfinite([lower, upper]).all() and lower < upper):
-                raise UsageError(
-                    f"the bounds {lower:g} and {upper:g} of '{name}' are no interval; give the lower one first"
-                )
-        ends = np.array([bounds[name] for name in states], dtype=np.float64)
-        return cls(ends[:, 0].copy(), ends[:, 1].copy())
 
     @property
     def widths(self) -> FloatArray:
@@ -56,6 +35,10 @@ class Box:
         ratios = root ** -np.arange(1.0, size + 1)
         numbers = np.arange(1.0, count + 1) + seed * count
         return np.asarray(self.lower + self.widths * ((0.5 + numbers[:, None] * ratios) % 1.0))
+
+    def excursions(self, states: FloatArray) -> FloatArray:
+        """Return how far states (N, D) are from the middle, (N,), in the width by which they are farthest from it."""
+        return np.asarray((np.abs(states - self.middle) / self.widths).max(axis=1))
 
     def contains(self, points: FloatArray, margin: float = 0.0) -> np.ndarray:
         """Tell of each point (N, D) whether it lies in the box widened by `margin` widths."""

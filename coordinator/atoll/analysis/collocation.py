@@ -41,15 +41,6 @@ _DIFFERENCES: Final = np.array([1.0 / np.prod(knot - np.delete(_KNOTS, at)) for 
 
 
 @dataclass(frozen=True, eq=False)
-class Rates:
-    """Rates (n, D) at n points, with derivatives by states (n, D, D) and by the parameter (n, D)."""
-
-    values: FloatArray
-    by_states: FloatArray
-    by_parameter: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class Orbit:
     """States at the beginnings of the intervals of `mesh` (N + 1,), `mesh_states` (N, D), and at `nodes` (N, M, D)."""
 
@@ -75,10 +66,6 @@ class Orbit:
         shares = _DIFFERENCES / apart
         return np.asarray((shares[:, :, None] * self.knots[which]).sum(axis=1) / shares.sum(axis=1)[:, None])
 
-    def on(self, mesh: FloatArray) -> "Orbit":
-        """Return the orbit on another mesh, interpolated."""
-        return sampled(self.at, mesh)
-
 
 def sampled(states: Callable[[FloatArray], FloatArray], mesh: FloatArray) -> Orbit:
     """Return the orbit of a function of times (n,) from 0 to 1 that returns states (n, D)."""
@@ -97,7 +84,7 @@ def spread_mesh(orbit: Orbit) -> FloatArray:
     return levelled(orbit.mesh, weight, len(weight))
 
 
-def levelled(mesh: FloatArray, weight: FloatArray, intervals: int = INTERVALS) -> FloatArray:
+def levelled(mesh: FloatArray, weight: FloatArray, intervals: int) -> FloatArray:
     """Return a mesh of so many intervals with equal shares of `weight` (n,), given on the intervals of another mesh."""
     total = np.append(0.0, np.cumsum(weight))
     levelled_mesh = np.interp(np.linspace(0.0, total[-1], intervals + 1), total, mesh)
@@ -118,14 +105,16 @@ class Change:
 class Linearised:
     """The equations of an orbit linearised: what a Newton step, a tangent and multipliers come from."""
 
-    def __init__(self, orbit: Orbit, period: float, rates: Rates) -> None:
-        """`rates` are those at the nodes of the orbit, in the order of its intervals."""
+    def __init__(
+        self, orbit: Orbit, period: float, rates: FloatArray, by_states: FloatArray, by_parameter: FloatArray
+    ) -> None:
+        """Take the rates at the nodes (NM, D), with derivatives by states (NM, D, D) and by the parameter (NM, D)."""
         count, number, size = orbit.nodes.shape
         spans = (period * orbit.lengths)[:, None, None]
-        self.slopes = rates.values.reshape(count, number, size)
-        by_states = rates.by_states.reshape(count, number, size, size)
-        by_parameter = rates.by_parameter.reshape(count, number, size)
-        moved = spans * np.einsum("jk,nkd->njd", INTEGRALS, self.slopes)
+        rates = rates.reshape(count, number, size)
+        by_states = by_states.reshape(count, number, size, size)
+        by_parameter = by_parameter.reshape(count, number, size)
+        moved = spans * np.einsum("jk,nkd->njd", INTEGRALS, rates)
         left = orbit.nodes - orbit.mesh_states[:, None] - moved
         matrix = -spans[..., None, None] * np.einsum("jk,nkde->njdke", INTEGRALS, by_states)
         matrix = matrix.reshape(count, number * size, number * size) + np.eye(number * size)
@@ -138,9 +127,9 @@ class Linearised:
         self.inner = solved.reshape(count, number, size, size + 3)
         ends = spans * np.einsum("j,njde,njec->ndc", WEIGHTS, by_states, self.inner)
         ends[..., :size] += np.eye(size)
-        ends[..., size] += spans[:, 0] * (WEIGHTS @ self.slopes)
+        ends[..., size] += spans[:, 0] * (WEIGHTS @ rates)
         ends[..., size + 1] += spans[:, 0] * (WEIGHTS @ by_parameter)
-        reached = orbit.mesh_states + spans[:, 0] * (WEIGHTS @ self.slopes)
+        reached = orbit.mesh_states + spans[:, 0] * (WEIGHTS @ rates)
         ends[..., size + 2] += reached - np.roll(orbit.mesh_states, -1, axis=0)
         self.ends = ends
         traces = np.einsum("njdd->nj", by_states)

@@ -68,12 +68,8 @@ class _Function:
     gradient: Callable[[FloatArray], FloatArray]
 
 
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Points (N, D) of one box with the `rates` there (N, D)."""
-
-    points: FloatArray
-    rates: FloatArray
+_Points = tuple[FloatArray, FloatArray]
+"""Points (N, D) of one box, and the rates there (N, D)."""
 
 
 def conserved_quantities(flow: Flow, box: Box) -> tuple[ConservedQuantity, ...]:
@@ -85,11 +81,10 @@ def conserved_quantities(flow: Flow, box: Box) -> tuple[ConservedQuantity, ...]:
     functions: list[_Function] = []
     for more in _dictionaries(flow, box):
         functions = [*functions, *more]
-        if not more or len(functions) > min(MOST_FUNCTIONS, len(boxes[0].points) // 2):
-            continue
-        quantities = _laws(functions, boxes)
-        if quantities:
-            return tuple(quantities)
+        if more and len(functions) <= min(MOST_FUNCTIONS, len(boxes[0][0]) // 2):
+            quantities = _laws(functions, boxes)
+            if quantities:
+                return tuple(quantities)
     return ()
 
 
@@ -102,7 +97,7 @@ def _looked_at(flow: Flow, box: Box) -> list[_Points]:
         for points in spread:
             rates = flow.rates(points)
             is_finite = np.isfinite(rates).all(axis=1)
-            boxes.append(_Points(points[is_finite], rates[is_finite]))
+            boxes.append((points[is_finite], rates[is_finite]))
     return boxes
 
 
@@ -198,14 +193,14 @@ class _Derivatives:
     rates: FloatArray
 
     @classmethod
-    def of(cls, functions: Sequence[_Function], at: _Points) -> "_Derivatives":
+    def of(cls, functions: Sequence[_Function], points: FloatArray, rates: FloatArray) -> "_Derivatives":
         with np.errstate(all="ignore"):
-            gradients = np.array([function.gradient(at.points) for function in functions])
+            gradients = np.array([function.gradient(points) for function in functions])
             gradients = gradients.transpose(1, 2, 0)  # (N, D, F)
-            products = gradients * at.rates[:, :, None]
+            products = gradients * rates[:, :, None]
             sizes = np.abs(products).sum(axis=1)
         known = np.isfinite(sizes).all(axis=1)
-        return cls(products.sum(axis=1)[known], sizes[known], gradients[known], at.rates[known])
+        return cls(products.sum(axis=1)[known], sizes[known], gradients[known], rates[known])
 
     def is_kept(self, vector: FloatArray) -> bool:
         """Tell whether the gradient (D,) of a combination (F,) has no part along the flow."""
@@ -216,7 +211,7 @@ class _Derivatives:
 
 def _laws(functions: Sequence[_Function], boxes: Sequence[_Points]) -> list[ConservedQuantity]:
     """Return the combinations of functions that are conserved in all boxes, the first of which gives their sizes."""
-    derivatives = [_Derivatives.of(functions, points) for points in boxes]
+    derivatives = [_Derivatives.of(functions, *box) for box in boxes]
     sizes = derivatives[0].sizes.max(axis=0, initial=0.0)
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     quantities = []
@@ -224,7 +219,9 @@ def _laws(functions: Sequence[_Function], boxes: Sequence[_Points]) -> list[Cons
         kept = np.abs(row) > _LEAST_SHARE * np.abs(row).max()
         vector = _refined(derivatives, np.where(kept, row / sizes, 0.0))
         if all(derivative.is_kept(vector) for derivative in derivatives):
-            quantities.append(_quantity(vector, functions))
+            shares = zip(vector / vector[int(np.argmax(np.abs(vector)))], functions, strict=True)
+            terms = ((float(f"{share:.10g}"), function.text) for share, function in shares if share)
+            quantities.append(ConservedQuantity(tuple(terms)))
     return quantities
 
 
@@ -271,9 +268,3 @@ def _reduced(rows: FloatArray) -> FloatArray:
                 rows[other] -= rows[other, column] * rows[done]
         done += 1
     return rows[::-1]
-
-
-def _quantity(vector: FloatArray, functions: Sequence[_Function]) -> ConservedQuantity:
-    shares = vector / vector[int(np.argmax(np.abs(vector)))]
-    pairs = zip(shares, functions, strict=True)
-    return ConservedQuantity(tuple((float(f"{share:.10g}"), function.text) for share, function in pairs if share))

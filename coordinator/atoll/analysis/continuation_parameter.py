@@ -42,12 +42,6 @@ class ContinuationParameter:
     factors: tuple[float, ...] = ()
     inputs: tuple[int, ...] = ()
 
-    @classmethod
-    def of_constant(cls, flow: Flow, index: int) -> "ContinuationParameter":
-        """Return what one parameter of a flow is."""
-        constant = flow.field.parameters[index]
-        return cls(constant.name, float(flow.parameters[index]), (index,), (1.0,))
-
     def at(self, flow: Flow, value: float) -> Flow:
         """Return the flow at another value."""
         parameters, inputs = flow.parameters.copy(), flow.inputs.copy()
@@ -118,7 +112,8 @@ class Coefficients:
         if written[0] == 0.0 and any(written):
             raise UsageError(f"{parts[0]} is 0, so that the others have no ratio to it; name another one first")
         factors = tuple(value / written[0] if written[0] else 1.0 for value in written)
-        return flow.at_field(self.explicit, values), ContinuationParameter(name, written[0], tuple(indices), factors)
+        varied = replace(flow, field=self.explicit, parameters=values)
+        return varied, ContinuationParameter(name, written[0], tuple(indices), factors)
 
     def _values(self, parameters: FloatArray) -> FloatArray:
         """Return the values of the parameters of `explicit`."""

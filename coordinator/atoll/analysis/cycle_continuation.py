@@ -126,9 +126,9 @@ class _Search(CycleProblem):
         """Return the branch through a cycle, followed to both sides."""
         widths = self.box.widths
         moved = np.sqrt((np.diff(np.vstack([cycle.points, cycle.points[:1]]) / widths, axis=0) ** 2).sum(axis=1))
-        mesh = levelled(np.linspace(0.0, 1.0, len(moved) + 1), moved / moved.sum() + 1.0 / len(moved))
+        mesh = levelled(np.linspace(0.0, 1.0, len(moved) + 1), moved / moved.sum() + 1.0 / len(moved), INTERVALS)
         flow = self.parameter.at(self.flow, value)
-        orbit = sampled(lambda times: follow(flow, cycle.point, cycle.period * times, widths) / widths, mesh)
+        orbit = sampled(lambda times: follow(flow.rates, cycle.point, cycle.period * times, widths) / widths, mesh)
         sides: list[Side[CycleOnCurve]] = []
         for sign in (-1.0, 1.0):
             curve = CycleCurve(self, orbit, cycle.period)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from atoll.analysis.box import Box
-from atoll.analysis.collocation import NODES, WEIGHTS, Change, Linearised, Orbit, Rates, spread_mesh
+from atoll.analysis.collocation import NODES, WEIGHTS, Change, Linearised, Orbit, sampled, spread_mesh
 from atoll.analysis.continuation import OUTSIDE
 from atoll.analysis.continuation_parameter import ContinuationParameter
 from atoll.analysis.flow import Flow
@@ -94,8 +94,8 @@ class CycleCurve:
         step = 1e-5 * orbit.lengths[:, None]
         slopes = orbit.at((times + step).ravel()) - orbit.at((times - step).ravel())
         slopes = slopes.reshape(orbit.nodes.shape) / (2.0 * step[..., None])
-        self._reference = orbit.nodes
-        self._phase = slopes * (orbit.lengths[:, None] * WEIGHTS)[..., None]
+        weighed = slopes * (orbit.lengths[:, None] * WEIGHTS)[..., None]
+        self._reference, self._phase = orbit.nodes, Change(np.zeros_like(orbit.mesh_states), weighed, 0.0, 0.0)
 
     # ------------------------------------------------------------------------------------------- coordinates
 
@@ -127,12 +127,9 @@ class CycleCurve:
         flow, orbit, widths = self.parameter.at(self.flow, self.value(z)), self._orbit(z), self.box.widths
         x = orbit.nodes.reshape(-1, self._shape[2]) * widths
         by_states = flow.jacobian(x) * widths / widths[:, None]
-        rates = Rates(flow.rates(x) / widths, by_states, self.parameter.slope(flow, x) / widths * self.range)
-        is_known = all(np.isfinite(array).all() for array in (rates.values, rates.by_states, rates.by_parameter))
-        return Linearised(orbit, float(np.exp(z[-2])), rates) if is_known else None
-
-    def _phase_row(self) -> Change:
-        return Change(np.zeros((self._shape[0], self._shape[2])), self._phase, 0.0, 0.0)
+        rates = (flow.rates(x) / widths, by_states, self.parameter.slope(flow, x) / widths * self.range)
+        is_known = all(np.isfinite(array).all() for array in rates)
+        return Linearised(orbit, float(np.exp(z[-2])), *rates) if is_known else None
 
     # ------------------------------------------------------------------------------------------- as a curve
 
@@ -144,8 +141,8 @@ class CycleCurve:
             linearised = self._linearised(guess)
             if linearised is None:
                 return None
-            missed = float((self._phase * (self._orbit(guess).nodes - self._reference)).sum())
-            rows, left = (self._phase_row(), row), (-missed, -float(tangent @ (guess - z)))
+            missed = float((self._phase.nodes * (self._orbit(guess).nodes - self._reference)).sum())
+            rows, left = (self._phase, row), (-missed, -float(tangent @ (guess - z)))
             try:
                 change = linearised.solve(linearised.matrix(rows), rows, left, is_step=True)
             except np.linalg.LinAlgError:
@@ -162,7 +159,7 @@ class CycleCurve:
         linearised = self._linearised(z)
         if linearised is None:
             return None
-        rows = (self._phase_row(), self._row(before))
+        rows = (self._phase, self._row(before))
         try:
             factors = linearised.matrix(rows)
             tangent = self._z_change(linearised.solve(factors, rows, (0.0, 1.0), is_step=False))
@@ -193,13 +190,10 @@ class CycleCurve:
         if self._steps % _RENEWED:
             self._set_phase(point.orbit)
             return point
-        return self.on_mesh(point, spread_mesh(point.orbit)) or point
-
-    def on_mesh(self, point: CycleOnCurve, mesh: FloatArray) -> CycleOnCurve | None:
-        """Return a point on another mesh, that of the curve from now on; None, and the mesh as it was, on failure."""
         kept = self._mesh, self._reference, self._phase
-        orbit = point.orbit.on(mesh)
-        along = Orbit(point.orbit.mesh, *self._split(point.tangent[:-2] / self._weights)).on(mesh)
+        mesh = spread_mesh(point.orbit)
+        orbit = sampled(point.orbit.at, mesh)
+        along = sampled(Orbit(point.orbit.mesh, *self._split(point.tangent[:-2] / self._weights)).at, mesh)
         tangent = self._z_change(Change(along.mesh_states, along.nodes, *point.tangent[-2:].tolist()))
         self._mesh = mesh
         self._set_phase(orbit)
@@ -207,7 +201,7 @@ class CycleCurve:
         moved = None if z is None else self.curve_point(z, tangent)
         if moved is None:
             self._mesh, self._reference, self._phase = kept
-        return moved
+        return moved or point
 
     def cycle(self, point: CycleOnCurve) -> LimitCycle:
         """Return a curve point as a limit cycle."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from atoll.analysis.basins import UNDECIDED, Attractor, destinations
 from atoll.analysis.box import Box
-from atoll.analysis.flow import UNBOUNDED, Flow, follow, follow_rates
+from atoll.analysis.flow import UNBOUNDED, Flow, follow
 from atoll.model.simulation import Inputs, interpolated
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.base import Curves
@@ -186,7 +186,7 @@ def compared(
         times = np.linspace(0.0, trajectory.times[-1], ROWS)
         course = _course(flow, trajectory, times, box)
         with np.errstate(invalid="ignore"):
-            inside = np.abs((course - box.middle) / box.widths).max(axis=1) < UNBOUNDED
+            inside = box.excursions(course) < UNBOUNDED
         known = np.isfinite(course).all(axis=1)
         simulated = motion(times[known], course[known])
         orbit = _orbit_period(flow, trajectory, box) if has_family and reaches == UNDECIDED else None
@@ -198,7 +198,7 @@ def compared(
 def _orbit_period(flow: Flow, trajectory: Measured, box: Box) -> float | None:
     """Return the period of the model from where a trajectory begins, which may be too short to show one itself."""
     times = np.linspace(0.0, _LONGER * trajectory.times[-1], ROWS)
-    course = follow(flow, trajectory.states[0], times, box.widths)
+    course = follow(flow.rates, trajectory.states[0], times, box.widths)
     return motion(times, course).period if np.isfinite(course).all() else None
 
 
@@ -206,13 +206,13 @@ def _course(flow: Flow, trajectory: Measured, times: FloatArray, box: Box) -> Fl
     """Return the states (n, D) from where a measured trajectory begins, driven by its inputs where it has some."""
     recorded = trajectory.inputs
     if recorded is None:
-        return follow(flow, trajectory.states[0], times, box.widths)
+        return follow(flow.rates, trajectory.states[0], times, box.widths)
 
     def rates(x: FloatArray) -> FloatArray:  # the last state is the time
         return np.append(flow.field.values(x[:-1], recorded(float(x[-1])), flow.parameters), 1.0)
 
     sizes = np.append(box.widths, times[-1])
-    return follow_rates(rates, np.append(trajectory.states[0], 0.0), times, sizes)[:, :-1]
+    return follow(rates, np.append(trajectory.states[0], 0.0), times, sizes)[:, :-1]
 
 
 def motion(times: FloatArray, states: FloatArray) -> Motion:

@@ -4,8 +4,6 @@ Steps are those of Levenberg and Marquardt, which also approach points where the
 proof: a fixed point whose catchment none of the starts met stays unseen, and the search that was done is stated.
 """
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.analysis.box import Box
-from atoll.analysis.flow import Flow, IntegrationBatch, Step, crossing, steps
+from atoll.analysis.flow import Flow, IntegrationBatch, crossing, steps
 from atoll_core.data.dataset import FloatArray
 
 Complexes = npt.NDArray[np.complex128]
@@ -77,17 +75,15 @@ class FixedPoint:
 
 @dataclass(frozen=True, eq=False)
 class FixedPoints:
-    """What a search found in `box` from so many `starts`, of which `converged` ended in a fixed point.
+    """What a search found from so many `starts`, of which `converged` ended in a fixed point.
 
     `are_isolated` is False where there are so many that they form a curve or a surface; `points` are some of them then.
     """
 
     points: tuple[FixedPoint, ...]
-    box: Box
     starts: int
     converged: int
-    tolerance: float = TOLERANCE
-    are_isolated: bool = True
+    are_isolated: bool
 
 
 def fixed_points(flow: Flow, box: Box) -> FixedPoints:
@@ -100,7 +96,7 @@ def fixed_points(flow: Flow, box: Box) -> FixedPoints:
     are_isolated = len(distinct) <= MOST_POINTS
     some = distinct if are_isolated else distinct[:: len(distinct) // _EXAMPLES]
     points = [classified(flow, point, box, is_isolated=are_isolated) for point in some]
-    return FixedPoints(tuple(points), box, starts + len(corners), len(inside), are_isolated=are_isolated)
+    return FixedPoints(tuple(points), starts + len(corners), len(inside), are_isolated)
 
 
 def newton_ends(flow: Flow, box: Box, starts: FloatArray) -> FloatArray:
@@ -186,6 +182,11 @@ def rate_scale(flow: Flow, box: Box) -> FloatArray:
     return np.where(moving, typical, slowest * box.widths)
 
 
+def time_scale(flow: Flow, box: Box) -> float:
+    """Return the time that the slowest state takes through the box at its typical rate."""
+    return float((box.widths / rate_scale(flow, box)).max())
+
+
 def jacobian_in_widths(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
     """Return the Jacobian at (D,) or (N, D) of states in widths of the box: similar, but of no unit but time's."""
     return np.asarray(flow.jacobian(points) / box.widths[:, None] * box.widths)
@@ -230,7 +231,7 @@ def _attracts(flow: Flow, point: FloatArray, box: Box) -> bool:
     """Tell whether courses from a small box around `point` come nearer to it, and stay."""
     beside = Box(point - 0.05 * box.widths, point + 0.05 * box.widths)
     starts = beside.points(16)
-    slowest = float((box.widths / rate_scale(flow, box)).max())
+    slowest = time_scale(flow, box)
     batch = IntegrationBatch.of(starts, 1e-3 * slowest)
     batch.advance(flow.rates, 2000.0 * slowest, 1e-3 * box.widths, rtol=1e-5, most_steps=1500)
     first = np.abs((starts - point) / box.widths).max(axis=1)
@@ -269,13 +270,12 @@ def _turned(flow: Flow, point: FloatArray, radius: float, eigenvalues: Complexes
     """Return the distance from `point` on its first side after a turn, over the `radius` before; None: it has none."""
     period = 2.0 * np.pi / float(np.abs(eigenvalues.imag).max())
     start = point + np.array([radius, 0.0])
+
+    def height(x: FloatArray) -> float:
+        return float((x - point)[1])
+
     for step in steps(flow.rates, start, 3.0 * period, box.widths):
         before, after = step.start - point, step.end - point
         if before[1] * after[1] <= 0.0 < after[0] and step.after > 0.5 * period:
-            x = step.at(crossing(step.before, step.after, _height(step, point, math.copysign(1.0, after[1]))))
-            return float((x - point)[0] / radius)
+            return float((step.at(crossing(step, height)) - point)[0] / radius)
     return None
-
-
-def _height(step: Step, point: FloatArray, sign: float) -> Callable[[float], float]:
-    return lambda time: sign * float((step.at(time) - point)[1])

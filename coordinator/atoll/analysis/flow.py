@@ -55,7 +55,7 @@ class Flow:
 
     @property
     def size(self) -> int:
-        """The number of states."""
+        """The number of states D."""
         return len(self.field.states)
 
     def rates(self, x: FloatArray) -> FloatArray:
@@ -74,17 +74,9 @@ class Flow:
         """Return the derivative of dx/dt by the inputs, (D, U) or (N, D, U)."""
         return self.direction * self.field.input_derivatives(x, self.inputs, self.parameters)
 
-    def backward(self) -> "Flow":
-        """Return the flow in backward time."""
-        return replace(self, direction=-self.direction)
-
     def at(self, parameters: FloatArray, inputs: FloatArray) -> "Flow":
         """Return the flow at other parameters and inputs."""
         return replace(self, parameters=parameters, inputs=inputs)
-
-    def at_field(self, field: VectorField, parameters: FloatArray) -> "Flow":
-        """Return the flow of another field of the same states and inputs, at these parameters of it."""
-        return replace(self, field=field, parameters=parameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,28 +116,24 @@ def steps(
             return
 
 
-def crossing(before: float, after: float, side: Callable[[float], float]) -> float:
-    """Return the time between two at which a side is left; as a share of the step: digits of a time have its unit."""
+def crossing(step: Step, side: Callable[[FloatArray], float]) -> float:
+    """Return the time within a step at which the sign of `side` changes, which is a function of the state (D,)."""
     from scipy.optimize import brentq
 
-    def at(share: float) -> float:
-        return side(before + share * (after - before))
+    def at(share: float) -> float:  # of the step: digits of a time have its unit
+        return side(step.at(step.before + share * (step.after - step.before)))
 
     low, high = at(0.0), at(1.0)
-    share = float(brentq(at, 0.0, 1.0)) if low < 0.0 < high else float(abs(high) < abs(low))
-    return before + share * (after - before)
+    is_between = min(low, high) < 0.0 < max(low, high)
+    share = float(brentq(at, 0.0, 1.0)) if is_between else float(abs(high) < abs(low))
+    return step.before + share * (step.after - step.before)
 
 
-def follow(flow: Flow, start: FloatArray, times: FloatArray, sizes: FloatArray) -> FloatArray:
+def follow(rates: Rates, start: FloatArray, times: FloatArray, sizes: FloatArray) -> FloatArray:
     """Return the states (n, D) at rising `times` from 0; NaN after the point where the course cannot be followed.
 
     `sizes` (D,) are those of the states, as of `steps`.
     """
-    return follow_rates(flow.rates, start, times, sizes)
-
-
-def follow_rates(rates: Rates, start: FloatArray, times: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Return the states (n, D) that `rates` make of a start (D,), as `follow` does."""
     states = np.full((len(times), len(start)), np.nan)
     row = 0
     while row < len(times) and times[row] <= 0.0:
@@ -175,6 +163,10 @@ class IntegrationBatch:
         """Return starts at time 0, with a first step to try."""
         count = len(states)
         return cls(np.array(states), np.zeros(count), np.full(count, step), np.zeros(count, dtype=bool))
+
+    def of_rows(self, rows: np.ndarray) -> "IntegrationBatch":
+        """Return some of the starts."""
+        return IntegrationBatch(self.states[rows], self.times[rows], self.sizes[rows], self.is_lost[rows])
 
     def advance(self, rates: Rates, until: float, scale: FloatArray, *, rtol: float, most_steps: int = 1000) -> None:
         """Follow every start that is not lost until that time, with errors of `rtol` of `scale` (D,) and its values.

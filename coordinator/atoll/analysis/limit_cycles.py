@@ -7,7 +7,7 @@ keeps its digits where it is tiny. There, unstable cycles are found in backward 
 simulations come near are found.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -21,9 +21,9 @@ from atoll.analysis.fixed_points import (
     distinct_points,
     jacobian_in_widths,
     newton_ends,
-    rate_scale,
+    time_scale,
 )
-from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch, Step, crossing, follow, steps
+from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch, crossing, follow, steps
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 24
@@ -110,17 +110,12 @@ class LimitCycles:
     has_family: bool = False
 
 
-def time_scale(flow: Flow, box: Box) -> float:
-    """Return the time that the slowest state takes through the box at its typical rate."""
-    return float((box.widths / rate_scale(flow, box)).max())
-
-
 def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycles:
     """Return the limit cycles that simulations from `box` lead to, by rising period; of two states also backward."""
     forward = _reached(flow, box, fixed)
     cycles = list(forward.cycles)
     if flow.size == 2:
-        for cycle in _reached(flow.backward(), box, fixed).cycles:
+        for cycle in _reached(replace(flow, direction=-1.0), box, fixed).cycles:
             if all(distance(other, cycle.point[None], box)[0] > 1e-3 for other in cycles):
                 turned = _closed_orbit(flow, cycle.point, cycle.period, box)
                 cycles += [turned] if turned is not None else []
@@ -140,7 +135,8 @@ def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycles:
         if failures >= MOST_FAILURES or len(cycles) >= MOST_CYCLES:
             unsettled.append(end)
             continue
-        cycle = cycle_near(flow, end, box, SETTLING * time_scale(flow, box))
+        period = _first_return(flow, end, box, duration)
+        cycle = None if period is None else _closed_orbit(flow, end, period, box)
         if cycle is not None and any(distance(known, cycle.point[None], box)[0] < 1e-3 for known in cycles):
             failures += 1  # courses that approach a known cycle slowly tell nothing new
             continue
@@ -160,7 +156,7 @@ def _ends(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray
     batch = IntegrationBatch.of(starts, 1e-4 * duration)
     for part in range(1, 6):
         batch.advance(flow.rates, part * 0.2 * duration, 1e-3 * box.widths, rtol=1e-6, most_steps=MOST_STEPS // 5)
-        batch.is_lost |= (np.abs(batch.states - box.middle) / box.widths).max(axis=1) > UNBOUNDED
+        batch.is_lost |= box.excursions(batch.states) > UNBOUNDED
     return batch.states[~batch.is_lost], len(starts), duration
 
 
@@ -189,12 +185,6 @@ def distance(cycle: LimitCycle, points: FloatArray, box: Box) -> FloatArray:
     return np.asarray(np.sqrt(((beside - share[:, :, None] * sides) ** 2).sum(axis=2)).min(axis=1))
 
 
-def cycle_near(flow: Flow, start: FloatArray, box: Box, longest: float) -> LimitCycle | None:
-    """Return the closed orbit that the course from `start` comes near, of a period of at most `longest`; or None."""
-    period = _first_return(flow, start, box, longest)
-    return None if period is None else _closed_orbit(flow, start, period, box)
-
-
 def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> float | None:
     """Return the time of the nearest early return to the section through `start` across the flow; None: no near one."""
     normal = flow.rates(start) / box.widths
@@ -205,9 +195,6 @@ def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> fl
     def side(x: FloatArray) -> float:
         return float(normal @ ((x - start) / box.widths))
 
-    def side_at(step: Step) -> Callable[[float], float]:
-        return lambda time: side(step.at(time))
-
     returns: list[tuple[float, float]] = []
     farthest = 0.0
     for step in steps(flow.rates, start, longest, box.widths, rtol=1e-7, most=5000):
@@ -215,7 +202,7 @@ def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> fl
         if farthest > UNBOUNDED or len(returns) >= _MOST_RETURNS:
             break
         if side(step.start) < 0.0 <= side(step.end):
-            time = crossing(step.before, step.after, side_at(step))
+            time = crossing(step, side)
             returns.append((time, float(np.abs((step.at(time) - start) / box.widths).max())))
             if returns[-1][1] < 1e-3 * farthest:
                 break
@@ -247,7 +234,7 @@ def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> Lim
         point, period = point + step[:size] * box.widths, period * (1.0 + float(step[size]))
     else:
         return None
-    points = follow(flow, point, np.linspace(0.0, period, SAMPLES, endpoint=False), box.widths)
+    points = follow(flow.rates, point, np.linspace(0.0, period, SAMPLES, endpoint=False), box.widths)
     extent = ((points.max(axis=0) - points.min(axis=0)) / box.widths).max()
     if not extent > SMALLEST or not period > 0.0:
         return None

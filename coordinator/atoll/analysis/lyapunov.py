@@ -9,9 +9,8 @@ from typing import Final
 import numpy as np
 
 from atoll.analysis.box import Box
-from atoll.analysis.fixed_points import jacobian_in_widths
+from atoll.analysis.fixed_points import jacobian_in_widths, time_scale
 from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch
-from atoll.analysis.limit_cycles import time_scale
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 128
@@ -58,10 +57,12 @@ def lyapunov_spectrum(
         intervals: how many orthogonalisations, each after about the time in which a vector doubles.
     """
     scale, size = time_scale(flow, box), flow.size
-    first = box.points(starts) if seeds is None or not len(seeds) else _beside(seeds, box, starts)
+    first = box.points(starts)
+    if seeds is not None and len(seeds):
+        first = seeds[np.arange(starts) % len(seeds)] + 1e-3 * (first - box.middle)
     settled = IntegrationBatch.of(first, 1e-3 * scale)
     settled.advance(flow.rates, SETTLING * scale, 1e-3 * box.widths, rtol=1e-5, most_steps=5000)
-    states = settled.states[~settled.is_lost & _is_inside(settled.states, box)]
+    states = settled.states[~settled.is_lost & (box.excursions(settled.states) < UNBOUNDED)]
     if not len(states):
         return None
     norms = np.sqrt((jacobian_in_widths(flow, states, box) ** 2).sum(axis=(1, 2)))
@@ -82,7 +83,8 @@ def lyapunov_spectrum(
         if number > skipped:
             with np.errstate(divide="ignore"):
                 growth += np.log(np.abs(np.einsum("nii->ni", sizes)))
-    kept = growth[~batch.is_lost & _is_inside(batch.states[:, :size], box) & np.isfinite(growth).all(axis=1)]
+    is_bounded = box.excursions(batch.states[:, :size]) < UNBOUNDED
+    kept = growth[~batch.is_lost & is_bounded & np.isfinite(growth).all(axis=1)]
     if not len(kept):
         return None
     duration = intervals * interval
@@ -90,12 +92,3 @@ def lyapunov_spectrum(
     errors = kept.std(axis=0, ddof=1) / duration / np.sqrt(len(kept)) if len(kept) > 1 else np.full(size, np.nan)
     falling = np.argsort(-exponents, kind="stable")
     return LyapunovSpectrum(exponents[falling], errors[falling], len(kept), duration)
-
-
-def _beside(seeds: FloatArray, box: Box, starts: int) -> FloatArray:
-    whole = Box(box.lower, box.upper).points(starts) - box.middle
-    return seeds[np.arange(starts) % len(seeds)] + 1e-3 * whole
-
-
-def _is_inside(states: FloatArray, box: Box) -> np.ndarray:
-    return np.asarray((np.abs(states - box.middle) / box.widths).max(axis=1) < UNBOUNDED)

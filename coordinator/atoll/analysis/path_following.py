@@ -16,7 +16,6 @@ from atoll_core.data.dataset import FloatArray
 SHORTEST: Final = 1e-6
 """Shortest step along a curve."""
 
-END_OF_RANGE: Final = "end of the range"
 FOLD: Final = "fold"
 BRANCH_POINT: Final = "branch point"
 
@@ -99,24 +98,19 @@ def continue_curve(curve: Curve[PointT], start: FloatArray, direction: FloatArra
         if end is not None:
             return Side(points, special, end)
         if not curve.limits[0] <= after.z[-1] <= curve.limits[1]:
-            final = _at_limit(curve, last, after)
-            more = [] if final is None else locate_special_points(curve, last, final)
-            return Side([*points, *([] if final is None else [final])], [*special, *more], END_OF_RANGE)
+            limit = curve.limits[0] if after.z[-1] < curve.limits[0] else curve.limits[1]
+            share = (limit - last.z[-1]) / (after.z[-1] - last.z[-1])
+            final = _between(curve, last, after, share, np.append(np.zeros(len(last.z) - 1), 1.0))
+            if final is not None:
+                special += locate_special_points(curve, last, final)
+                points.append(final)
+            return Side(points, special, "end of the range")
         special += locate_special_points(curve, last, after)
         points.append(curve.adapt(after))
         if len(points) > 10 and len(after.z) == len(start) and _far(after.z - start) < 0.5 * length:
             return Side(points, special, "closed")
         length = min(1.5 * length, curve.longest)
     return Side(points, special, f"{curve.most} points")
-
-
-def _at_limit(curve: Curve[PointT], last: PointT, after: PointT) -> PointT | None:
-    """Return the point between two at which the last coordinate is at its limit."""
-    limit = curve.limits[0] if after.z[-1] < curve.limits[0] else curve.limits[1]
-    share = (limit - last.z[-1]) / (after.z[-1] - last.z[-1])
-    across = np.append(np.zeros(len(last.z) - 1), 1.0)
-    z = curve.correct(last.z + share * (after.z - last.z), across)
-    return None if z is None else curve.curve_point(z, last.tangent)
 
 
 def _far(step: FloatArray) -> float:
@@ -141,10 +135,10 @@ def locate_special_point(curve: Curve[PointT], first: PointT, second: PointT, ki
     low_value, high_value = first.tests[kind], second.tests[kind]
     for _ in range(_EVALUATIONS):
         share = (low * high_value - high * low_value) / (high_value - low_value)
-        point = _between(curve, first, second, share)
+        point = _between(curve, first, second, share, first.tangent)
         if point is None:  # at a branch point itself Newton steps have no matrix to go by: go beside it
             share += _BESIDE * (high - share)
-            point = _between(curve, first, second, share)
+            point = _between(curve, first, second, share, first.tangent)
         if point is None or not np.isfinite(point.tests[kind]):
             break
         value = point.tests[kind]
@@ -160,7 +154,7 @@ def locate_special_point(curve: Curve[PointT], first: PointT, second: PointT, ki
     return best
 
 
-def _between(curve: Curve[PointT], first: PointT, second: PointT, share: float) -> PointT | None:
-    """Return the point of the curve in the plane that lies at a share of the way between two."""
-    z = curve.correct(first.z + share * (second.z - first.z), first.tangent)
+def _between(curve: Curve[PointT], first: PointT, second: PointT, share: float, across: FloatArray) -> PointT | None:
+    """Return the point of the curve in the plane across a direction that lies at a share of the way between two."""
+    z = curve.correct(first.z + share * (second.z - first.z), across)
     return None if z is None else curve.curve_point(z, first.tangent)

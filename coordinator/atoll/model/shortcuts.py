@@ -55,7 +55,7 @@ class Shortcuts:
         Raises:
             UsageError: a name is unknown, a range is none, or a state has neither bounds nor measurements.
         """
-        from atoll.analysis.model_analysis import analyse_model
+        from atoll.analysis.analysis import analyse_model
 
         return analyse_model(self.itself, box, inputs=inputs, vary=vary)
 

@@ -15,9 +15,14 @@ from atoll_core.data.dataset import FloatArray
 from tests.unit.library.analysis.systems import COMPETITION, LORENZ, box, flow
 
 
+def constant(its: Flow) -> ContinuationParameter:
+    """Return the first constant as what varies."""
+    return ContinuationParameter("c1", float(its.parameters[0]), (0,), (1.0,))
+
+
 def test_folds_of_the_cubic_are_where_its_derivative_vanishes() -> None:
     its = flow(x="0.1 + x - x**3")
-    branches = continuation(its, box((-2.0, 2.0)), ContinuationParameter.of_constant(its, 0), (-1.0, 1.0))
+    branches = continuation(its, box((-2.0, 2.0)), constant(its), (-1.0, 1.0))
     found = special_points(branches)
     assert [each.kind for each in found] == ["fold", "fold"]
     fold = 2.0 / (3.0 * np.sqrt(3.0))
@@ -31,9 +36,7 @@ def test_hopf_points_of_the_nerve_are_where_the_trace_vanishes() -> None:
     """FitzHugh-Nagumo: v' = v - v**3/3 - w + i, w' = e (v + a - b w): the trace is 0 at v = +-sqrt(1 - b e)."""
     a, b, e = 0.7, 0.8, 0.08
     nerve = flow(v="0.5 + v - v**3/3.0 - w", w=f"{e}*(v + {a} - {b}*w)")
-    found = special_points(
-        continuation(nerve, box((-3.0, 3.0), (-2.0, 3.0)), ContinuationParameter.of_constant(nerve, 0), (-0.5, 2.0))
-    )
+    found = special_points(continuation(nerve, box((-3.0, 3.0), (-2.0, 3.0)), constant(nerve), (-0.5, 2.0)))
     assert [each.kind for each in found] == ["Hopf", "Hopf"]
     v = np.sqrt(1.0 - b * e) * np.array([-1.0, 1.0])
     np.testing.assert_allclose([each.point[0] for each in found], v, rtol=1e-8)
@@ -44,7 +47,7 @@ def test_hopf_points_of_the_nerve_are_where_the_trace_vanishes() -> None:
 
 def test_a_pitchfork_is_a_branch_point() -> None:
     its = flow(x="0.5*x - x**3")
-    found = special_points(continuation(its, box((-2.0, 2.0)), ContinuationParameter.of_constant(its, 0), (-1.0, 1.0)))
+    found = special_points(continuation(its, box((-2.0, 2.0)), constant(its), (-1.0, 1.0)))
     assert {each.kind for each in found} == {"branch point"}
     np.testing.assert_allclose([each.value for each in found], 0.0, atol=1e-6)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from atoll.analysis.analysis import analyse_result
 from atoll.analysis.dynamics import measured_trajectories, motion
+from atoll.model.model import Model
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
 from tests.unit.library.model.results import result
@@ -50,12 +50,12 @@ def test_driven_models_are_compared_along_the_recorded_inputs_or_not_at_all() ->
     times = 5.0 + TIMES
     x = {"x": (np.sin(TIMES) - np.cos(TIMES)).tolist()}
     found["simulation"] = {"trajectories": [{"name": "1", "times": times.tolist(), "values": x, "start": {"x": -1.0}}]}
-    unknown = analyse_result(Result.of(found), {})
+    unknown = Model(found).analyse()
     assert unknown.comparisons == ()
     assert "not compared with the data of trajectory 1" in str(unknown)
     recorded = {"name": "1", "times": times.tolist(), "measured": x, "inputs": {"u": (2.0 * np.sin(TIMES)).tolist()}}
     found["data"]["trajectories"] = [recorded]
-    known = analyse_result(Result.of(found), {})
+    known = Model(found).analyse()
     (its,) = known.comparisons
     assert its.has_same_period
     assert its.has_same_amplitudes
@@ -71,7 +71,7 @@ def test_of_closed_orbits_the_period_is_said_also_where_the_data_are_too_short()
     values = {"x": np.cos(times).tolist(), "y": (-np.sin(times)).tolist()}
     course = {"name": "1", "times": times.tolist(), "values": values, "start": {"x": 1.0, "y": 0.0}}
     found["simulation"] = {"trajectories": [course]}
-    known = analyse_result(Result.of(found), {})
+    known = Model(found).analyse()
     (its,) = known.comparisons
     assert its.measured.period is None
     assert its.orbit_period == pytest.approx(6.6998, rel=1e-3)
