@@ -2,15 +2,13 @@
 
 from typing import Final
 
-import numpy as np
-
 from atoll.analysis.analysis import Analysis
 from atoll.analysis.continuation import Branch
 from atoll.analysis.cycle_continuation import CycleBranch
 from atoll.analysis.fixed_points import TOLERANCE, FixedPoint
 from atoll.analysis.limit_cycles import LimitCycle
+from atoll.analysis.plain_data import plain
 from atoll.analysis.sentences import CODES, attractor_text, codes_of, describe, reached_text
-from atoll_coordinator.model.result.numbers import finite
 
 SCHEMA: Final = 1
 
@@ -18,65 +16,53 @@ SCHEMA: Final = 1
 def as_data(analysis: Analysis) -> dict[str, object]:
     """Return the analysis as dictionaries, lists, texts and numbers; null is not finite, or unknown."""
     field, box, fixed, cycles = analysis.field, analysis.box, analysis.fixed_points, analysis.cycles
-    data = {
-        "schema": SCHEMA,
-        "caveat": analysis.caveat,
-        "states": field.states,
-        "inputs": dict(zip(field.inputs, analysis.inputs, strict=True)),
-        "box": {name: ends for name, *ends in zip(field.states, box.lower, box.upper, strict=True)},
-        "parameters": [vars(constant) for constant in field.parameters],
-        "unit_coefficients": analysis.coefficients.units,
-        "fixed_points": [_fixed_point(point) for point in fixed.points],
-        "fixed_points_search": {
-            "starts": fixed.starts,
-            "converged": fixed.converged,
-            "tolerance": TOLERANCE,
-            "are_isolated": fixed.are_isolated,
-            "reached_outside_box": [_fixed_point(point) for point in cycles.resting],
-        },
-        "nullclines": dict(zip(field.states, analysis.nullclines, strict=False)),
-        "limit_cycles": [_cycle(cycle) for cycle in cycles.cycles],
-        "limit_cycles_search": {
-            "starts": cycles.starts,
-            "duration": cycles.duration,
-            "has_family": cycles.has_family,
-            "unsettled": len(cycles.unsettled),
-        },
-        "lyapunov": _lyapunov(analysis),
-        "basins": _basins(analysis),
-        "conserved": [quantity.text for quantity in analysis.conserved],
-        "is_volume_preserving": analysis.is_volume_preserving,
-        "dynamics": [
-            {
-                "trajectory": comparison.name,
-                "is_bounded": comparison.is_bounded,
-                "measured": vars(comparison.measured),
-                "simulated": vars(comparison.simulated),
-                "has_same_period": comparison.has_same_period,
-                "has_same_amplitudes": comparison.has_same_amplitudes,
-                "has_same_phases": comparison.has_same_order,
-                "reaches": reached_text(comparison.reaches, analysis),
-                "orbit_period": comparison.orbit_period,
-            }
-            for comparison in analysis.comparisons
-        ],
-        "not_compared": analysis.not_compared,
-        "continuation": _continuation(analysis),
-    }
-    return {name: _plain(value) for name, value in data.items()}
-
-
-def _plain(value: object) -> object:
-    """Return arrays and tuples as lists, complex numbers as pairs, and numbers that are not finite as None."""
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
-    if isinstance(value, complex):
-        return [finite(value.real), finite(value.imag)]
-    return finite(value) if isinstance(value, float) else value
+    return plain(
+        {
+            "schema": SCHEMA,
+            "caveat": analysis.caveat,
+            "states": field.states,
+            "inputs": dict(zip(field.inputs, analysis.inputs, strict=True)),
+            "box": {name: ends for name, *ends in zip(field.states, box.lower, box.upper, strict=True)},
+            "parameters": [vars(constant) for constant in field.parameters],
+            "unit_coefficients": analysis.coefficients.units,
+            "fixed_points": [_fixed_point(point) for point in fixed.points],
+            "fixed_points_search": {
+                "starts": fixed.starts,
+                "converged": fixed.converged,
+                "tolerance": TOLERANCE,
+                "are_isolated": fixed.are_isolated,
+                "reached_outside_box": [_fixed_point(point) for point in cycles.resting],
+            },
+            "nullclines": dict(zip(field.states, analysis.nullclines, strict=False)),
+            "limit_cycles": [_cycle(cycle) for cycle in cycles.cycles],
+            "limit_cycles_search": {
+                "starts": cycles.starts,
+                "duration": cycles.duration,
+                "has_family": cycles.has_family,
+                "unsettled": len(cycles.unsettled),
+            },
+            "lyapunov": _lyapunov(analysis),
+            "basins": _basins(analysis),
+            "conserved": [quantity.text for quantity in analysis.conserved],
+            "is_volume_preserving": analysis.is_volume_preserving,
+            "dynamics": [
+                {
+                    "trajectory": comparison.name,
+                    "is_bounded": comparison.is_bounded,
+                    "measured": vars(comparison.measured),
+                    "simulated": vars(comparison.simulated),
+                    "has_same_period": comparison.has_same_period,
+                    "has_same_amplitudes": comparison.has_same_amplitudes,
+                    "has_same_phases": comparison.has_same_order,
+                    "reaches": reached_text(comparison.reaches, analysis),
+                    "orbit_period": comparison.orbit_period,
+                }
+                for comparison in analysis.comparisons
+            ],
+            "not_compared": analysis.not_compared,
+            "continuation": _continuation(analysis),
+        }
+    )
 
 
 def _fixed_point(fixed: FixedPoint) -> dict[str, object]:

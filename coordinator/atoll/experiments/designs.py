@@ -71,6 +71,7 @@ class Foretold:
     reached: int
 
 
+@dataclass(frozen=True, eq=False)
 class Foreteller:
     """Simulates a candidate at experiments.
 
@@ -78,40 +79,36 @@ class Foreteller:
     the errors of a measurement.
     """
 
-    def __init__(self, fitted: Fitted, widths: FloatArray, limits: FloatArray, sigmas: FloatArray) -> None:
-        self._fitted, self._widths = fitted, widths
-        self._limits, self._sigmas = np.ascontiguousarray(limits), sigmas
+    fitted: Fitted
+    widths: FloatArray
+    limits: FloatArray
+    sigmas: FloatArray
 
     @cached_property
     def root(self) -> FloatArray:
         """A root (P, P) of the covariance of the constants, which are known beforehand to within their own size."""
-        sizes = np.abs(self._fitted.values)
+        sizes = np.abs(self.fitted.values)
         sizes = np.maximum(sizes, 1e-12 * max(float(sizes.max(initial=0.0)), 1e-280))
-        unit = np.nan_to_num(self._fitted.fit.reduced) * np.outer(sizes, sizes) + np.eye(len(sizes))
+        unit = np.nan_to_num(self.fitted.fit.reduced) * np.outer(sizes, sizes) + np.eye(len(sizes))
         known, directions = _axes(unit, 1.0)
         return np.asarray(sizes[:, None] * directions / np.sqrt(known))
 
-    @property
-    def covariance(self) -> FloatArray:
-        """The covariance (P, P) of the constants."""
-        return self.root @ self.root.T
-
     def at(self, design: Design) -> Foretold:
         """Return what the candidate foretells of an experiment."""
-        measurements, fit = self._fitted.measured.measurements, self._fitted.fit
+        measurements, fit = self.fitted.measured.measurements, self.fitted.fit
         states, count, rows = len(measurements.scales), len(fit.system.places), len(design.times)
         inputs, slopes = design.courses()
         simulated, gradients = np.full((states, rows), np.nan), np.zeros((rows, states, count + states))
         integrate_segments(
             STIFF if fit.is_stiff else PRECISE, fit.system.tape, fit.system.owners, (design.times, inputs, slopes),
             np.array([[0, rows]], dtype=np.int64), np.ascontiguousarray(design.initial[None]),
-            self._fitted.estimator.tolerance * measurements.scales, self._limits,
+            fit.estimator.tolerance * measurements.scales, self.limits,
             200 + SETTINGS.shooting.steps_per_row * rows, True, simulated, gradients, np.zeros(1, dtype=np.int64),
         )  # fmt: skip
         reached = int(np.isfinite(simulated).all(axis=0).sum())
-        by_all = gradients[:, measurements.observed] / self._sigmas[:, None]
-        spread = np.concatenate([by_all[..., :count] @ self.root, by_all[..., count:] * self._widths], axis=2)
-        return Foretold(simulated[measurements.observed].T / self._sigmas, spread, reached)
+        by_all = gradients[:, measurements.observed] / self.sigmas[:, None]
+        spread = np.concatenate([by_all[..., :count] @ self.root, by_all[..., count:] * self.widths], axis=2)
+        return Foretold(simulated[measurements.observed].T / self.sigmas, spread, reached)
 
 
 def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
@@ -207,25 +204,20 @@ def distance_after(ahead: Fitted, fitted: Fitted, design: Design, foretold: Fore
     """
     measurements = ahead.measured.measurements
     longer = with_trajectory(measurements, design, foretold.values.T * sigmas[:, None])
-    estimator = MultipleShooting(longer, fitted.estimator.tolerance)
-    starts = np.concatenate([fitted.fit.starts, _local(design.initial, fitted.fit.starts.shape[1])[None]])
-    system, errors, is_stiff = fitted.fit.system, fitted.errors, fitted.fit.is_stiff
-    fit = estimator.fit(system, None, SETTINGS.effort.steps, starts, errors, is_stiff=is_stiff)
+    before, steps = fitted.fit, SETTINGS.effort.steps
+    estimator = MultipleShooting(longer, before.estimator.tolerance)
+    added = np.zeros(before.starts.shape[1])  # the initial state, and offsets of 0
+    added[: len(design.initial)] = design.initial
+    starts = np.concatenate([before.starts, added[None]])
+    fit = estimator.fit(before.system, None, steps, starts, fitted.errors, is_stiff=before.is_stiff)
     if fit is None:
-        staged = estimator.fit(system, SETTINGS.shooting.lengths[0], SETTINGS.effort.steps, None, errors)
-        begun = None if staged is None else staged.simulated[:, longer.bounds[:, 0]].T
-        if staged is not None and begun is not None:
-            fit = estimator.fit(
-                staged.system, None, SETTINGS.effort.steps, np.ascontiguousarray(begun), errors, is_stiff=is_stiff
-            )
+        staged = estimator.fit(before.system, SETTINGS.shooting.lengths[0], steps, None, fitted.errors)
+        if staged is not None:
+            starts = np.ascontiguousarray(staged.simulated[:, longer.bounds[:, 0]].T)
+            fit = estimator.fit(staged.system, None, steps, starts, fitted.errors, is_stiff=before.is_stiff)
     if fit is None:
         return FARTHEST
-    return min(max(estimator.cost(fit) - fitted.estimator.cost(fitted.fit), 0.0) / 8.0, FARTHEST)
-
-
-def _local(initial: FloatArray, count: int) -> FloatArray:
-    """Return the numbers of a new trajectory: its initial state, and offsets of 0."""
-    return np.concatenate([initial, np.zeros(count - len(initial))])
+    return min(max(estimator.cost(fit) - before.estimator.cost(before), 0.0) / 8.0, FARTHEST)
 
 
 def with_trajectory(measurements: Measurements, design: Design, values: FloatArray) -> Measurements:
@@ -235,7 +227,7 @@ def with_trajectory(measurements: Measurements, design: Design, values: FloatArr
     states[measurements.observed] = values
     inputs, slopes = design.courses()
     ones = np.ones_like(values)
-    weighed = measurements.inverse_variances
+    inverse, resting = measurements.inverse_variances, measurements.resting
     return replace(
         measurements,
         bounds=np.concatenate([measurements.bounds, [[count, count + rows]]]),
@@ -247,8 +239,8 @@ def with_trajectory(measurements: Measurements, design: Design, values: FloatArr
         inputs=_beside(measurements.inputs, inputs),
         input_slopes=_beside(measurements.input_slopes, slopes),
         names=(*measurements.names, "experiment"),
-        inverse_variances=None if weighed is None else _beside(weighed, ones),
-        resting=None if measurements.resting is None else np.concatenate([measurements.resting, ones == 0.0], axis=1),
+        inverse_variances=None if inverse is None else _beside(inverse, ones),
+        resting=None if resting is None else np.concatenate([resting, ones == 0.0], axis=1),
     )
 
 

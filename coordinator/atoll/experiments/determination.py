@@ -1,10 +1,10 @@
 """What the data determine of each constant of a model, as it is said. Letters: P constants, n points of a profile."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from atoll.analysis.plain_data import plain
 from atoll_core.data.dataset import FloatArray
 
 SCHEMA: Final = 1
@@ -62,14 +62,12 @@ class ProfiledConstant:
     def sentence(self) -> str:
         """What is known of it, in a sentence without its name."""
         low, high = (f"{end:.{self._digits}g}" for end in self.interval)
-        about = f"{self.estimate:.{self._digits}g}"
-        if self.verdict == "determined":
-            return f"{about}, determined: {low} to {high}"
-        if self.verdict == "open above":
-            return f"{about}, open above: at least {low}"
-        if self.verdict == "open below":
-            return f"{about}, open below: at most {high}"
-        return f"{about}, {self.verdict}"
+        ends = {
+            "determined": f": {low} to {high}",
+            "open above": f": at least {low}",
+            "open below": f": at most {high}",
+        }
+        return f"{self.estimate:.{self._digits}g}, {self.verdict}{ends.get(self.verdict, '')}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,39 +104,29 @@ class Identifiability:
 
     def as_dict(self) -> dict[str, object]:
         """Return all of it as plain data; null is infinite."""
-        return {
-            "schema": SCHEMA,
-            "level": self.level,
-            "freedom": self.freedom,
-            "threshold": self.quantile**2,
-            "data": self.source,
-            "piece": self.piece,
-            "constants": [_constant_data(constant) for constant in self.constants],
-            "directions": [_direction_data(direction, self.constants) for direction in self.directions],
-        }
+        names = [constant.name for constant in self.constants]
+        return plain(
+            {
+                "schema": SCHEMA,
+                "level": self.level,
+                "freedom": self.freedom,
+                "threshold": self.quantile**2,
+                "data": self.source,
+                "piece": self.piece,
+                "constants": [_constant_data(constant) for constant in self.constants],
+                "directions": [
+                    {
+                        "error": direction.error,
+                        "weights": dict(zip(names, direction.weights, strict=True)),
+                        "is_sloppy": direction.is_sloppy,
+                        "words": direction.words,
+                    }
+                    for direction in self.directions
+                ],
+            }
+        )
 
 
 def _constant_data(constant: ProfiledConstant) -> dict[str, object]:
-    return {
-        "name": constant.name,
-        "variable": constant.variable,
-        "is_written": constant.is_written,
-        "estimate": constant.estimate,
-        "std_error": _finite(constant.std_error),
-        "interval": [_finite(end) for end in constant.interval],
-        "quadratic": [_finite(end) for end in constant.quadratic],
-        "verdict": constant.verdict,
-        "is_cut": list(constant.is_cut),
-        "sentence": constant.sentence,
-        "profile": {"values": constant.values.tolist(), "deviances": constant.deviances.tolist()},
-    }
-
-
-def _direction_data(direction: Direction, constants: Sequence[ProfiledConstant]) -> dict[str, object]:
-    weights = {constant.name: float(weight) for constant, weight in zip(constants, direction.weights, strict=True)}
-    error, is_sloppy = _finite(direction.error), direction.is_sloppy
-    return {"error": error, "weights": weights, "is_sloppy": is_sloppy, "words": direction.words}
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    data = vars(constant) | {"sentence": constant.sentence}
+    return data | {"profile": {name: data.pop(name) for name in ("values", "deviances")}}

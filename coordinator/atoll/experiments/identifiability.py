@@ -1,17 +1,18 @@
 """The identifiability of the constants of a model: profiles of all of them, and what is known of them together."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from atoll.experiments.determination import Determination, Identifiability, ProfiledConstant
-from atoll.experiments.measured import Measured, measured_of
+from atoll.experiments.measured import measured_of
 from atoll.experiments.profiles import Profile, profile
 from atoll.experiments.relations import directions
 from atoll.experiments.systems import Constant, Fitted, constants_of, equations_of, fit_shown
+from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.result.result import Result
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
@@ -21,6 +22,13 @@ MOST_CONSTANTS: Final = 60
 _RESTARTS: Final = 2
 _BETTER: Final = 0.01
 """Deviance below that of the best fit from which a profile has found a better one."""
+
+_BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
+    (False, False): "determined",
+    (False, True): "open above",
+    (True, False): "open below",
+    (True, True): "practically non-identifiable",
+}
 
 
 def identify(result: Result, table: Table | None = None, level: float = 0.95) -> Identifiability:
@@ -41,11 +49,7 @@ def identify(result: Result, table: Table | None = None, level: float = 0.95) ->
     if not constants_of(equations, result):
         raise UsageError("the model has no constants that were fitted, so there is nothing to profile")
     fitted = fit_shown(measured, result)
-    return identified(fitted, constants_of(fitted.equations, result), measured, level)
-
-
-def identified(fitted: Fitted, constants: Sequence[Constant], measured: Measured, level: float) -> Identifiability:
-    """Return what the data determine of the constants of a model that was fitted to them."""
+    constants = constants_of(fitted.equations, result)
     count = len(constants)
     if count > MOST_CONSTANTS:
         raise UsageError(f"the model has {count} constants that were fitted; at most {MOST_CONSTANTS} can be profiled")
@@ -55,12 +59,11 @@ def identified(fitted: Fitted, constants: Sequence[Constant], measured: Measured
     fitted, profiles = _profiled(fitted, count, quantile)
     signs = np.array([constant.sign for constant in constants])
     with np.errstate(invalid="ignore"):
-        errors = np.sqrt(np.diag(fitted.covariance)).tolist()
+        errors = np.sqrt(np.diag(covariance(fitted.fit))).tolist()
     names = [constant.name for constant in constants]
     profiled = [_profiled_constant(*described, quantile) for described in zip(constants, profiles, errors, strict=True)]
     order = sorted(range(count), key=lambda place: _reading(constants[place], fitted))
     eigendirections = directions(fitted, profiles, names, signs, quantile)
-    bounds = fitted.measured.measurements.bounds
     return Identifiability(
         level,
         fitted.degrees_of_freedom,
@@ -68,7 +71,7 @@ def identified(fitted: Fitted, constants: Sequence[Constant], measured: Measured
         tuple(profiled[place] for place in order),
         tuple(replace(direction, weights=direction.weights[order]) for direction in eigendirections),
         measured.source,
-        int((bounds[:, 1] - bounds[:, 0]).max()),
+        fitted.measured.longest,
     )
 
 
@@ -89,7 +92,7 @@ def _profiled(fitted: Fitted, count: int, quantile: float) -> tuple[Fitted, list
         better = fitted.again(fitted.fit.system.with_values(values), fitted.fit.starts)
         if better is None or fitted.deviance(better) >= 0.0:
             return fitted, profiles
-        fitted = fitted.at(better)
+        fitted = replace(fitted, fit=better)
     return fitted, profiles
 
 
@@ -104,16 +107,5 @@ def _profiled_constant(constant: Constant, likelihood: Profile, error: float, qu
     best = constant.sign * likelihood.best
     return ProfiledConstant(
         constant.name, constant.variable, constant.is_written, best, error, ends, (best - half, best + half),
-        _determination(is_open, is_flat=likelihood.is_flat), cut, values, deviances,
+        "structurally non-identifiable" if likelihood.is_flat else _BY_OPEN_ENDS[is_open], cut, values, deviances,
     )  # fmt: skip
-
-
-def _determination(is_open: tuple[bool, ...], *, is_flat: bool) -> Determination:
-    below, above = is_open
-    if is_flat:
-        return "structurally non-identifiable"
-    if below and above:
-        return "practically non-identifiable"
-    if below or above:
-        return "open below" if below else "open above"
-    return "determined"

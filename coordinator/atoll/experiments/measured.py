@@ -26,18 +26,18 @@ _OTHER_KINDS: Final = {"regression": "a regression without time", "process": "a 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Measured trajectories: the `measurements` for fits of the equations of a result.
+    """Measured trajectories: the `measurements` for fits of the equations of a result, of the `modelled` states.
 
     `rows` counts all rows that were measured, those of `measurements` being some of them, spread evenly; `independent`
-    (O,) are the rows of each state that decide, as errors may go together; `order` is that of the equations, `source`
-    says in words where the data come from.
+    (O,) are the rows of each state that decide, as errors may go together; `source` says in words where the data come
+    from.
     """
 
     recording: Recording
     measurements: Measurements
+    modelled: Sequence[int]
     rows: int
     independent: FloatArray
-    order: int
     source: str
 
     @property
@@ -45,16 +45,14 @@ class Measured:
         """Independent rows (O,) over the rows that a fit counts."""
         return np.asarray(self.independent / np.maximum(self.measurements.weights.sum(axis=1), 1.0))
 
+    @property
+    def longest(self) -> int:
+        """The most rows that are simulated at a stretch."""
+        return int(np.diff(self.measurements.bounds, axis=1).max())
+
     def shortened(self, piece: int) -> "Measured":
         """Return the same with at most so many rows simulated at a stretch."""
-        modelled = [self.recording.states.index(name) for name in _modelled(self.measurements, self.recording)]
-        shorter = measurements_of(self.recording, modelled, piece=piece)
-        return Measured(self.recording, shorter, self.rows, self.independent, self.order, self.source)
-
-
-def _modelled(measurements: Measurements, recording: Recording) -> list[str]:
-    symbols = measurements.variables[: len(measurements.observed)]
-    return [recording.states[recording.state_symbols.index(symbol)] for symbol in symbols]
+        return replace(self, measurements=measurements_of(self.recording, self.modelled, piece=piece))
 
 
 def measured_of(result: Result, table: Table | None = None) -> Measured:
@@ -70,17 +68,16 @@ def measured_of(result: Result, table: Table | None = None) -> Measured:
     """
     kind = result.columns.kind
     if kind != "dynamics":
-        what = _OTHER_KINDS.get(str(kind))
-        raise UsageError(
-            f"the result is of {what or 'an unknown kind'}; only models of measured trajectories can be profiled"
-        )
+        what = _OTHER_KINDS.get(str(kind), "an unknown kind")
+        raise UsageError(f"the result is of {what}; only models of measured trajectories can be profiled")
     if table is None:
         recording, rows, source = _stored(result)
     else:
         recording = _prepared(result, table)
         rows = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
         source = "the data that were given"
-    if differing_groups(result) and (table is None or _has_groups(recording)):
+    groups = {trajectory.group for trajectory in recording.trajectories}
+    if differing_groups(result) and (table is None or len(groups) > 1):
         raise UsageError(
             "constants of the model differ between groups of trajectories, which cannot be fitted again together",
             python="give the data of one group as data",
@@ -89,29 +86,20 @@ def measured_of(result: Result, table: Table | None = None) -> Measured:
     return _laid_out(result, recording, rows, source, is_stored=table is None)
 
 
-def _has_groups(recording: Recording) -> bool:
-    return len({trajectory.group for trajectory in recording.trajectories}) > 1
-
-
 def _laid_out(result: Result, recording: Recording, rows: int, source: str, *, is_stored: bool) -> Measured:
     names = [str(equation.variable) for equation in result.equations]
     modelled = [recording.states.index(name) for name in names]
-    errors = [_errors(result, name) for name in names]
+    errors = [result.noise.get(name, Noise()).errors or Errors() for name in names]
     kept = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
     share = kept / max(rows, 1)
     pieces = [known.piece for known in errors if known.piece]
     piece = max(_FEWEST_ROWS, int(min(pieces) * share)) if pieces else SETTINGS.shooting.piece
     measurements = measurements_of(recording, modelled, piece=piece)
-    counts = measurements.weights.sum(axis=1)
-    ratios = np.array([_ratio(known, result) for known in errors])
-    # rows that were left out of the stored ones count as much as those that are there
-    full = counts / max(share, 1e-300) if is_stored else counts
-    return Measured(recording, measurements, rows, full * ratios, recording.order, source)
-
-
-def _errors(result: Result, name: str) -> Errors:
-    noise = result.noise.get(name)
-    return (None if noise is None else noise.errors) or Errors()
+    independent = measurements.weights.sum(axis=1)
+    if is_stored:  # rows that were left out of the stored ones count as much as those that are there
+        independent = independent / max(share, 1e-300)
+    independent = independent * np.array([_ratio(known, result) for known in errors])
+    return Measured(recording, measurements, modelled, rows, independent, source)
 
 
 def _ratio(errors: Errors, result: Result) -> float:
@@ -130,7 +118,11 @@ def _stored(result: Result) -> tuple[Recording, int, str]:
         )
     columns, symbols = result.columns, result.symbols
     states, inputs = columns.states, columns.inputs
-    smoothing = tuple(_smoothing(name, result.noise.get(name) or Noise()) for name in states)
+    smoothing = []
+    for name in states:
+        noise = result.noise.get(name, Noise())
+        method: Method = next((method for method in get_args(Method) if method == noise.method), "interpolation")
+        smoothing.append(Smoothing(name, method, noise.sd or 0.0, noise.relative or 0.0))
     smoothed = {part.name: part for part in result.smoothed}
     parts = [_trajectory(part, smoothed.get(part.name), states, inputs) for part in trajectories]
     recording = Recording(
@@ -141,7 +133,7 @@ def _stored(result: Result) -> tuple[Recording, int, str]:
         tuple(symbols[name] for name in inputs),
         2 if columns.order == 2 else 1,
         0.0,
-        smoothing,
+        tuple(smoothing),
         tuple(parts),
         tuple(config_of(result).data.offsets),
     )
@@ -150,14 +142,6 @@ def _stored(result: Result) -> tuple[Recording, int, str]:
     source = f"{len(searched)} trajectories" if len(searched) > 1 else "1 trajectory"
     of = f"{kept} of {rows} rows" if kept < rows else f"{rows} rows"
     return recording, rows, f"{source} of the result, {of}"
-
-
-def _smoothing(name: str, noise: Noise) -> Smoothing:
-    methods: tuple[Method, ...] = get_args(Method)
-    method: Method = "interpolation"
-    if noise.method in methods:
-        method = methods[methods.index(noise.method)]
-    return Smoothing(name, method, noise.sd or 0.0, noise.relative or 0.0)
 
 
 def _trajectory(
@@ -173,17 +157,13 @@ def _trajectory(
         times,
         measured,
         positions,
-        _slopes(positions, times),
+        np.gradient(positions, times, axis=1) if len(times) > 1 else np.zeros_like(positions),
         _stacked([recorded.inputs[name] for name in inputs], len(times)),
         _stacked([(recorded.input_slopes or {})[name] for name in inputs], len(times)),
         recorded.held_out,
         None if robust is None else _stacked([robust[name] for name in states], len(times)),
         None if weights is None else np.array(weights, dtype=np.float64),
     )
-
-
-def _slopes(values: FloatArray, times: FloatArray) -> FloatArray:
-    return np.ascontiguousarray(np.gradient(values, times, axis=1)) if len(times) > 1 else np.zeros_like(values)
 
 
 def _curve(times: FloatArray, measured: FloatArray, name: str, smoothed: Smoothed | None) -> FloatArray:

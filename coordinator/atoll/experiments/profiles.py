@@ -44,7 +44,6 @@ class Profile:
     `is_cut` (lower, upper) tells that an end is a bound on the constant, or that the model cannot be simulated beyond.
     """
 
-    index: int
     best: float
     values: FloatArray
     deviances: FloatArray
@@ -101,7 +100,6 @@ def profile(fitted: Fitted, index: int, quantile: float) -> Profile:
     sides = [_Side(fitted, index, quantile, direction).follow(start) for direction in (-1.0, 1.0)]
     points = [*reversed(sides[0][0]), start, *sides[1][0]]
     return Profile(
-        index,
         best,
         np.array([point.value for point in points]),
         np.array([math.copysign(point.root**2, point.root) for point in points]),

@@ -8,7 +8,7 @@ price of a structure has decided so far.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, islice
 from typing import Final
 
 import numpy as np
@@ -83,7 +83,7 @@ def rivals_of(
 
 
 def _weighed(fits: Sequence[tuple[Fitted, str]]) -> tuple[Rival, ...]:
-    lengths = [_akaike(fitted) for fitted, _ in fits]
+    lengths = [_half_akaike(fitted) for fitted, _ in fits]
     least = min(lengths)
     kept: list[tuple[float, Fitted, str]] = []
     ordered = sorted(zip(lengths, fits, strict=True), key=lambda entry: (entry[1][1] not in _WANTED, entry[0]))
@@ -95,21 +95,19 @@ def _weighed(fits: Sequence[tuple[Fitted, str]]) -> tuple[Rival, ...]:
     kept.sort(key=lambda rival: rival[0])
     weights = np.exp([least - nats for nats, *_ in kept])
     shares = (weights / weights.sum()).tolist()
-    return tuple(
-        Rival(fitted, origin, nats - least, share, _length(fitted))
-        for (nats, fitted, origin), share in zip(kept, shares, strict=True)
-    )
+    rivals = []
+    for (nats, fitted, origin), share in zip(kept, shares, strict=True):
+        constant_nats = constant_nats_of(float(fitted.measured.rows))
+        length = system_length(fitted.misfit, fitted.equations.programs, len(fitted.values), constant_nats)
+        rivals.append(Rival(fitted, origin, nats - least, share, length))
+    return tuple(rivals)
 
 
-def _akaike(fitted: Fitted) -> float:
+def _half_akaike(fitted: Fitted) -> float:
+    """Return half of Akaike's criterion as corrected for few rows, in nats."""
     numbers = float(fitted.measured.independent.sum())
     count = len(fitted.values) + fitted.fit.starts.size
     return fitted.misfit + count + count * (count + 1.0) / max(numbers - count - 1.0, 1.0)
-
-
-def _length(fitted: Fitted) -> float:
-    rows = constant_nats_of(float(fitted.measured.rows))
-    return system_length(fitted.misfit, fitted.equations.programs, len(fitted.values), rows)
 
 
 def _given(shown: Equations, texts: Mapping[str, str]) -> Equations:
@@ -136,15 +134,12 @@ def _systems(result: Result, measured: Measured, shown: Equations) -> Iterator[t
         options += [
             (place, program, "denominator") for program in without_poles(shown.programs[place], shown, measured)
         ]
-    count = 0
     for place, program, origin in options:
         yield shown.exchanged(place, program), origin
-        count += 1
-    for (place, first, origin), (second_place, second, second_origin) in combinations(options, 2):
-        if place != second_place and count < _MOST_FITTED:
-            origins = " and ".join(sorted({origin, second_origin}))
-            yield shown.exchanged(place, first).exchanged(second_place, second), origins
-            count += 1
+    pairs = (pair for pair in combinations(options, 2) if pair[0][0] != pair[1][0])
+    for (place, first, origin), (other, second, other_origin) in islice(pairs, max(_MOST_FITTED - len(options), 0)):
+        origins = " and ".join(sorted({origin, other_origin}))
+        yield shown.exchanged(place, first).exchanged(other, second), origins
 
 
 def without_poles(program: Program, equations: Equations, measured: Measured) -> Iterator[Program]:
@@ -206,19 +201,11 @@ def _has_pole(fitted: Fitted) -> bool:
     """Tell whether a constant that was added to a denominator has the sign that makes it vanish somewhere."""
     programs = fitted.fit.system.programs[-len(fitted.equations.programs) :]
     for before, after in zip(fitted.equations.explicit, programs, strict=True):
+        nodes = after.nodes()
+        divisors = {right if code == DIVIDE else left for code, left, right, _ in nodes if code in (DIVIDE, INVERSE)}
+        added = {place for divisor in divisors if nodes[divisor][0] == ADD for place in nodes[divisor][1:3]}
         for place in constant_places(after):
             begun, ended = float(before.program.constants[place]), float(after.constants[place])
-            is_added = any(
-                code == ADD and place in (left, right) and _is_denominator(after, number)
-                for number, (code, left, right, _) in enumerate(after.nodes())
-            )
-            if is_added and begun * ended <= 0.0:
+            if place in added and begun * ended <= 0.0:
                 return True
     return False
-
-
-def _is_denominator(program: Program, node: int) -> bool:
-    return any(
-        (code == DIVIDE and right == node) or (code == INVERSE and left == node)
-        for code, left, right, _ in program.nodes()
-    )

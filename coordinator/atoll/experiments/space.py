@@ -109,8 +109,7 @@ class DesignSpace:
 
     def points(self, seed: int) -> FloatArray:
         """Return points (n, D + inputs) all over the bounds, and near their corners where these are few."""
-        inner = self.box.points(max(_POINTS // len(self.shares), _FEWEST_POINTS), seed)
-        size = len(self.box.lower)
+        size, inner = len(self.box.lower), self.box.points(max(_POINTS // len(self.shares), _FEWEST_POINTS), seed)
         if 2**size > _MOST_CORNERS:
             return inner
         sides = np.meshgrid(*([(_CORNER, 1.0 - _CORNER)] * size), indexing="ij")
@@ -133,15 +132,12 @@ class DesignSpace:
 
     def share(self, design: Design) -> float:
         """Return which share of the longest experiment one is."""
-        if self.cost == "duration":
-            return float(design.times[-1] - design.times[0]) / self.duration
-        return len(design.times) / self.samples if self.cost == "samples" else 1.0
+        return self.price(design) / {"trajectory": 1.0, "duration": self.duration, "samples": self.samples}[self.cost]
 
     def price(self, design: Design) -> float:
         """Return what an experiment costs."""
-        if self.cost == "duration":
-            return float(design.times[-1] - design.times[0])
-        return float(len(design.times)) if self.cost == "samples" else 1.0
+        lasts, samples = float(design.times[-1] - design.times[0]), float(len(design.times))
+        return {"trajectory": 1.0, "duration": lasts, "samples": samples}[self.cost]
 
     def around(self, point: FloatArray, step: float) -> Iterator[FloatArray]:
         """Yield the points that differ in one number by a step over the widths, within the bounds."""

@@ -1,7 +1,7 @@
 """The experiments that are worth most, as they are said."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Final, Literal, get_args
 
 SCHEMA: Final = 1
@@ -122,7 +122,16 @@ class Suggestions:
     source: str
 
     def __str__(self) -> str:
-        return "\n".join([*self._candidate_lines(), *self._bound_lines(), *self._experiment_lines()])
+        lines = [*self._candidate_lines(), f"purpose: {self.purpose_text}"]
+        parts = [
+            f"{name} {low:.4g} to {high:.4g} ({'of the data, smoothed' if name in self.measured else 'given'})"
+            for name, (low, high) in self.bounds.items()
+        ]
+        lines.append("searched: " + ", ".join(parts))
+        for number, experiment in enumerate(self.experiments, start=1):
+            where, samples = experiment.start_text, experiment.samples_text
+            lines.append(f"experiment {number}: {where}; {samples}; {self._worth(experiment)}")
+        return "\n".join(lines)
 
     @property
     def purpose_text(self) -> str:
@@ -139,20 +148,6 @@ class Suggestions:
                 lines.append(f"     with the constants of the result  {equations_text(candidate.written)}")
         if self.candidates and self.candidates[0].origin != "shown":
             lines.append(_WEIGHTS)
-        return [*lines, f"purpose: {self.purpose_text}"]
-
-    def _bound_lines(self) -> list[str]:
-        parts = [
-            f"{name} {low:.4g} to {high:.4g} ({'of the data, smoothed' if name in self.measured else 'given'})"
-            for name, (low, high) in self.bounds.items()
-        ]
-        return ["searched: " + ", ".join(parts)]
-
-    def _experiment_lines(self) -> list[str]:
-        lines = []
-        for number, experiment in enumerate(self.experiments, start=1):
-            where, samples = experiment.start_text, experiment.samples_text
-            lines.append(f"experiment {number}: {where}; {samples}; {self._worth(experiment)}")
         return lines
 
     def _worth(self, experiment: Suggestion) -> str:
@@ -172,17 +167,7 @@ class Suggestions:
             "purpose": self.purpose,
             "reason": self.reason,
             "entropy": self.entropy,
-            "candidates": [
-                {
-                    "equations": dict(candidate.equations),
-                    "origin": candidate.origin,
-                    "weight": candidate.weight,
-                    "nats": candidate.nats,
-                    "longer": candidate.longer,
-                    "written": dict(candidate.written),
-                }
-                for candidate in self.candidates
-            ],
+            "candidates": [asdict(candidate) for candidate in self.candidates],
             "bounds": {name: [*ends] for name, ends in self.bounds.items()},
             "bounds_of_data": list(self.measured),
             "cost": self.cost,

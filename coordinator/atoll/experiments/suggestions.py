@@ -16,7 +16,6 @@ from atoll.experiments.designs import (
     NONE,
     Design,
     Foreteller,
-    Foretold,
     Gain,
     distance_after,
     distances_of,
@@ -47,7 +46,7 @@ _TOO_MANY: Final = 10
 
 
 def suggest(result: Result, request: Request, table: Table | None = None) -> Suggestions:
-    """Return the experiments to make next for a result , the best first.
+    """Return the experiments to make next for a result, the best first.
 
     Raises:
         UsageError: a number or name of the request does not fit, there are no measurements, the model cannot be
@@ -81,34 +80,32 @@ class _Tried:
         return gain.worth / self.cost, gain.information / self.cost, gain.evidence / self.cost
 
 
-Value = Callable[[Design], Gain]
-Look = Callable[[_Tried], _Tried]
-
-
+@dataclass(frozen=True)
 class _Search:
     """Finds the experiments of most worth by what `value` says of each, the best looked at again by `look`."""
 
-    def __init__(self, space: DesignSpace, value: Value, look: Look) -> None:
-        self._space, self._value, self._look = space, value, look
+    space: DesignSpace
+    value: Callable[[Design], Gain]
+    look: Callable[[_Tried], _Tried] = lambda tried: tried
 
     def best(self, count: int, seed: int) -> list[_Tried]:
         """Return `count` experiments that differ, the best first; fewer where others are worth nothing."""
-        space, most = self._space, max(_IMPROVED, count)
+        space, most = self.space, max(_IMPROVED, count)
         points = space.points(seed)
         tried = [self._tried(space.design(point, share)) for share in space.shares for point in points]
         improved = [self._improved(experiment) for experiment in self._apart(tried, most)]
-        return self._apart([self._look(experiment) for experiment in self._apart([*improved, *tried], most)], count)
+        return self._apart([self.look(experiment) for experiment in self._apart([*improved, *tried], most)], count)
 
     def _tried(self, design: Design) -> _Tried:
-        gain = self._value(design)
+        gain = self.value(design)
         is_finite = math.isfinite(gain.worth) and math.isfinite(gain.information)
-        return _Tried(design, self._space.price(design), gain if is_finite else NONE)
+        return _Tried(design, self.space.price(design), gain if is_finite else NONE)
 
     def _improved(self, best: _Tried) -> _Tried:
         """Return an experiment moved to more worth, one number after the other."""
         for step in _ROUNDS:
-            for moved in self._space.around(self._space.point(best.design), step):
-                neighbour = self._tried(self._space.design(moved, self._space.share(best.design)))
+            for moved in self.space.around(self.space.point(best.design), step):
+                neighbour = self._tried(self.space.design(moved, self.space.share(best.design)))
                 best = neighbour if neighbour.worth > best.worth else best
         return best
 
@@ -116,7 +113,7 @@ class _Search:
         """Return the best of experiments that differ, without those that are worth nothing."""
         kept: list[_Tried] = []
         for experiment in sorted(tried, key=lambda experiment: experiment.worth, reverse=True):
-            is_other = all(self._space.are_apart(experiment.design, other.design) for other in kept)
+            is_other = all(self.space.are_apart(experiment.design, other.design) for other in kept)
             if is_other and experiment.gain.worth > 0.0 and len(kept) < count:
                 kept.append(experiment)
         return kept
@@ -140,14 +137,15 @@ class _Report:
     def suggestions(self) -> Suggestions:
         """Return all of it."""
         count, seed = self._request.count, self._request.seed
-        search = _Search(self._space, self._discrimination, self._looked_at)
-        chosen = search.best(count, seed) if len(self._rivals) > 1 else []
+        chosen: list[_Tried] = []
+        if len(self._rivals) > 1:
+            chosen = _Search(self._space, self._discrimination, self._looked_at).best(count, seed)
         reason = self._reason(chosen)
         if reason is None:
             return self._said("discrimination", chosen, f"{len(self._rivals)} candidates differ")
         if not len(self._shown.values):
             raise UsageError(f"{reason}, and the model has no constants, so no experiment tells more")
-        precise = _Search(self._space, self._precision, lambda tried: tried).best(count, seed)
+        precise = _Search(self._space, self._precision).best(count, seed)
         if not precise:
             raise UsageError("the model cannot be simulated from any initial state within the bounds; give others")
         return self._said("precision", precise, reason)
@@ -164,17 +162,12 @@ class _Report:
         return None
 
     def _discrimination(self, design: Design) -> Gain:
-        return self._told(self._foretold(design))
-
-    def _foretold(self, design: Design) -> list[Foretold]:
-        return [candidate.at(design) for candidate in self._candidates]
-
-    def _told(self, foretold: Sequence[Foretold]) -> Gain:
+        foretold = [candidate.at(design) for candidate in self._candidates]
         return told(distances_of(foretold, self._weights), self._weights, self._useful)
 
     def _looked_at(self, tried: _Tried) -> _Tried:
         """Return an experiment with what is expected of it, the heaviest candidates fitted to its outcomes."""
-        foretold = self._foretold(tried.design)
+        foretold = [candidate.at(tried.design) for candidate in self._candidates]
         distances = distances_of(foretold, self._weights)
         heaviest = sorted(range(len(foretold)), key=lambda place: -self._weights[place])[:_REFITTED]
         for i in heaviest:
@@ -235,9 +228,8 @@ class _Report:
 
     def _worst(self, design: Design) -> tuple[str, float, float]:
         """Return the constant whose relative error is largest, and that error before and after an experiment."""
-        before = self._of_shown.covariance
         root = self._of_shown.root
-        after = root @ precision(self._of_shown.at(design), len(before))[1] @ root.T
+        before, after = root @ root.T, root @ precision(self._of_shown.at(design), len(root))[1] @ root.T
         sizes = np.maximum(np.abs(self._shown.values), 1e-300)
         errors = [np.sqrt(np.maximum(np.diag(covariance), 0.0)) / sizes for covariance in (before, after)]
         index = int(np.argmax(errors[0]))

@@ -4,8 +4,8 @@ Letters: P fitted constants, G segments, D states.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from atoll.experiments.measured import Measured, starts_of
 from atoll.model.programs import program_of
-from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
+from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
@@ -54,34 +54,32 @@ class Constant:
 class Equations:
     """Right-hand sides of the states that have an equation: `programs` over `names`, the symbols of the result.
 
-    `explicit` are the same with factors of one as constants; `fixed` are those (by index) whose constants are given,
-    `bounds` are on all constants of an equation (by index), where the user has set some.
+    `explicit` are the same with factors of one as constants, unless they are taken as they are written; `fixed` are
+    those (by index) whose constants are given, `bounds` are on all constants of an equation (by index), where the user
+    has set some.
     """
 
     names: tuple[str, ...]
     variables: tuple[str, ...]
     programs: tuple[Program, ...]
     fixed: frozenset[int]
-    bounds: Mapping[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    bounds: Mapping[int, tuple[tuple[float, float], ...]]
+    are_as_written: bool = False
 
     @cached_property
     def explicit(self) -> tuple[ExplicitCoefficients, ...]:
         """The programs with their factors of one as constants, but those that are given or bounded."""
+        kept = range(len(self.programs)) if self.are_as_written else {*self.fixed, *self.bounds}
         return tuple(
-            as_written(program) if place in {*self.fixed, *self.bounds} else make_coefficients_explicit(program)
+            as_written(program) if place in kept else make_coefficients_explicit(program)
             for place, program in enumerate(self.programs)
         )
-
-    def written(self) -> "Equations":
-        """Return the same, the factors of one not being constants."""
-        written = replace(self)
-        written.__dict__["explicit"] = tuple(map(as_written, self.programs))
-        return written
 
     def exchanged(self, place: int, program: Program) -> "Equations":
         """Return the same with another equation, which has no bounds."""
         bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
-        return replace(self, programs=(*self.programs[:place], program, *self.programs[place + 1 :]), bounds=bounds)
+        programs = (*self.programs[:place], program, *self.programs[place + 1 :])
+        return replace(self, programs=programs, bounds=bounds, are_as_written=False)
 
     def system(self, measurements: Measurements, order: int) -> System:
         """Return the system of the explicit programs; with order 2, positions change by the velocities."""
@@ -104,10 +102,6 @@ class Equations:
         ]
         lower, upper = np.array(ends).reshape(-1, 2).T
         return replace(system, lower=np.ascontiguousarray(lower), upper=np.ascontiguousarray(upper))
-
-    def texts(self, digits: int = 4) -> tuple[str, ...]:
-        """Return the right-hand sides for people."""
-        return tuple(to_infix(program, self.names, digits=digits) for program in self.programs)
 
 
 def equations_of(result: Result) -> Equations:
@@ -181,36 +175,23 @@ class Fitted:
     misfit: float
 
     @property
-    def estimator(self) -> MultipleShooting:
-        """What fitted it."""
-        return self.fit.estimator
-
-    @property
     def values(self) -> FloatArray:
         """The fitted constants (P,)."""
         return self.fit.system.values
 
     @cached_property
-    def covariance(self) -> FloatArray:
-        """The covariance (P, P) of the constants; variances of those that the data leave open are infinite."""
-        return covariance(self.fit)
-
-    @cached_property
     def bounded_covariance(self) -> FloatArray:
-        """The same with large variances in the place of infinite ones."""
+        """The covariance (P, P) of the constants, with large variances of those that the data leave open."""
         return bounded_covariance(self.fit)
 
     def deviance(self, fit: TrajectoryFit) -> float:
         """Return the squared residuals of a fit with these errors over their variances, beyond those of this fit."""
-        return self.estimator.cost(fit) - self.estimator.cost(self.fit)
+        return self.fit.estimator.cost(fit) - self.fit.estimator.cost(self.fit)
 
-    def at(self, fit: TrajectoryFit) -> "Fitted":
-        """Return the same with another fit, of the same errors."""
-        return replace(self, fit=fit)
-
-    def again(self, system: System, starts: FloatArray, steps: int = SETTINGS.effort.steps) -> TrajectoryFit | None:
+    def again(self, system: System, starts: FloatArray) -> TrajectoryFit | None:
         """Return a system fitted to the same trajectories with the same errors; None where it cannot be simulated."""
-        return self.estimator.fit(system, None, steps, starts, self.errors, is_stiff=self.fit.is_stiff)
+        steps, is_stiff = SETTINGS.effort.steps, self.fit.is_stiff
+        return self.fit.estimator.fit(system, None, steps, starts, self.errors, is_stiff=is_stiff)
 
 
 def fit_equations(measured: Measured, equations: Equations, starts: FloatArray | None = None) -> Fitted | None:
@@ -218,7 +199,8 @@ def fit_equations(measured: Measured, equations: Equations, starts: FloatArray |
 
     Where trajectories cannot be fitted in whole, shorter pieces are, of which the errors are those of the smoother.
     """
-    return _fitted(measured, equations, starts) or _fitted(measured, equations.written(), starts)
+    written = replace(equations, are_as_written=True)
+    return _fitted(measured, equations, starts) or _fitted(measured, written, starts)
 
 
 def fit_shown(measured: Measured, result: Result) -> Fitted:
@@ -226,41 +208,35 @@ def fit_shown(measured: Measured, result: Result) -> Fitted:
 
     In shorter pieces where whole trajectories leave more than the noise.
     """
-    equations = equations_of(result)
-    tried: list[Fitted] = []
-    for data in (measured, *_shorter(measured)):
+    equations, measurements = equations_of(result), measured.measurements
+    negligible = SETTINGS.common.negligible * measurements.scales[measurements.observed]
+    most = SETTINGS.inference.excess * np.maximum(measurements.noise, negligible)
+    first = None
+    for rows in (None, *reversed(SETTINGS.shooting.lengths[1:])):
+        if rows is not None and 2 * rows > measured.longest:
+            continue
+        data = measured if rows is None else measured.shortened(rows)
         fitted = fit_equations(data, equations, starts_of(result, data))
-        if fitted is not None:
-            tried.append(fitted)
-            measurements = data.measurements
-            negligible = SETTINGS.common.negligible * measurements.scales[measurements.observed]
-            noise = np.maximum(measurements.noise, negligible)
-            if np.all(fitted.errors.sigmas <= SETTINGS.inference.excess * noise):
-                return fitted
-    if not tried:
+        if fitted is not None and np.all(fitted.errors.sigmas <= most):
+            return fitted
+        first = first or fitted
+    if first is None:
         raise AtollError("the equations cannot be simulated along the measured trajectories, so nothing can be fitted")
-    return tried[0]
-
-
-def _shorter(measured: Measured) -> Iterator[Measured]:
-    bounds = measured.measurements.bounds
-    longest = int((bounds[:, 1] - bounds[:, 0]).max())
-    for rows in reversed(SETTINGS.shooting.lengths[1:]):
-        if 2 * rows <= longest:
-            yield measured.shortened(rows)
+    return first
 
 
 def _fitted(measured: Measured, equations: Equations, starts: FloatArray | None) -> Fitted | None:
     measurements = measured.measurements
-    estimator = MultipleShooting(measurements, _tolerance(measurements))
-    system = equations.system(measurements, measured.order)
+    precise = _TOLERANCE_OF_NOISE * float(measurements.relative_noise.min())
+    estimator = MultipleShooting(measurements, min(max(precise, _FINEST), _COARSEST * 0.1))
+    system = equations.system(measurements, measured.recording.order)
     fit = estimator.fit(system, None, SETTINGS.effort.steps, starts)
     staged = fit_in_stages(estimator, system, (*SETTINGS.shooting.lengths[1:2], None), SETTINGS.effort.steps)
     fits = [candidate for candidate in (fit, staged) if candidate is not None]
-    best = min(fits, key=_log_squares(measurements), default=None)
+    counts = measurements.weights.sum(axis=1)
+    best = min(fits, key=lambda fit: float(counts @ np.log(np.maximum(fit.squares, 1e-300))), default=None)
     if best is None:
         return None
-    counts = measurements.weights.sum(axis=1)
     decided = float(np.minimum(counts * measured.share, measured.independent).sum())
     left = max(counts.sum() - best.system.values.size - best.starts.size, 1.0)
     degrees_of_freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
@@ -273,16 +249,6 @@ def _fitted(measured: Measured, equations: Equations, starts: FloatArray | None)
     if held is None:
         return None
     return Fitted(equations, measured, held, errors, degrees_of_freedom, _misfit(measured, best))
-
-
-def _tolerance(measurements: Measurements) -> float:
-    noise = float(measurements.relative_noise.min())
-    return min(max(_TOLERANCE_OF_NOISE * noise, _FINEST), _COARSEST * 0.1)
-
-
-def _log_squares(measurements: Measurements) -> Callable[[TrajectoryFit], float]:
-    counts = measurements.weights.sum(axis=1)
-    return lambda fit: float(counts @ np.log(np.maximum(fit.squares, 1e-300)))
 
 
 def _misfit(measured: Measured, fit: TrajectoryFit) -> float:
