@@ -105,15 +105,16 @@ def analyse(
     if len(field.states) > MOST_STATES:
         raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
     flow, coefficients = Flow.of(field, inputs), Coefficients.of(field)
-    parameter, branches, cycle_branches = None, (), ()
+    varied, parameter = (flow, None) if vary is None else coefficients.find(flow, vary[0])
+    branches: tuple[Branch, ...] = ()
+    cycle_branches: tuple[CycleBranch, ...] = ()
     fixed = fixed_points(flow, box)
     cycles = limit_cycles(flow, box, fixed.points)
     stable: list[Attractor] = [point for point in (*fixed.points, *cycles.resting) if point.is_stable]
     stable += [cycle for cycle in cycles.cycles if cycle.is_stable]
     reached = basins(flow, box, stable)
     is_open = flow.size > 2 and len(cycles.unsettled) > 0
-    if vary is not None:
-        varied, parameter = coefficients.find(flow, vary[0])
+    if vary is not None and parameter is not None:
         branches, cycle_branches = _continued(box, varied, parameter, vary[1], cycles.cycles)
     return Analysis(
         field,
@@ -202,10 +203,7 @@ def box_of(
     for name in field.states:
         if name not in known:
             raise UsageError(f"state '{name}' was not measured, so that the box needs its lower and upper bound")
-        lower, upper = known[name]
-        if not (np.isfinite([lower, upper]).all() and lower < upper):
-            raise UsageError(
-                f"the bounds {lower:g} and {upper:g} of '{name}' are no interval; give the lower one first"
-            )
-    ends = np.array([known[name] for name in field.states], dtype=np.float64)
-    return Box(ends[:, 0].copy(), ends[:, 1].copy())
+        low, high = known[name]
+        if not (np.isfinite([low, high]).all() and low < high):
+            raise UsageError(f"the bounds {low:g} and {high:g} of '{name}' are no interval; give the lower one first")
+    return Box(*np.array([known[name] for name in field.states], dtype=np.float64).T.copy())

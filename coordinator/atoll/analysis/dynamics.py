@@ -14,8 +14,7 @@ from atoll.analysis.box import Box
 from atoll.analysis.flow import UNBOUNDED, Flow, follow
 from atoll.model.simulation import Inputs, interpolated
 from atoll.model.vector_field import VectorField
-from atoll_coordinator.result.base import Curves
-from atoll_coordinator.result.listed_trajectories import Simulated, Smoothed
+from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 
@@ -105,22 +104,29 @@ def measured_trajectories(result: Result, field: VectorField) -> tuple[Measured,
 
     Velocities of equations of second order are differences of the positions.
     """
-    smoothed = {part.name: part for part in result.smoothed}
-    courses = (_measured(result, field, part, smoothed.get(part.name)) for part in result.simulated)
+    courses = (_measured(result, field, part) for part in result.simulated)
     return tuple(course for course in courses if course is not None)
 
 
-def _measured(result: Result, field: VectorField, part: Simulated, smoothed: Smoothed | None) -> Measured | None:
+def _measured(result: Result, field: VectorField, part: Simulated) -> Measured | None:
     """Return the course of one trajectory; None where a state is not known there, or too few rows are."""
-    columns = [result.columns_by_symbol[name] for name in field.states]
+    columns, half = [result.columns_by_symbol[name] for name in field.states], len(field.states) // 2
     known, values = part.times, part.values or {}
+    smoothed = next((other for other in result.smoothed if other.name == part.name), None)
     if smoothed is not None and all(name in smoothed.smoothed for name in columns if name in values):
         known, values = smoothed.times, smoothed.smoothed
     times = np.array(known, dtype=np.float64)
-    curves = [_curve(field, index, values, columns, times) for index in range(len(columns))]
-    if len(times) <= 3 or any(curve is None for curve in curves):
+    if len(times) <= 3:
         return None
-    states = np.array(curves, dtype=np.float64).T
+    curves: list[FloatArray] = []
+    for index, column in enumerate(columns):
+        if column in values:
+            curves.append(np.array(values[column], dtype=np.float64))
+        elif index >= half > 0 and columns[index - half] in values:
+            curves.append(np.gradient(np.array(values[columns[index - half]], dtype=np.float64), times))
+        else:
+            return None
+    states = np.array(curves).T
     start = [(part.start or {}).get(name) for name in columns]
     if None not in start:  # knows velocities, too
         states[0] = start
@@ -128,8 +134,7 @@ def _measured(result: Result, field: VectorField, part: Simulated, smoothed: Smo
     if rows.sum() <= 3:
         return None
     begin = float(times[rows][0])
-    inputs = _recorded(result, field, part.name, begin)
-    return Measured(part.name, times[rows] - begin, states[rows], inputs)
+    return Measured(part.name, times[rows] - begin, states[rows], _recorded(result, field, part.name, begin))
 
 
 def _recorded(result: Result, field: VectorField, name: str, begin: float) -> Inputs | None:
@@ -148,18 +153,6 @@ def _recorded(result: Result, field: VectorField, name: str, begin: float) -> In
     return interpolated(times[known] - begin, values[known]) if known.any() else None
 
 
-def _curve(
-    field: VectorField, index: int, values: Curves, columns: Sequence[str], times: FloatArray
-) -> FloatArray | None:
-    half = len(field.states) // 2
-    if columns[index] in values:
-        return np.array(values[columns[index]], dtype=np.float64)
-    position = columns[index - half] if index >= half > 0 else None
-    if position is None or position not in values:
-        return None
-    return np.asarray(np.gradient(np.array(values[position], dtype=np.float64), times))
-
-
 def compared(
     flow: Flow,
     box: Box,
@@ -167,7 +160,7 @@ def compared(
     trajectories: Sequence[Measured],
     duration: float,
     *,
-    has_family: bool = False,
+    has_family: bool,
 ) -> tuple[Comparison, ...]:
     """Return the model beside each measured trajectory; `duration` is how long courses have to reach an attractor.
 

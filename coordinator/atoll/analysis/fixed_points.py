@@ -105,7 +105,7 @@ def newton_ends(flow: Flow, box: Box, starts: FloatArray) -> FloatArray:
     points, damping = starts.copy(), np.full(len(starts), 1e-3)
     values, last = flow.rates(points) / scale, np.full(len(starts), np.inf)
     for _ in range(_ITERATIONS):
-        step = _damped_step(flow.jacobian(points) / scale[:, None] * box.widths, values, damping)
+        step = _damped_step(_scaled_jacobian(flow, points, box, scale), values, damping)
         step *= np.minimum(1.0, 0.5 / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
         tried = points + step * box.widths
         new = flow.rates(tried) / scale
@@ -127,45 +127,43 @@ def _are_roots(flow: Flow, points: FloatArray, values: FloatArray, box: Box, sca
     Where rates only become smaller, as those of exp(-x), a Newton step is long; where they come near to 0 and go away
     again, the Jacobian is singular and rounding is not all that is left of them.
     """
-    matrix = _finite(flow.jacobian(points) / scale[:, None] * box.widths)
-    singular = np.linalg.svd(matrix, compute_uv=False) if len(points) else np.zeros((0, 1))
+    matrix = _scaled_jacobian(flow, points, box, scale)
+    singular = np.linalg.svd(matrix, compute_uv=False)
     step = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, rcond=1e-10), values)
     is_regular = singular[:, -1] > _SINGULAR * singular[:, 0]
     return np.asarray((np.abs(step).max(axis=1) < _BESIDE) & (is_regular | (np.abs(values).max(axis=1) < _EXACT)))
 
 
 def _polished(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
-    """Return `points` after two plain Newton steps where these make the rates smaller; whole numbers come out whole.
-
-    `scale` (D,) is the size of the rates.
-    """
+    """Return `points` after two plain Newton steps where these make the rates smaller; whole numbers come out whole."""
     for _ in range(2):
-        if len(points):
-            values = flow.rates(points)
-            inverses = np.linalg.pinv(_finite(flow.jacobian(points) / scale[:, None] * box.widths), rcond=1e-10)
-            tried = points - np.einsum("nij,nj->ni", inverses, values / scale) * box.widths
-            with np.errstate(all="ignore"):
-                is_better = np.abs(flow.rates(tried) / scale).max(axis=1) < np.abs(values / scale).max(axis=1)
-            points = np.where(is_better[:, None], tried, points)
+        values = flow.rates(points) / scale
+        inverses = np.linalg.pinv(_scaled_jacobian(flow, points, box, scale), rcond=1e-10)
+        tried = points - np.einsum("nij,nj->ni", inverses, values) * box.widths
+        with np.errstate(all="ignore"):
+            is_better = np.abs(flow.rates(tried) / scale).max(axis=1) < np.abs(values).max(axis=1)
+        points = np.where(is_better[:, None], tried, points)
     return np.where(np.abs(points) < 1e-12 * box.widths, 0.0, points)
 
 
-def _damped_step(jacobian: FloatArray, values: FloatArray, damping: FloatArray) -> FloatArray:
+def _scaled_jacobian(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
+    """Return the Jacobian (N, D, D) of rates over their `scale` (D,) by states in widths; 0 where it has no value."""
+    matrix = flow.jacobian(points) / scale[:, None] * box.widths
+    return np.where(np.isfinite(matrix), matrix, 0.0)
+
+
+def _damped_step(matrix: FloatArray, values: FloatArray, damping: FloatArray) -> FloatArray:
     """Return the steps of Levenberg and Marquardt (N, D); zero where something has no value."""
-    matrix, right = _finite(jacobian), np.where(np.isfinite(values), values, 0.0)
     transposed = matrix.transpose(0, 2, 1)
+    right = transposed @ np.where(np.isfinite(values), values, 0.0)[:, :, None]
     normal = transposed @ matrix
     diagonal = np.einsum("nii->ni", normal)
     added = damping[:, None] * (diagonal.max(axis=1, keepdims=True) + 1e-30) + 1e-300
     normal = normal + added[:, :, None] * np.eye(matrix.shape[1])
     try:
-        return np.asarray(-np.linalg.solve(normal, transposed @ right[:, :, None])[:, :, 0])
+        return np.asarray(-np.linalg.solve(normal, right)[:, :, 0])
     except np.linalg.LinAlgError:
-        return np.asarray(-(np.linalg.pinv(normal) @ (transposed @ right[:, :, None]))[:, :, 0])
-
-
-def _finite(array: FloatArray) -> FloatArray:
-    return np.where(np.isfinite(array), array, 0.0)
+        return np.asarray(-(np.linalg.pinv(normal) @ right)[:, :, 0])
 
 
 def rate_scale(flow: Flow, box: Box) -> FloatArray:
@@ -194,8 +192,7 @@ def jacobian_in_widths(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
 
 def distinct_points(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
     """Return one of each group of fixed points (n, D) that lie together, in order of their coordinates."""
-    scaled = flow.jacobian(points) / rate_scale(flow, box)[:, None] * box.widths if len(points) else points
-    singular = np.linalg.svd(_finite(scaled), compute_uv=False) if len(points) else points
+    singular = np.linalg.svd(_scaled_jacobian(flow, points, box, rate_scale(flow, box)), compute_uv=False)
     apart = np.where(singular[:, -1] < _SINGULAR * singular[:, 0], _APART_DEGENERATE, _APART)
     kept: list[FloatArray] = []
     for point, least in zip(points, apart.tolist(), strict=True):
@@ -205,7 +202,7 @@ def distinct_points(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
             kept.append(point)
     rounded = [tuple(np.round(point / box.widths, 6)) for point in kept]
     order = sorted(range(len(kept)), key=rounded.__getitem__)
-    return np.array([kept[index] for index in order]).reshape(len(kept), len(box.lower))
+    return np.array([kept[index] for index in order]).reshape(-1, flow.size)
 
 
 def classified(flow: Flow, point: FloatArray, box: Box, *, is_isolated: bool = True) -> FixedPoint:

@@ -162,15 +162,17 @@ def _ends(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray
 
 def _rests(flow: Flow, ends: FloatArray, box: Box) -> list[FixedPoint]:
     """Return the stable fixed points that Newton steps find beside `ends`."""
-    points = distinct_points(flow, newton_ends(flow, box, ends), box) if len(ends) else ends
+    points = distinct_points(flow, newton_ends(flow, box, ends), box)
     beside = [point for point in points if (np.abs((ends - point) / box.widths).max(axis=1) < 0.01).any()]
     return [rest for rest in (classified(flow, point, box) for point in beside) if rest.is_stable]
 
 
 def _is_at_rest(end: FloatArray, fixed: Sequence[FixedPoint], box: Box) -> bool:
     for point in fixed:
-        near = SMALLEST if point.kind != "non-hyperbolic" or not point.is_stable else 0.05
-        if np.abs((end - point.point) / box.widths).max() < near * (10.0 if point.is_stable else 1.0):
+        near = SMALLEST
+        if point.is_stable:  # one without a negative eigenvalue is approached slowly
+            near = 10.0 * (0.05 if point.kind == "non-hyperbolic" else SMALLEST)
+        if np.abs((end - point.point) / box.widths).max() < near:
             return True
     return False
 

@@ -71,12 +71,12 @@ def _bisected(
     flow: Flow, below: FloatArray, above: FloatArray, low: FloatArray, high: FloatArray, state: int
 ) -> tuple[FloatArray, np.ndarray]:
     below, above = below.copy(), above.copy()
-    for _ in range(_BISECTIONS if len(below) else 0):
+    for _ in range(_BISECTIONS):
         middle = 0.5 * (below + above)
         is_below = (flow.rates(middle)[:, state] >= 0.0) == (low >= 0.0)
         below[is_below], above[~is_below] = middle[is_below], middle[~is_below]
     points = 0.5 * (below + above)
-    left = np.abs(flow.rates(points)[:, state]) if len(points) else np.zeros(0)
+    left = np.abs(flow.rates(points)[:, state])
     return points, left <= np.maximum(np.abs(low), np.abs(high))
 
 
