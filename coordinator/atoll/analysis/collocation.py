@@ -23,16 +23,14 @@ the parameter, those of folds are 1 to 2e-3 (with 40 intervals they are not); pe
 GAUSS_POINTS: Final = 4
 
 
-def _gauss() -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return nodes (M,) in (0, 1), weights (M,), and the integrals (M, M) of Lagrange's polynomials up to each node."""
-    roots, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-    nodes = 0.5 * (roots + 1.0)
-    powers = np.vander(nodes, increasing=True)  # (M, M)
-    integrals = nodes[:, None] ** np.arange(1, GAUSS_POINTS + 1) / np.arange(1, GAUSS_POINTS + 1)
-    return nodes, 0.5 * weights, integrals @ np.linalg.inv(powers)
+_ROOTS, _WEIGHTS = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+NODES, WEIGHTS = 0.5 * (_ROOTS + 1.0), 0.5 * _WEIGHTS
+"""Nodes (M,) in (0, 1), and weights (M,)."""
 
+_POWERS: Final = np.arange(1, GAUSS_POINTS + 1)
+INTEGRALS: Final = NODES[:, None] ** _POWERS / _POWERS @ np.linalg.inv(np.vander(NODES, increasing=True))
+"""The integrals (M, M) of Lagrange's polynomials up to each node."""
 
-NODES, WEIGHTS, INTEGRALS = _gauss()
 _KNOTS: Final = np.append(0.0, NODES)
 """Where on an interval a polynomial of degree M is known."""
 

@@ -70,12 +70,14 @@ def measured_of(result: Result, table: Table | None = None) -> Measured:
     if kind != "dynamics":
         what = _OTHER_KINDS.get(str(kind), "an unknown kind")
         raise UsageError(f"the result is of {what}; only models of measured trajectories can be profiled")
+    recording = _stored(result) if table is None else _prepared(result, table)
+    rows = kept = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
+    source = "the data that were given"
     if table is None:
-        recording, rows, source = _stored(result)
-    else:
-        recording = _prepared(result, table)
-        rows = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
-        source = "the data that were given"
+        searched = [part for part in result.recorded if not part.held_out]
+        rows = sum(part.rows or len(part.times) for part in searched)
+        of = f"{kept} of {rows} rows" if kept < rows else f"{rows} rows"
+        source = f"{len(searched)} {'trajectories' if len(searched) > 1 else 'trajectory'} of the result, {of}"
     groups = {trajectory.group for trajectory in recording.trajectories}
     if differing_groups(result) and (table is None or len(groups) > 1):
         raise UsageError(
@@ -83,34 +85,24 @@ def measured_of(result: Result, table: Table | None = None) -> Measured:
             python="give the data of one group as data",
             command="give the data of one group with --data",
         )
-    return _laid_out(result, recording, rows, source, is_stored=table is None)
-
-
-def _laid_out(result: Result, recording: Recording, rows: int, source: str, *, is_stored: bool) -> Measured:
     names = [str(equation.variable) for equation in result.equations]
     modelled = [recording.states.index(name) for name in names]
     errors = [result.noise.get(name, Noise()).errors or Errors() for name in names]
-    kept = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
     share = kept / max(rows, 1)
     pieces = [known.piece for known in errors if known.piece]
     piece = max(_FEWEST_ROWS, int(min(pieces) * share)) if pieces else SETTINGS.shooting.piece
     measurements = measurements_of(recording, modelled, piece=piece)
     independent = measurements.weights.sum(axis=1)
-    if is_stored:  # rows that were left out of the stored ones count as much as those that are there
+    if table is None:  # rows that were left out of the stored ones count as much as those that are there
         independent = independent / max(share, 1e-300)
-    independent = independent * np.array([_ratio(known, result) for known in errors])
+    fitted = sum(part.rows or 0 for part in result.recorded if not part.held_out)
+    ratios = [min(1.0, (known.independent_rows or fitted) / fitted) if fitted else 1.0 for known in errors]
+    independent = independent * np.array(ratios)
     return Measured(recording, measurements, modelled, rows, independent, source)
 
 
-def _ratio(errors: Errors, result: Result) -> float:
-    """Return the independent rows of a state over all that were fitted; 1 where it is not known."""
-    independent = errors.independent_rows
-    rows = sum(part.rows or 0 for part in result.recorded if not part.held_out)
-    return float(min(1.0, independent / rows)) if independent and rows else 1.0
-
-
-def _stored(result: Result) -> tuple[Recording, int, str]:
-    """Return what a result has of its measurements, how many rows were measured, and where they come from."""
+def _stored(result: Result) -> Recording:
+    """Return what a result has of its measurements."""
     trajectories = result.recorded
     if not trajectories:
         raise UsageError(
@@ -125,7 +117,7 @@ def _stored(result: Result) -> tuple[Recording, int, str]:
         smoothing.append(Smoothing(name, method, noise.sd or 0.0, noise.relative or 0.0))
     smoothed = {part.name: part for part in result.smoothed}
     parts = [_trajectory(part, smoothed.get(part.name), states, inputs) for part in trajectories]
-    recording = Recording(
+    return Recording(
         states,
         tuple(symbols[name] for name in states),
         tuple(symbols[name] for name in columns.velocities),
@@ -137,11 +129,6 @@ def _stored(result: Result) -> tuple[Recording, int, str]:
         tuple(parts),
         tuple(config_of(result).data.offsets),
     )
-    searched = [part for part in trajectories if not part.held_out]
-    rows, kept = sum(part.rows or len(part.times) for part in searched), sum(len(part.times) for part in searched)
-    source = f"{len(searched)} trajectories" if len(searched) > 1 else "1 trajectory"
-    of = f"{kept} of {rows} rows" if kept < rows else f"{rows} rows"
-    return recording, rows, f"{source} of the result, {of}"
 
 
 def _trajectory(

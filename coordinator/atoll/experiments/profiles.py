@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 
 from atoll.experiments.systems import Fitted
-from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_core.data.dataset import FloatArray
 
@@ -72,26 +71,6 @@ class _Point:
     root: float
     fit: TrajectoryFit
 
-    @property
-    def constants(self) -> FloatArray:
-        """All constants (P,)."""
-        return self.fit.system.values
-
-
-def held(system: System, index: int, value: float) -> System:
-    """Return a system with one of its fitted constants held at a value: its bounds are that."""
-    lower, upper = bounds_of(system)
-    lower[index] = upper[index] = value
-    return replace(system, lower=lower, upper=upper).with_values(system.values)
-
-
-def bounds_of(system: System) -> tuple[FloatArray, FloatArray]:
-    """Return copies of the bounds (P,) of all fitted constants, infinite where there are none."""
-    count = system.count
-    lower = np.full(count, -math.inf) if system.lower is None else system.lower.copy()
-    upper = np.full(count, math.inf) if system.upper is None else system.upper.copy()
-    return lower, upper
-
 
 def profile(fitted: Fitted, index: int, quantile: float) -> Profile:
     """Return the profile of a constant, followed until the root of the deviance is `quantile` on either side."""
@@ -103,7 +82,7 @@ def profile(fitted: Fitted, index: int, quantile: float) -> Profile:
         best,
         np.array([point.value for point in points]),
         np.array([math.copysign(point.root**2, point.root) for point in points]),
-        np.array([point.constants for point in points]),
+        np.array([point.fit.system.values for point in points]),
         sides[0][1],
         sides[1][1],
         (sides[0][2], sides[1][2]),
@@ -116,8 +95,10 @@ class _Side:
     def __init__(self, fitted: Fitted, index: int, quantile: float, direction: float) -> None:
         self._fitted, self._index, self._quantile, self._direction = fitted, index, quantile, direction
         self._size = abs(float(fitted.values[index])) or self._spread or 1.0
-        lower, upper = bounds_of(fitted.fit.system)
-        self._bound = float(lower[index] if direction < 0.0 else upper[index])
+        system = fitted.fit.system
+        self._lower = np.full(system.count, -math.inf) if system.lower is None else system.lower
+        self._upper = np.full(system.count, math.inf) if system.upper is None else system.upper
+        self._bound = float(self._lower[index] if direction < 0.0 else self._upper[index])
 
     @property
     def _spread(self) -> float:
@@ -154,9 +135,11 @@ class _Side:
         return None, step
 
     def _point(self, points: list[_Point], value: float) -> _Point | None:
-        last, free = points[-1], held(self._fitted.fit.system, self._index, value)
-        for constants, starts in (self._foreseen(points, value), (last.constants, last.fit.starts)):
-            fit = self._fitted.again(free.with_values(constants), starts)
+        lower, upper, last = self._lower.copy(), self._upper.copy(), points[-1].fit
+        lower[self._index] = upper[self._index] = value
+        held = replace(self._fitted.fit.system, lower=lower, upper=upper)
+        for constants, starts in (self._foreseen(points, value), (last.system.values, last.starts)):
+            fit = self._fitted.again(held.with_values(constants), starts)
             if fit is not None:
                 deviance = self._fitted.deviance(fit)
                 root = math.copysign(math.sqrt(abs(deviance)), deviance)
@@ -166,15 +149,16 @@ class _Side:
     def _foreseen(self, points: list[_Point], value: float) -> tuple[FloatArray, FloatArray]:
         """Return the constants and the initial states that a straight line through the last points gives."""
         last = points[-1]
+        constants, starts = last.fit.system.values, last.fit.starts
         if len(points) == 1:
             spread = self._fitted.bounded_covariance[:, self._index]
             slope = spread / spread[self._index] if spread[self._index] > 0.0 else np.zeros(len(spread))
-            limit = np.abs(last.constants)
-            return last.constants + np.clip((value - last.value) * slope, -limit, limit), last.fit.starts
+            limit = np.abs(constants)
+            return constants + np.clip((value - last.value) * slope, -limit, limit), starts
         before = points[-2]
         share = min((value - last.value) / (last.value - before.value), _GROWTH)
-        constants = last.constants + share * (last.constants - before.constants)
-        return constants, last.fit.starts + share * (last.fit.starts - before.fit.starts)
+        moved = constants + share * (constants - before.fit.system.values)
+        return moved, starts + share * (starts - before.fit.starts)
 
     def _crossing(self, points: list[_Point]) -> tuple[list[_Point], float]:
         """Return where the root of the deviance is the quantile, and the points fitted on the way."""

@@ -14,7 +14,6 @@ from atoll.analysis.box import Box
 from atoll.experiments.designs import Design
 from atoll.experiments.measured import Measured
 from atoll.experiments.suggestion import COSTS, Cost
-from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
@@ -155,32 +154,25 @@ class DesignSpace:
 
 def space_of(result: Result, measured: Measured, request: Request) -> DesignSpace:
     """Return the experiments that a request allows; raises UsageError where its bounds do not fit the result."""
-    measurements = measured.measurements
-    variables, count = measurements.variables, len(measurements.scales)
-    states, inputs = variables[:count], variables[count:]
-    symbols = result.symbols
+    measurements, symbols = measured.measurements, result.symbols
+    count = len(measurements.scales)
+    states, inputs = measurements.variables[:count], measurements.variables[count:]
     time = symbols.get(result.columns.time or "")
     clock = tuple(index for index, name in enumerate(inputs) if name == time)
+    free = [index for index in range(len(inputs)) if index not in clock]
+    names = [*states, *(inputs[index] for index in free)]
     given = {symbols.get(name, name): ends for name, ends in request.bounds.items()}
-    box = _box(measurements, [index for index in range(len(inputs)) if index not in clock], given)
+    for name, (low, high) in given.items():
+        if name not in names:
+            raise UsageError(f"there is no '{name}' to bound; an experiment has {', '.join(names)}")
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise UsageError(f"the bounds {low:g}:{high:g} of '{name}' are no interval; give LOWER:UPPER")
+    values = np.concatenate([measurements.smoothed, measurements.inputs[free]])
+    ranges = zip(names, values.min(axis=1).tolist(), values.max(axis=1).tolist(), strict=True)
+    box = Box(*np.array([given.get(name, (low, high)) for name, low, high in ranges]).T.copy())
     begin = float(np.median(measurements.inputs[clock[0]][measurements.bounds[:, 0]])) if clock else 0.0
     whole = [measurements.times[measurements.owners_of_rows == owner] for owner in np.unique(measurements.owners)]
     lasted = float(np.median([times[-1] - times[0] for times in whole]))
     rows = float(np.median([len(times) for times in whole])) * measured.rows / measurements.rows
     samples = request.samples or min(max(round(rows), 2), MOST_SAMPLES)
     return DesignSpace(states, inputs, clock, box, begin, request.duration or lasted, samples, request.cost)
-
-
-def _box(measurements: Measurements, free: Sequence[int], given: Mapping[str, tuple[float, float]]) -> Box:
-    """Return the bounds of initial states and inputs: those that were given, else the range of the data."""
-    variables, states = measurements.variables, len(measurements.scales)
-    names = [*variables[:states], *(variables[states + index] for index in free)]
-    for name, (low, high) in given.items():
-        if name not in names:
-            raise UsageError(f"there is no '{name}' to bound; an experiment has {', '.join(names)}")
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise UsageError(f"the bounds {low:g}:{high:g} of '{name}' are no interval; give LOWER:UPPER")
-    values = np.concatenate([measurements.smoothed, measurements.inputs[list(free)]])
-    ranges = zip(names, values.min(axis=1).tolist(), values.max(axis=1).tolist(), strict=True)
-    ends = np.array([given.get(name, (low, high)) for name, low, high in ranges])
-    return Box(ends[:, 0].copy(), ends[:, 1].copy())
