@@ -92,15 +92,9 @@ def analyse(
 ) -> Analysis:
     """Return the dynamics of `field` in `box`; every part is bounded in steps and says what was searched.
 
-    Args:
-        field: the model, of at most `MOST_STATES` states.
-        box: what is looked at.
-        inputs: values (U,) at which inputs are held; zeros unless given.
-        measured: trajectories that the model is compared with.
-        vary: what to vary, as `Coefficients.find` takes it, and over which range.
-
-    Raises:
-        UsageError: there are too many states, or nothing to vary has that name.
+    The `inputs` (U,) are held, at 0 unless given; the model is compared with `measured` trajectories; `vary` is what
+    varies, as `Coefficients.find` takes it, and its range. Raises UsageError where there are more than `MOST_STATES`
+    states, or nothing to vary has that name.
     """
     if len(field.states) > MOST_STATES:
         raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")

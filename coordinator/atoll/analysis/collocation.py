@@ -172,13 +172,9 @@ class Linearised:
     def solve(
         self, factors: "Factors", rows: tuple[Change, Change], right: tuple[float, float], *, is_step: bool
     ) -> Change:
-        """Return the change that gives the two more rows these values.
+        """Return the change that gives the two more `rows`, of the matrix `factors`, the values on the `right`.
 
-        Args:
-            factors: the `matrix` of these rows.
-            rows: the two more rows.
-            right: their values.
-            is_step: whether the equations shall hold after it (a Newton step) or keep what they leave (a tangent).
+        After it the equations hold where it `is_step` (of Newton); otherwise they keep what they leave (a tangent).
         """
         count, size = self.ends.shape[:2]
         share = 1.0 if is_step else 0.0

@@ -120,9 +120,7 @@ def _dictionaries(flow: Flow, box: Box) -> list[list[_Function]]:
     degrees = [[_monomial(factors, states) for factors in combinations_with_replacement(range(len(states)), degree)]
                for degree in range(1, DEGREE + 1) if len(states) ** degree <= 4 * MOST_FUNCTIONS]  # fmt: skip
     elementary = [function for slopes in _angles(flow, box) for function in _waves(slopes, states)]
-    for index, name in enumerate(states):
-        if box.lower[index] >= 0.0:
-            elementary.append(_logarithm(index, f"log({name})"))
+    elementary += [_logarithm(index, f"log({states[index]})") for index in np.flatnonzero(box.lower >= 0.0).tolist()]
     return [*degrees[:2], elementary, *degrees[2:]]
 
 

@@ -16,7 +16,7 @@ from atoll.analysis.box import Box
 from atoll.analysis.continuation_parameter import ContinuationParameter
 from atoll.analysis.fixed_points import fixed_points, rate_scale
 from atoll.analysis.flow import Flow
-from atoll.analysis.path_following import BRANCH_POINT, FOLD, CurvePoint, Side, continue_curve
+from atoll.analysis.path_following import BRANCH_POINT, FOLD, CurvePoint, continue_curve, joined
 from atoll_core.data.dataset import FloatArray
 
 MOST_POINTS: Final = 400
@@ -68,7 +68,7 @@ class _FixedPointCurve:
     most = MOST_POINTS
 
     def __init__(self, flow: Flow, box: Box, parameter: ContinuationParameter, bounds: tuple[float, float]) -> None:
-        self.flow, self.parameter, self.bounds, self.box = flow, parameter, bounds, box
+        self.flow, self.parameter, self.box = flow, parameter, box
         self.scale = np.append(box.widths, bounds[1] - bounds[0])
         self._rates = rate_scale(flow, box)
         self.limits = (bounds[0] / self.scale[-1], bounds[1] / self.scale[-1])
@@ -156,25 +156,20 @@ def _branch(curve: _FixedPointCurve, start: FloatArray) -> list[Branch]:
         return []
     tangent = np.linalg.svd(matrix)[2][-1]
     ahead, behind = continue_curve(curve, start, tangent), continue_curve(curve, start, -tangent)
-    points = [*behind.points[:0:-1], *ahead.points]
+    points, special = joined(behind, ahead)
     if len(points) < 2:
         return []
     states = np.array([point.z[:-1] * curve.box.widths for point in points])
     values = np.array([point.z[-1] * curve.scale[-1] for point in points])
     unstable = np.array([int((point.eigenvalues.real > 0.0).sum()) for point in points], dtype=np.int64)
-    special = (*reversed(_special(curve, behind)), *_special(curve, ahead))
-    return [Branch(values, states, unstable, special)]
-
-
-def _special(curve: _FixedPointCurve, side: Side[_FixedPointOnCurve]) -> list[SpecialPoint]:
-    """Return the special points of one side; two real eigenvalues of opposite sign make no Hopf point."""
-    special = []
-    for kind, point in side.special:
+    described = []
+    for kind, point in special:
         frequency = _pair(point.eigenvalues)[1] if kind == HOPF else None
+        # two real eigenvalues of opposite sign make no Hopf point
         if frequency is None or frequency > 1e-6 * np.abs(point.eigenvalues).max():
             value = float(point.z[-1] * curve.scale[-1])
-            special.append(SpecialPoint(kind, value, point.z[:-1] * curve.box.widths, frequency))
-    return special
+            described.append(SpecialPoint(kind, value, point.z[:-1] * curve.box.widths, frequency))
+    return [Branch(values, states, unstable, tuple(described))]
 
 
 def _pair(eigenvalues: npt.NDArray[np.complex128]) -> tuple[float, float]:

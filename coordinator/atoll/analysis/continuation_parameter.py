@@ -47,7 +47,7 @@ class ContinuationParameter:
         parameters, inputs = flow.parameters.copy(), flow.inputs.copy()
         parameters[list(self.parameters)] = value * np.array(self.factors)
         inputs[list(self.inputs)] = value
-        return flow.at(parameters, inputs)
+        return replace(flow, parameters=parameters, inputs=inputs)
 
     def slope(self, flow: Flow, x: FloatArray) -> FloatArray:
         """Return the derivative of the rates at points (N, D) by the value, (N, D)."""

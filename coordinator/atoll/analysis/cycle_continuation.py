@@ -21,7 +21,7 @@ from atoll.analysis.cycle_curve import HOPF_END, LONGEST, PERIOD_DOUBLING, TORUS
 from atoll.analysis.fixed_points import Complexes
 from atoll.analysis.flow import Flow, follow
 from atoll.analysis.limit_cycles import LimitCycle, distance, multipliers_of
-from atoll.analysis.path_following import Side, continue_curve
+from atoll.analysis.path_following import Side, continue_curve, joined
 from atoll_core.data.dataset import FloatArray
 
 MOST_BRANCHES: Final = 10
@@ -61,13 +61,8 @@ def cycle_continuation(
 ) -> tuple[CycleBranch, ...]:
     """Return the branches of limit cycles as `parameter` goes over `bounds`.
 
-    Args:
-        flow: the system.
-        box: its widths scale the states; cycles that leave it by more than a width are not followed.
-        parameter: what varies.
-        bounds: over which range.
-        branches: of fixed points; cycles begin at their Hopf points.
-        known: cycles with the value of the parameter at which they are; branches begin at these as well.
+    They begin at the Hopf points of `branches` of fixed points, and at `known` cycles, each given with its value of the
+    parameter. Cycles that leave the box by more than a width are not followed.
     """
     search = _Search(flow, box, parameter, bounds)
     cycle_branches: list[CycleBranch] = []
@@ -165,12 +160,10 @@ class _Search(CycleProblem):
         self, curve: CycleCurve, behind: Side[CycleOnCurve], ahead: Side[CycleOnCurve], most: int
     ) -> list[CycleBranch]:
         """Return the branch of two sides, and those that begin at its period doublings."""
-        points = [*behind.points[:0:-1], *ahead.points]
+        points, special = joined(behind, ahead)
         if len(points) < 2 or most < 1:
             return []
-        special = [
-            (kind, point) for kind, point in (*reversed(behind.special), *ahead.special) if _is_real(kind, point)
-        ]
+        special = [(kind, point) for kind, point in special if _is_real(kind, point)]
         branches = [
             CycleBranch(
                 np.array([curve.value(point.z) for point in points]),

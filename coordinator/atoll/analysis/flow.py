@@ -7,7 +7,7 @@ bound or meets a point without a value ends there: that is a result, not an erro
 
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -73,10 +73,6 @@ class Flow:
     def by_inputs(self, x: FloatArray) -> FloatArray:
         """Return the derivative of dx/dt by the inputs, (D, U) or (N, D, U)."""
         return self.direction * self.field.input_derivatives(x, self.inputs, self.parameters)
-
-    def at(self, parameters: FloatArray, inputs: FloatArray) -> "Flow":
-        """Return the flow at other parameters and inputs."""
-        return replace(self, parameters=parameters, inputs=inputs)
 
 
 @dataclass(frozen=True, eq=False)

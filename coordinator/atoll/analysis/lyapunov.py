@@ -49,12 +49,8 @@ def lyapunov_spectrum(
 ) -> LyapunovSpectrum | None:
     """Return the exponents of what courses from `seeds` (n, D), or from the box, settle on; None where none is bounded.
 
-    Args:
-        flow: the system.
-        box: its widths scale the states.
-        seeds: starts on or near the attractor; each is followed from several points beside it.
-        starts: how many courses.
-        intervals: how many orthogonalisations, each after about the time in which a vector doubles.
+    Of `starts` courses, each begins beside a seed; the `intervals` between orthogonalisations last about as long as a
+    vector takes to double.
     """
     scale, size = time_scale(flow, box), flow.size
     first = box.points(starts)

@@ -78,6 +78,11 @@ class Side(Generic[PointT]):
     end: str
 
 
+def joined(behind: Side[PointT], ahead: Side[PointT]) -> tuple[list[PointT], list[tuple[str, PointT]]]:
+    """Return the points of two sides from the same first one, and the special points, along the curve."""
+    return [*behind.points[:0:-1], *ahead.points], [*reversed(behind.special), *ahead.special]
+
+
 def continue_curve(curve: Curve[PointT], start: FloatArray, direction: FloatArray) -> Side[PointT]:
     """Return the points of `curve` from `start` (n,) in a direction (n,)."""
     first = curve.curve_point(start, direction)

@@ -1,7 +1,7 @@
 """What is said of an analysis: sentences, and listings of texts, which text and report draw each in its own way."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -46,10 +46,44 @@ class Listing:
 
 def describe(analysis: Analysis) -> list[str | Listing]:
     """Return what is said of an analysis, in the order in which it is told; sentences begin as a line does, small."""
-    parts: list[str | Listing] = [analysis.caveat] if analysis.caveat else []
-    parts += [*_searched(analysis), _fixed_points(analysis), _cycles(analysis), *_exponents(analysis)]
-    parts += [_basins(analysis), *_conserved(analysis), *_comparisons(analysis), *_branches(analysis)]
-    return parts
+    return [*_described(analysis), *_continued(analysis)]
+
+
+def _described(analysis: Analysis) -> Iterator[str | Listing]:
+    box, field, spectrum = analysis.box, analysis.field, analysis.lyapunov
+    if analysis.caveat:
+        yield analysis.caveat
+    sides = zip(field.states, box.lower, box.upper, strict=True)
+    yield "box: " + ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, low, high in sides)
+    if field.inputs:
+        held = zip(field.inputs, analysis.inputs, strict=True)
+        yield "inputs held: " + ", ".join(f"{name} = {value:g}" for name, value in held)
+    yield _fixed_points(analysis)
+    yield _cycles(analysis)
+    if spectrum is not None:
+        pairs = zip(spectrum.exponents, spectrum.standard_errors, strict=True)
+        exponents = ", ".join(f"{value:.3g} ± {error:.1g}" for value, error in pairs)
+        yield f"Lyapunov exponents: {exponents}" + (", chaotic" if spectrum.is_chaotic else "")
+    yield _basins(analysis)
+    if analysis.is_volume_preserving:
+        yield "volumes of states are kept (the divergence is 0)"
+    yield from (f"conserved (a hint): {quantity.text}" for quantity in analysis.conserved)
+    if analysis.comparisons:
+        heads = ("trajectory", "bounds", "period", "amplitudes", "phases", "end")
+        rows = tuple(_comparison(comparison, analysis) for comparison in analysis.comparisons)
+        yield Listing("the model, simulated freely, beside the data", heads, rows, has_heading=False)
+    if analysis.not_compared:
+        names = ", ".join(analysis.not_compared)
+        yield f"the model is not compared with the data of trajectory {names}: the result has not its inputs"
+
+
+def _continued(analysis: Analysis) -> Iterator[Listing]:
+    parameter, heads = analysis.continuation_parameter, ("branch", "special points")
+    if parameter is not None:
+        fixed = tuple(_branch(branch) for branch in analysis.branches)
+        yield Listing(f"fixed points as {parameter.name} (now {parameter.value:.6g}) varies:", heads, fixed)
+        cycles = tuple(_cycle_branch(branch) for branch in analysis.cycle_branches)
+        yield Listing(f"limit cycles as {parameter.name} varies: {len(cycles)} branches", heads, cycles)
 
 
 def codes_of(analysis: Analysis) -> list[int]:
@@ -72,14 +106,6 @@ def attractor_text(attractor: Attractor) -> str:
 
 def _point_text(point: FloatArray) -> str:
     return f"({', '.join(f'{value:.6g}' for value in point)})"
-
-
-def _searched(analysis: Analysis) -> list[str]:
-    box, field = analysis.box, analysis.field
-    sides = zip(field.states, box.lower, box.upper, strict=True)
-    bounds = ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, low, high in sides)
-    held = ", ".join(f"{name} = {value:g}" for name, value in zip(field.inputs, analysis.inputs, strict=True))
-    return [f"box: {bounds}", *([f"inputs held: {held}"] if held else [])]
 
 
 def _fixed_points(analysis: Analysis) -> Listing:
@@ -125,48 +151,18 @@ def _cycles(analysis: Analysis) -> Listing:
     return Listing(f"limit cycles: {len(search.cycles)} ({search.starts} simulations){family}", heads, tuple(rows))
 
 
-def _exponents(analysis: Analysis) -> list[str]:
-    spectrum = analysis.lyapunov
-    if spectrum is None:
-        return []
-    pairs = zip(spectrum.exponents, spectrum.standard_errors, strict=True)
-    exponents = ", ".join(f"{value:.3g} ± {error:.1g}" for value, error in pairs)
-    return [f"Lyapunov exponents: {exponents}" + (", chaotic" if spectrum.is_chaotic else "")]
-
-
 def _basins(analysis: Analysis) -> Listing:
     rows = []
     for which in codes_of(analysis):
-        share = _share_text(*analysis.basins.fraction(which))
+        part, error = analysis.basins.fraction(which)
+        known = {0.0: "none", 1.0: "all"}  # where the error says nothing
+        share = known.get(part, f"{100 * part:.1f} ± {100 * error:.1f} %")
         ending = _ENDINGS[which] if which < 0 else f"reach the {reached_text(which, analysis)}"
         if which == UNDECIDED and analysis.cycles.has_family:
             ending = "go round closed orbits, or reach none of these within the time that was simulated"
         rows.append(Row((share, ending), f"{share} {ending}"))
     title = f"basins: of {len(analysis.basins.reached)} starts in the box"
     return Listing(title, ("share", "of the starts"), tuple(rows))
-
-
-def _share_text(share: float, error: float) -> str:
-    """Return a share in per cent; its error says nothing where all starts, or none, end alike."""
-    if share in (0.0, 1.0):
-        return "all" if share else "none"
-    return f"{100 * share:.1f} ± {100 * error:.1f} %"
-
-
-def _conserved(analysis: Analysis) -> list[str]:
-    kept = ["volumes of states are kept (the divergence is 0)"] if analysis.is_volume_preserving else []
-    return [*kept, *(f"conserved (a hint): {quantity.text}" for quantity in analysis.conserved)]
-
-
-def _comparisons(analysis: Analysis) -> list[str | Listing]:
-    heads = ("trajectory", "bounds", "period", "amplitudes", "phases", "end")
-    rows = tuple(_comparison(comparison, analysis) for comparison in analysis.comparisons)
-    title = "the model, simulated freely, beside the data"
-    parts: list[str | Listing] = [Listing(title, heads, rows, has_heading=False)] if rows else []
-    if analysis.not_compared:
-        names = ", ".join(analysis.not_compared)
-        parts.append(f"the model is not compared with the data of trajectory {names}: the result has not its inputs")
-    return parts
 
 
 def _comparison(comparison: Comparison, analysis: Analysis) -> Row:
@@ -194,18 +190,6 @@ def _end_text(comparison: Comparison, analysis: Analysis) -> str:
     if comparison.orbit_period is None:
         return f"reaches{held}: {reached_text(comparison.reaches, analysis)}"
     return f"goes round a closed orbit of period {comparison.orbit_period:.4g}{held}"
-
-
-def _branches(analysis: Analysis) -> list[Listing]:
-    parameter, heads = analysis.continuation_parameter, ("branch", "special points")
-    if parameter is None:
-        return []
-    fixed = tuple(_branch(branch) for branch in analysis.branches)
-    cycles = tuple(_cycle_branch(branch) for branch in analysis.cycle_branches)
-    return [
-        Listing(f"fixed points as {parameter.name} (now {parameter.value:.6g}) varies:", heads, fixed),
-        Listing(f"limit cycles as {parameter.name} varies: {len(cycles)} branches", heads, cycles),
-    ]
 
 
 def _branch(branch: Branch) -> Row:

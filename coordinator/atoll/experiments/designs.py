@@ -193,14 +193,9 @@ def distances_of(foretold: Sequence[Foretold], weights: Sequence[float]) -> Floa
 
 
 def distance_after(ahead: Fitted, fitted: Fitted, design: Design, foretold: Foretold, sigmas: FloatArray) -> float:
-    """Return the Bhattacharyya distance of two candidates at an experiment, one of them fitted to its outcome.
+    """Return the Bhattacharyya distance of two candidates at an experiment, one of them `fitted` to its outcome.
 
-    Args:
-        ahead: the candidate that is right.
-        fitted: the other one.
-        design: the experiment.
-        foretold: what the candidate that is right foretells of it.
-        sigmas: errors of a measurement (O,).
+    The one `ahead` is right and has `foretold` the outcome; `sigmas` (O,) are the errors of a measurement.
     """
     measurements = ahead.measured.measurements
     longer = with_trajectory(measurements, design, foretold.values.T * sigmas[:, None])

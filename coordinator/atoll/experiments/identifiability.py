@@ -32,12 +32,7 @@ _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
 
 
 def identify(result: Result, table: Table | None = None, level: float = 0.95) -> Identifiability:
-    """Return what the data determine of the constants of the model of a result.
-
-    Args:
-        result: the result.
-        table: the measurements; None: those that the result has.
-        level: of the intervals.
+    """Return what the data (None: those of the result) determine of the constants of a model, by intervals of a level.
 
     Raises:
         UsageError: the level is none, the model has no constants or too many, or there are no measurements.

@@ -56,11 +56,7 @@ class Measured:
 
 
 def measured_of(result: Result, table: Table | None = None) -> Measured:
-    """Return the measurements behind the model of a result.
-
-    Args:
-        result: what the coordinator wrote.
-        table: measurements in the place of those that the result has; its columns are read as the job did.
+    """Return the measurements behind the model of a result, or those of a table, read as the job did.
 
     Raises:
         UsageError: the states of the result were not measured in time, or it does not have the measurements.

@@ -34,12 +34,8 @@ def directions(fitted: Fitted, profiles: Sequence[Profile], names: Sequence[str]
                quantile: float) -> tuple[Direction, ...]:  # fmt: skip
     """Return the directions, the least determined one first.
 
-    Args:
-        fitted: the model.
-        profiles: of all its constants.
-        names: what the constants are called.
-        signs: (P,) -1 where a name stands for minus a constant.
-        quantile: standard errors on either side of an interval.
+    Of each constant there is a profile, its name, and in `signs` (P,) -1 where that stands for minus the constant;
+    `quantile` counts the standard errors on either side of an interval.
     """
     sizes = np.maximum(np.abs(fitted.values), 1e-300)
     curvature = np.nan_to_num(fitted.fit.reduced) * np.outer(sizes, sizes)

@@ -54,20 +54,14 @@ class Rival:
     length: float
 
 
-def rivals_of(
-    result: Result, measured: Measured, shown: Fitted, given: Sequence[Mapping[str, str]] = ()
-) -> tuple[Rival, ...]:
+def rivals_of(result: Result, shown: Fitted, given: Sequence[Mapping[str, str]]) -> tuple[Rival, ...]:
     """Return the system that a result shows and those that describe the data about as well, the best first.
 
-    Args:
-        result: the result; its candidates are considered one at a time and in pairs.
-        measured: the data.
-        shown: the system that is shown, fitted.
-        given: further systems, as right-hand sides by state; other equations are those that are shown.
-
-    Raises:
-        UsageError: a given system names no state with an equation, or has no value or cannot be read.
+    Candidates of the result take the place of equations `shown` one at a time and in pairs; systems `given` are
+    right-hand sides by state. Raises UsageError where one of these names no state with an equation, cannot be read or
+    cannot be simulated.
     """
+    measured = shown.measured
     fits: list[tuple[Fitted, str]] = [(shown, "shown")]
     for texts in given:
         equations = _given(shown.equations, texts)

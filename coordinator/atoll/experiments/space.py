@@ -15,6 +15,7 @@ from atoll.experiments.designs import Design
 from atoll.experiments.measured import Measured
 from atoll.experiments.suggestion import COSTS, Cost
 from atoll_coordinator.result.result import Result
+from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
@@ -94,11 +95,11 @@ class DesignSpace:
         """The widths (D,) of the bounds of initial states."""
         return np.asarray(self.box.widths[: len(self.states)])
 
-    def limits(self, measured: FloatArray, widths: float) -> FloatArray:
-        """Return the range (D, 2) of measured states (D, N) and bounds, wider by so many widths on either side."""
+    def limits(self, measured: FloatArray) -> FloatArray:
+        """Return the range (D, 2) outside of which a state has blown up, by measured states (D, N) and bounds."""
         low = np.minimum(self.box.lower[: len(self.states)], measured.min(axis=1))
         high = np.maximum(self.box.upper[: len(self.states)], measured.max(axis=1))
-        reach = widths * np.maximum(high - low, 1e-300)
+        reach = SETTINGS.shooting.blow_up_widths * np.maximum(high - low, 1e-300)
         return np.ascontiguousarray(np.stack([low - reach, high + reach], axis=1))
 
     @property

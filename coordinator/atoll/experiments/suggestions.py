@@ -6,7 +6,7 @@ they do not, or there is only one, what it is expected to tell of its constants.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -32,6 +32,7 @@ from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
+from atoll_core.expression.program import Program
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
@@ -55,15 +56,11 @@ def suggest(result: Result, request: Request, table: Table | None = None) -> Sug
     request.check()
     shown = fit_shown(measured_of(result, table), result)
     space = space_of(result, shown.measured, request)
-    rivals = rivals_of(result, shown.measured, shown, _named(result, request.rivals))
-    return _Report(result, request, space, shown, rivals).suggestions()
-
-
-def _named(result: Result, rivals: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
-    """Return the rivals by state, whether left-hand sides were written as x or as the result has them, dx/dt."""
+    # left-hand sides of rivals are written as x, as the result has them (dx/dt), or dx
     sides = {equation.lhs: equation.variable for equation in result.equations}
     sides |= {side.partition("/")[0]: name for side, name in sides.items()}
-    return [{sides.get(side, side): text for side, text in rival.items()} for rival in rivals]
+    given = [{sides.get(side, side): text for side, text in rival.items()} for rival in request.rivals]
+    return _Report(result, request, space, shown, rivals_of(result, shown, given)).suggestions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +124,7 @@ class _Report:
     ) -> None:
         self._result, self._request, self._space = result, request, space
         self._shown, self._rivals = shown, tuple(rivals)
-        limits = space.limits(shown.measured.measurements.smoothed, SETTINGS.shooting.blow_up_widths)
+        limits = space.limits(shown.measured.measurements.smoothed)
         self._sigmas = shown.errors.sigmas * np.sqrt(np.maximum(shown.measured.share, 1.0))
         self._candidates = [Foreteller(rival.fitted, space.widths, limits, self._sigmas) for rival in self._rivals]
         self._of_shown = Foreteller(shown, space.widths, limits, self._sigmas)
@@ -199,19 +196,17 @@ class _Report:
     def _candidate(self, rival: Rival) -> Candidate:
         equations = rival.fitted.equations
         programs = rival.fitted.fit.system.programs[-len(equations.programs) :]
-        sides = {equation.variable: equation.lhs for equation in self._result.equations}
-        texts = {
-            sides[name]: to_infix(program, equations.names, digits=4)
-            for name, program in zip(equations.variables, programs, strict=True)
-        }
-        length = next(other.length for other in self._rivals if other.origin == "shown")
-        written = {}
+        shown, length = self._result.equations, next(other.length for other in self._rivals if other.origin == "shown")
+
+        def texts(programs: Iterable[Program]) -> dict[str, str]:
+            sides = zip(shown, programs, strict=True)
+            return {equation.lhs: to_infix(program, equations.names, digits=4) for equation, program in sides}
+
+        fitted, written = texts(programs), {}
         if rival.origin == "shown":
-            read = (from_infix(shown.expression or "", equations.names) for shown in self._result.equations)
-            of_result = (to_infix(program, equations.names, digits=4) for program in read)
-            written = dict(zip(sides.values(), of_result, strict=True))
-        others = {} if written == texts else written
-        return Candidate(texts, rival.origin, rival.weight, rival.nats, rival.length - length, others)
+            written = texts(from_infix(equation.expression or "", equations.names) for equation in shown)
+        others = {} if written == fitted else written
+        return Candidate(fitted, rival.origin, rival.weight, rival.nats, rival.length - length, others)
 
     def _suggestion(self, tried: _Tried, *, is_precise: bool) -> Suggestion:
         space, design = self._space, tried.design

@@ -84,15 +84,13 @@ class Equations:
     def system(self, measurements: Measurements, order: int) -> System:
         """Return the system of the explicit programs; with order 2, positions change by the velocities."""
         programs = [explicit.program for explicit in self.explicit]
-        fixed = [
-            set(constant_places(program)) if place in self.fixed else set[int]()
-            for place, program in enumerate(programs)
-        ]
         count = len(programs) if order == 2 else 0
         velocities = measurements.variables[count : 2 * count]
         leading = [variable_program(self.names.index(name)) for name in velocities]
-        none = [set[int]() for _ in leading]
-        system = system_of([*leading, *programs], self.names, measurements.variables, [*none, *fixed])
+        fixed = [set[int]() for _ in range(count + len(programs))]
+        for place in self.fixed:
+            fixed[count + place].update(constant_places(programs[place]))
+        system = system_of([*leading, *programs], self.names, measurements.variables, fixed)
         if not self.bounds:
             return system
         ends = [
@@ -100,8 +98,8 @@ class Equations:
             for place, explicit in enumerate(self.explicit)
             for number in range(len(explicit.origins) if place not in self.fixed else 0)
         ]
-        lower, upper = np.array(ends).reshape(-1, 2).T
-        return replace(system, lower=np.ascontiguousarray(lower), upper=np.ascontiguousarray(upper))
+        lower, upper = np.array(ends).reshape(-1, 2).T.copy()
+        return replace(system, lower=lower, upper=upper)
 
 
 def equations_of(result: Result) -> Equations:
