@@ -12,6 +12,11 @@ def plain(data: Mapping[str, object]) -> dict[str, object]:
     return {name: _plain(value) for name, value in data.items()}
 
 
+def attributes(of: object, *names: str) -> dict[str, object]:
+    """Return attributes by name."""
+    return {name: getattr(of, name) for name in names}
+
+
 def _plain(value: object) -> object:
     if isinstance(value, Mapping):
         return plain(value)

@@ -7,7 +7,7 @@ from atoll.analysis.continuation import Branch
 from atoll.analysis.cycle_continuation import CycleBranch
 from atoll.analysis.fixed_points import TOLERANCE, FixedPoint
 from atoll.analysis.limit_cycles import LimitCycle
-from atoll.analysis.plain_data import plain
+from atoll.analysis.plain_data import attributes, plain
 from atoll.analysis.sentences import CODES, attractor_text, codes_of, describe, reached_text
 
 SCHEMA: Final = 1
@@ -27,8 +27,7 @@ def as_data(analysis: Analysis) -> dict[str, object]:
             "unit_coefficients": analysis.coefficients.units,
             "fixed_points": [_fixed_point(point) for point in fixed.points],
             "fixed_points_search": {
-                "starts": fixed.starts,
-                "converged": fixed.converged,
+                **attributes(fixed, "starts", "converged"),
                 "tolerance": TOLERANCE,
                 "are_isolated": fixed.are_isolated,
                 "reached_outside_box": [_fixed_point(point) for point in cycles.resting],
@@ -36,12 +35,11 @@ def as_data(analysis: Analysis) -> dict[str, object]:
             "nullclines": dict(zip(field.states, analysis.nullclines, strict=False)),
             "limit_cycles": [_cycle(cycle) for cycle in cycles.cycles],
             "limit_cycles_search": {
-                "starts": cycles.starts,
-                "duration": cycles.duration,
-                "has_family": cycles.has_family,
+                **attributes(cycles, "starts", "duration", "has_family"),
                 "unsettled": len(cycles.unsettled),
             },
-            "lyapunov": _lyapunov(analysis),
+            "lyapunov": analysis.lyapunov
+            and attributes(analysis.lyapunov, "exponents", "standard_errors", "is_chaotic", "starts", "duration"),
             "basins": _basins(analysis),
             "conserved": [quantity.text for quantity in analysis.conserved],
             "is_volume_preserving": analysis.is_volume_preserving,
@@ -51,8 +49,7 @@ def as_data(analysis: Analysis) -> dict[str, object]:
                     "is_bounded": comparison.is_bounded,
                     "measured": vars(comparison.measured),
                     "simulated": vars(comparison.simulated),
-                    "has_same_period": comparison.has_same_period,
-                    "has_same_amplitudes": comparison.has_same_amplitudes,
+                    **attributes(comparison, "has_same_period", "has_same_amplitudes"),
                     "has_same_phases": comparison.has_same_order,
                     "reaches": reached_text(comparison.reaches, analysis),
                     "orbit_period": comparison.orbit_period,
@@ -66,31 +63,15 @@ def as_data(analysis: Analysis) -> dict[str, object]:
 
 
 def _fixed_point(fixed: FixedPoint) -> dict[str, object]:
-    return {name: getattr(fixed, name) for name in ("point", "kind", "is_stable", "eigenvalues")}
+    return attributes(fixed, "point", "kind", "is_stable", "eigenvalues")
 
 
 def _cycle(cycle: LimitCycle) -> dict[str, object]:
     return {
-        "period": cycle.period,
-        "is_stable": cycle.is_stable,
-        "multipliers": cycle.multipliers,
-        "log_multiplier_product": cycle.log_multiplier_product,
+        **attributes(cycle, "period", "is_stable", "multipliers", "log_multiplier_product"),
         "minimum": cycle.points.min(axis=0),
         "maximum": cycle.points.max(axis=0),
         "points": cycle.points,
-    }
-
-
-def _lyapunov(analysis: Analysis) -> dict[str, object] | None:
-    spectrum = analysis.lyapunov
-    if spectrum is None:
-        return None
-    return {
-        "exponents": spectrum.exponents,
-        "standard_errors": spectrum.standard_errors,
-        "is_chaotic": spectrum.is_chaotic,
-        "starts": spectrum.starts,
-        "duration": spectrum.duration,
     }
 
 
@@ -141,12 +122,7 @@ def _cycle_branch(branch: CycleBranch) -> dict[str, object]:
         "multipliers": [cycle.multipliers for cycle in cycles],
         "is_stable": [cycle.is_stable for cycle in cycles],
         "special": [
-            {
-                "kind": special.kind,
-                "value": special.value,
-                "period": special.cycle.period,
-                "multipliers": special.cycle.multipliers,
-            }
+            attributes(special, "kind", "value") | attributes(special.cycle, "period", "multipliers")
             for special in branch.special
         ],
         "ends": branch.ends,

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Final, Literal, get_args
 
+from atoll.analysis.plain_data import attributes, plain
+
 SCHEMA: Final = 1
 
 Cost = Literal["trajectory", "duration", "samples"]
@@ -85,21 +87,11 @@ class Suggestion:
 
     def as_dict(self) -> dict[str, object]:
         """Return it as plain data."""
-        worst = None
-        if self.worst is not None:
-            name, before, after = self.worst
-            worst = {"name": name, "relative_error": before, "expected_relative_error": after}
-        return {
-            "initial": dict(self.initial),
-            "inputs": dict(self.inputs),
-            "times": list(self.times),
-            "cost": self.cost,
-            "worth": self.worth,
-            "worth_per_cost": self.worth_per_cost,
-            "information": self.information,
-            "evidence": self.evidence,
-            "worst_constant": worst,
-        }
+        of_trajectory = attributes(self, "initial", "inputs", "times", "cost")
+        gain = attributes(self, "worth", "worth_per_cost", "information", "evidence")
+        heads = ("name", "relative_error", "expected_relative_error")
+        worst = None if self.worst is None else dict(zip(heads, self.worst, strict=True))
+        return plain(of_trajectory | gain | {"worst_constant": worst})
 
 
 @dataclass(frozen=True)
@@ -162,15 +154,14 @@ class Suggestions:
 
     def as_dict(self) -> dict[str, object]:
         """Return all of it as plain data, as ``coordinator suggest --json`` prints it."""
-        return {
+        about = {
             "schema": SCHEMA,
-            "purpose": self.purpose,
-            "reason": self.reason,
-            "entropy": self.entropy,
+            **attributes(self, "purpose", "reason", "entropy"),
             "candidates": [asdict(candidate) for candidate in self.candidates],
-            "bounds": {name: [*ends] for name, ends in self.bounds.items()},
-            "bounds_of_data": list(self.measured),
+            "bounds": self.bounds,
+            "bounds_of_data": self.measured,
             "cost": self.cost,
             "data": self.source,
             "experiments": [experiment.as_dict() for experiment in self.experiments],
         }
+        return plain(about)
