@@ -97,10 +97,8 @@ class Coefficients:
     def find(self, flow: Flow, name: str) -> tuple[Flow, ContinuationParameter]:
         """Return a flow, and what of it varies, by name: constants (several with commas), a term, or an input.
 
-        Constants that are named together keep their ratios to the first.
-
-        Raises:
-            UsageError: there is no such constant, term or input.
+        Constants that are named together keep their ratios to the first. Raises UsageError where there is no such
+        constant, term or input.
         """
         if name in flow.field.inputs:
             place = flow.field.inputs.index(name)

@@ -100,16 +100,14 @@ def steps(
         if not np.isfinite(rates(start)).all():
             return
         solver = LSODA(lambda _, x: rates(x), 0.0, start, duration, rtol=rtol, atol=0.01 * rtol * sizes)
-    for _ in range(most):
-        before, state = float(solver.t), solver.y.copy()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        for _ in range(most):
+            before, state = float(solver.t), solver.y.copy()
             solver.step()
             if solver.status == "failed" or not np.isfinite(solver.y).all() or solver.t <= before:
                 return
             yield Step(before, float(solver.t), state, solver.y.copy(), solver.dense_output())
-        if solver.status == "finished":
-            return
+            if solver.status == "finished":
+                return
 
 
 def crossing(step: Step, side: Callable[[FloatArray], float]) -> float:
