@@ -40,10 +40,8 @@ def table_of_arrays(
 ) -> RawTable:
     """Return the columns of arrays of one length: vectors (N,), and those of matrices (N, K), counted from `first`.
 
-    Where there is a time, its length is N, and arrays of another length are left out. Single numbers always are.
-
-    Raises:
-        DataError: the arrays do not fit together.
+    Where there is a time, its length is N, and arrays of another length are left out. Single numbers always are. Raises
+    DataError where the arrays do not fit together.
     """
     vectors = {name: squeezed for name, array in arrays.items() if (squeezed := np.squeeze(np.asarray(array))).ndim}
     count = _length(file, vectors, config)
@@ -52,10 +50,10 @@ def table_of_arrays(
     column_units: list[str] = []
     left_out = [name for name in arrays if name not in vectors]
     for name, array in vectors.items():
-        parts = _columns(array, count)
-        if parts is None:
+        if array.ndim > 2 or count not in array.shape:
             left_out.append(name)
             continue
+        parts = [array] if array.ndim == 1 else [*(array.T if array.shape[0] == count else array)]
         for number, part in enumerate(parts):
             cells, unit = _cells(file, name, part)
             headers.append(name if len(parts) == 1 else f"{name}{number + first}")
@@ -67,25 +65,14 @@ def table_of_arrays(
 
 def _length(file: str, vectors: Mapping[str, AnyArray], config: DataConfig) -> int:
     """Return the number of rows."""
-    time = next(
-        (name for name in (config.time or "", *TIME_NAMES) if name in vectors and vectors[name].ndim == 1), None
-    )
-    if time is not None:
-        return len(vectors[time])
+    for name in (config.time or "", *TIME_NAMES):
+        if name in vectors and vectors[name].ndim == 1:
+            return len(vectors[name])
     lengths = {max(array.shape) if array.ndim == 2 else len(array) for array in vectors.values()}
     if len(lengths) != 1 or any(array.ndim > 2 for array in vectors.values()):
         shapes = sorted({array.shape for array in vectors.values()})
         raise DataError(f"{file} holds arrays of shapes {shapes}; one-dimensional ones of one length fit")
     return lengths.pop()
-
-
-def _columns(array: AnyArray, count: int) -> list[AnyArray] | None:
-    """Return the columns (N,) of an array; None where it has no N rows."""
-    if array.ndim == 1:
-        return [array] if len(array) == count else None
-    if array.ndim == 2 and count in array.shape:
-        return [*(array.T if array.shape[0] == count else array)]
-    return None
 
 
 def _cells(file: str, name: str, values: AnyArray) -> tuple[list[str], str]:

@@ -2,6 +2,7 @@
 
 import math
 import re
+import textwrap
 from collections.abc import Iterable
 from typing import Final
 
@@ -50,12 +51,20 @@ def is_numeral(cell: str) -> bool:
 
 def is_text(cells: Iterable[str]) -> bool:
     """Tell whether no cell holds a number and at least one holds text."""
-    holds_text = False
-    for cell in cells:
-        if is_numeral(cell):
-            return False
-        holds_text = holds_text or not is_missing(cell)
-    return holds_text
+    texts = [cell for cell in cells if not is_missing(cell)]
+    return bool(texts) and not any(map(is_numeral, texts))
+
+
+def cell_of(value: object) -> str:
+    """Return a value that a format holds as a cell: nothing for None, 1 and 0 for what is true and false."""
+    if value is None:
+        return ""
+    return str(int(value)) if isinstance(value, bool) else str(value)
+
+
+def shortened(text: str, most: int) -> str:
+    """Return `text` on one line of at most so many characters, as messages show it."""
+    return textwrap.shorten(on_one_line(text), most, placeholder="…")
 
 
 def on_one_line(text: str) -> str:

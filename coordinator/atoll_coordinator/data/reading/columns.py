@@ -1,13 +1,12 @@
 """`RawTable` -> the columns of one file: numbers, dates, and text that is set aside. Pure."""
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, cast
 
 import numpy as np
 
-from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line, visible
+from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line, shortened, visible
 from atoll_coordinator.data.reading.date_columns import compact_dates, read_date_columns
 from atoll_coordinator.data.reading.dates import Dates, is_date, split_origin
 from atoll_coordinator.data.reading.numerals import place, read_numbers
@@ -40,14 +39,11 @@ class Columns:
 
 
 def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
-    """Turn cells into numbers and dates.
+    """Turn cells into numbers and dates; raises DataError where columns share a name, or a cell cannot be read.
 
     Text in every cell sets a column aside unless `config` names it; the columns of trajectories and of groups alone may
     hold names, which are numbered. Dates are read as `read_date_columns` says. A column without a name (such as a
     table's row numbers) is set aside, by its place.
-
-    Raises:
-        DataError: columns share a name, or a cell holds nothing that is expected there.
     """
     raw = _with_index(raw)
     written, cells = _headed(file, raw)
@@ -60,33 +56,32 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
     texts = {name: column for name, column in cells.items() if is_text(column)}
     labels = {name: _labels(texts[name]) for name in [config.group] if name in texts}
     runs = {name: _numbered(texts.pop(name)) for name in {trajectory, *labels} if name in texts}
-    texts |= compact_dates(
-        {name: column for name, column in cells.items() if name not in (trajectory, *labels)}, config
-    )
+    unlabelled = {name: column for name, column in cells.items() if name not in (trajectory, *labels)}
+    texts |= compact_dates(unlabelled, config)
     dates = read_date_columns(file, texts, names, raw.starts, config, lambda row: place(raw.lines, row))
     plain = {
         name: column
         for name, column in cells.items()
         if name not in runs and name not in dates.values and (name not in texts or name in needed)
     }
-    old, new = dates.renamed or ("", "")
-    usable = {new if name == old else name: None for name in names if name in {**runs, **dates.values, **plain}}
-    if texts and not assigned([*usable], config, trajectory).equations:
+    called = {name: dates.renamed.get(name, name) for name in names if name in {**runs, **dates.values, **plain}}
+    if texts and not assigned([*called.values()], config, trajectory).equations:
         raise _nothing_left(
             file, {name: column for name, column in texts.items() if name not in dates.values}, raw.lines
         )
     numbers, remarks = read_numbers(file, plain, raw.lines, raw.separator)
     read = cast(dict[str, FloatArray | Dates], {**runs, **dates.values, **numbers})
     skipped = (*_unnamed(raw), *(name for name in texts if name not in read and name != dates.absorbed))
+    renamed = (f"column '{old}' is the {new}" for old, new in dates.renamed.items())
     left_out = (f"text left out: {', '.join(skipped)}",) if skipped else ()
     return Columns(
         file,
-        {new if name == old else name: read[name] for name in names if name in read},
-        {new if name == old else name: units[name] for name in names if name in read},
+        {new: read[name] for name, new in called.items()},
+        {new: units[name] for name, new in called.items()},
         raw.lines,
         raw.starts,
         skipped,
-        (*raw.remarks, *remarks, *dates.remarks, *since, *left_out),
+        (*raw.remarks, *remarks, *renamed, *since, *left_out),
         labels,
     )
 
@@ -96,8 +91,7 @@ def _nothing_left(file: str, texts: Mapping[str, Sequence[str]], lines: Sequence
     examples = []
     for name, cells in [*texts.items()][:MANY]:
         row = next(row for row, cell in enumerate(cells) if not is_missing(cell))
-        cell = textwrap.shorten(on_one_line(cells[row]), 40, placeholder="…")
-        examples.append(f"'{name}' holds '{cell}' in {place(lines, row)}")
+        examples.append(f"'{name}' holds '{shortened(cells[row], 40)}' in {place(lines, row)}")
     more = ", …" if len(texts) > MANY else ""
     advice = "write numbers alone into cells, and their unit into the header, as x [%]"
     return DataError(f"no column of numbers is left in {file}: {', '.join(examples)}{more}; {advice}")
@@ -113,19 +107,18 @@ def _with_index(raw: RawTable) -> RawTable:
 
 def _headed(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[str]]]:
     """Return units and cells by name."""
-    units = raw.units or ("",) * len(raw.headers)
-    named = [
-        (*split_unit(on_one_line(header)), unit, cells)
-        for header, unit, cells in zip(raw.headers, units, raw.columns, strict=True)
-        if header
-    ]
-    names = [name for name, *_ in named]
-    for name in names:
-        if names.count(name) > 1:
-            raise DataError(f"{file} has {names.count(name)} columns named '{name}'; give each column its own name")
+    units: dict[str, str] = {}
+    named: dict[str, list[str]] = {}
+    names = [split_unit(on_one_line(header))[0] for header in raw.headers if header]
+    for header, unit_below, cells in zip(raw.headers, raw.units or raw.headers, raw.columns, strict=True):
+        if header:
+            name, unit = split_unit(on_one_line(header))
+            if names.count(name) > 1:
+                raise DataError(f"{file} has {names.count(name)} columns named '{name}'; give each column its own name")
+            units[name], named[name] = unit or (unit_below if raw.units else ""), cells
     if not raw.lines:
         raise DataError(f"{file} has a header but no rows; rows of numbers are expected below it")
-    return {name: own_unit or unit for name, own_unit, unit, _ in named}, {name: cells for name, _, _, cells in named}
+    return units, named
 
 
 def _unnamed(raw: RawTable) -> list[str]:

@@ -2,8 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 from atoll_coordinator.data.reading.cells import is_missing
 from atoll_coordinator.data.reading.dates import Dates, is_clock, is_date, read_dates, with_clock
@@ -16,22 +15,16 @@ _COMPACT: Final = re.compile(r"(1[89]\d\d|2[01]\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\
 _Kind = Literal["clock", "date", "both"]
 
 
-@dataclass(frozen=True)
-class DateColumns:
+class DateColumns(NamedTuple):
     """Columns of dates and clock times by their name in the file.
 
-    `renamed` is the one that nobody has named, and what it is called so that it is found to be the time; `absorbed` is
+    `renamed` has the one that nobody has named, and what it is called so that it is found to be the time; `absorbed` is
     a column of dates, or of clock times, that has become part of another one.
     """
 
     values: Mapping[str, Dates]
-    renamed: tuple[str, str] | None = None
-    absorbed: str | None = None
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Which column is the time, where nobody has said so."""
-        return () if self.renamed is None else (f"column '{self.renamed[0]}' is the {self.renamed[1]}",)
+    renamed: Mapping[str, str]
+    absorbed: str | None
 
 
 def read_date_columns(
@@ -44,25 +37,16 @@ def read_date_columns(
 ) -> DateColumns:
     """Return the columns of dates and clock times among the columns of text of one file.
 
-    Args:
-        file: its name, for messages.
-        texts: cells of the columns that hold text alone and are not the trajectories' names.
-        names: of all columns.
-        starts: rows at which trajectories begin.
-        config: columns named as in the file.
-        where: says where a row stands, for messages.
-
-    Raises:
-        DataError: a date cannot be read, or may be two.
+    `texts` are the cells of columns that hold text alone and are not the trajectories' names, `names` those of all
+    columns; `starts` are rows at which trajectories begin; `file` and `where`, which says where a row stands, are for
+    messages. Raises DataError where a date cannot be read, or may be two.
     """
     kinds = {name: kind for name, cells in texts.items() if (kind := _kind(cells)) is not None}
     needed = named_columns(config)
     free = [name for name in kinds if name not in needed]
     time_column = config.time if config.time in kinds else _candidate(kinds, free, names, texts, config)
     wanted = [name for name in kinds if name in needed or name == time_column]
-    other = (
-        None if time_column is None else _other_half(time_column, kinds, [name for name in free if name != time_column])
-    )
+    other = None if time_column is None else _other_half(time_column, kinds, free)
     values = {
         name: read_dates(f"column '{name}' of {file}", texts[name], starts, where)
         for name in (*wanted, *([] if other is None else [other]))
@@ -71,19 +55,18 @@ def read_date_columns(
         halves = values.pop(other), values[time_column]
         values[time_column] = with_clock(*(halves if kinds[other] == "date" else halves[::-1]))
     new = next((name for name in _NEW_NAMES if name not in names), None)
-    is_new = time_column is not None and time_column not in (config.time, *TIME_NAMES) and new is not None
-    return DateColumns(values, (time_column, new) if is_new and time_column and new else None, other)
+    if time_column is None or time_column in (config.time, *TIME_NAMES) or new is None:
+        return DateColumns(values, {}, other)
+    return DateColumns(values, {time_column: new}, other)
 
 
 def compact_dates(columns: Mapping[str, Sequence[str]], config: DataConfig) -> dict[str, list[str]]:
     """Return dates without marks, as ``20210331``, as year-month-day: of columns called so, or that are the time."""
-    called = {
-        name: cells for name, cells in columns.items() if name in (config.time, *TIME_NAMES) or name.lower() == "date"
-    }
     return {
         name: [_COMPACT.sub(r"\1-\2-\3", cell.strip()) for cell in cells]
-        for name, cells in called.items()
-        if not all(map(is_missing, cells))
+        for name, cells in columns.items()
+        if (name in (config.time, *TIME_NAMES) or name.lower() == "date")
+        and not all(map(is_missing, cells))
         and all(is_missing(cell) or _COMPACT.fullmatch(cell.strip()) for cell in cells)
     }
 
@@ -110,15 +93,14 @@ def _candidate(
     if is_given or any(name in names and name not in texts for name in TIME_NAMES):
         return None
     called = [name for name in free if name in TIME_NAMES]
-    clocks = [name for name in free if kinds[name] == "clock"]
-    is_pair = len(free) == 2 and len(clocks) == 1 and any(kinds[name] == "date" for name in free)
     if called or len(free) == 1:
         return (called or free)[0]
-    return clocks[0] if is_pair else None
+    is_pair = {kinds[name] for name in free} == {"clock", "date"} and len(free) == 2
+    return next(name for name in free if kinds[name] == "clock") if is_pair else None
 
 
-def _other_half(time_column: str, kinds: Mapping[str, _Kind], others: Sequence[str]) -> str | None:
+def _other_half(time_column: str, kinds: Mapping[str, _Kind], free: Sequence[str]) -> str | None:
     """Return the only column of dates that goes with clock times, or the reverse."""
     lacking = {"clock": "date", "date": "clock", "both": None}[kinds[time_column]]
-    fitting = [name for name in others if kinds[name] == lacking]
+    fitting = [name for name in free if kinds[name] == lacking]
     return fitting[0] if len(fitting) == 1 else None

@@ -5,6 +5,7 @@ months, and local ones are read; whether ``03/04/2020`` begins with the day is t
 """
 
 import datetime
+import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -35,11 +36,9 @@ _CALLED: Final = {
 _SINCE: Final = re.compile(r"\s*(?P<unit>\w+)\s+since\s+(?P<origin>\S.*)", re.IGNORECASE)
 _FINER: Final = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
 _EPOCH: Final = datetime.date(1970, 1, 1).toordinal()
-_MONTHS: Final = ("january", "february", "march", "april", "may", "june", "july", "august", "september")
+_MONTHS: Final = "january february march april may june july august september october november december"
 _MONTHS_BY_NAME: Final = {
-    name: number
-    for number, month in enumerate((*_MONTHS, "october", "november", "december"), start=1)
-    for name in (month, month[:3], month[:4])
+    name: number for number, month in enumerate(_MONTHS.split(), start=1) for name in (month, month[:3], month[:4])
 }
 _CLOCK: Final = (
     r"(?:(?P<days>\d+) days?,? )?(?P<hour>\d{1,4}):(?P<minute>\d\d)(?::(?P<second>\d\d))?(?:[.,](?P<part>\d+))?"
@@ -53,8 +52,11 @@ _DATES: Final = (
     ("month day year", r"(?P<name>[A-Za-z]{3,9})\.? (?P<day>\d{1,2}),? (?P<year>\d{4})"),
 )
 """Forms of dates; the one without a name is resolved by the column."""
-_FORMS: Final = tuple((form, re.compile(rf"{date}(?:(?:[T ]|, ?)\s*{_CLOCK}{_ZONE})?")) for form, date in _DATES)
 _CLOCK_FORM: Final = re.compile(_CLOCK)
+_FORMS: Final = (
+    ("clock time", _CLOCK_FORM),
+    *((form, re.compile(rf"{date}(?:(?:[T ]|, ?)\s*{_CLOCK}{_ZONE})?")) for form, date in _DATES),
+)
 _Match = re.Match[str]
 
 
@@ -82,8 +84,7 @@ def split_origin(unit: str) -> tuple[str, str]:
 
 def is_date(cell: str) -> bool:
     """Tell whether `cell` has the form of a date or a clock time."""
-    text = on_one_line(cell)
-    return is_clock(text) or _form(text) is not None
+    return _form(on_one_line(cell)) is not None
 
 
 def is_clock(cell: str) -> bool:
@@ -102,18 +103,13 @@ def _form(text: str) -> tuple[str, re.Pattern[str]] | None:
 def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], where: Callable[[int], str]) -> Dates:
     """Return the dates in the cells of a column, whose first cell that is there has the form of a date or clock time.
 
-    Args:
-        column: what messages call it, such as ``column 't' of a.csv``.
-        cells: its text.
-        starts: rows at which trajectories begin.
-        where: says where a row stands, for messages.
-
-    Raises:
-        DataError: a cell has another form or holds no such date, or day and month cannot be told apart.
+    `starts` are the rows at which trajectories begin; messages call the column ``column 't' of a.csv``, and `where`
+    says where a row stands. Raises DataError where a cell has another form or holds no such date, or day and month
+    cannot be told apart.
     """
     texts = ["" if is_missing(cell) else on_one_line(cell) for cell in cells]
     first = next(text for text in texts if text)
-    first_form = ("clock time", _CLOCK_FORM) if is_clock(first) else _form(first)
+    first_form = _form(first)
     assert first_form is not None
     form, pattern = first_form
     matches = [pattern.fullmatch(text) if text else None for text in texts]
@@ -122,8 +118,9 @@ def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], where: 
             raise DataError(f"{column} holds '{text}' in {where(row)}, which is not written as '{first}' is")
     if pattern is _CLOCK_FORM:
         _check_hours(column, matches)
-        clocks = _read_matches(matches, _clock, column, where)
-        return Dates(_past_midnight(clocks, starts), "clock times", has_date=False)
+        return Dates(
+            _past_midnight(_read_matches(matches, _clock, column, where), starts), "clock times", has_date=False
+        )
     zones = {match["zone"] is not None for match in matches if match is not None}
     if len(zones) > 1:
         raise DataError(f"{column} gives a time zone in some rows only; give it in all or in none")
@@ -140,10 +137,11 @@ def _read_matches(
     values: list[int | None] = []
     for row, match in enumerate(matches):
         try:
-            values.append(None if match is None else read(match))
+            values.append(match and read(match))
         except ValueError:
-            assert match is not None
-            raise DataError(f"{column} holds '{match[0]}' in {where(row)}, which is no date or time") from None
+            raise DataError(
+                f"{column} holds '{match and match[0]}' in {where(row)}, which is no date or time"
+            ) from None
     return values
 
 
@@ -176,26 +174,17 @@ def _date(match: _Match, form: str) -> int:
         day, month = (match["one"], match["two"]) if form.startswith("day") else (match["two"], match["one"])
     else:
         day, month = match["day"] or "1", parts.get("month")
-    number = int(month) if month is not None else _month(match["name"])
-    days = datetime.date(_year(match["year"]), number, int(day)).toordinal() - _EPOCH
+    # no month is number 0, for which there is no date
+    number = int(month) if month is not None else _MONTHS_BY_NAME.get(match["name"].lower(), 0)
+    year = int(match["year"])
+    if len(match["year"]) == 2:  # by the rule of POSIX from 1969 to 2068
+        year += 1900 if year >= 69 else 2000
+    days = datetime.date(year, number, int(day)).toordinal() - _EPOCH
     if match["hour"] is None:
         return days * NANOSECONDS["d"]
     if match["half"] is None and int(match["hour"]) > 24:
         raise ValueError(match[0])
     return days * NANOSECONDS["d"] + _clock(match) - _offset(match["zone"])
-
-
-def _month(name: str) -> int:
-    number = _MONTHS_BY_NAME.get(name.lower())
-    if number is None:
-        raise ValueError(name)
-    return number
-
-
-def _year(text: str) -> int:
-    """Return the year; of two digits by the rule of POSIX, from 1969 to 2068."""
-    year = int(text)
-    return year if len(text) == 4 else year + (1900 if year >= 69 else 2000)
 
 
 def _offset(zone: str | None) -> int:
@@ -222,10 +211,8 @@ def _order(column: str, matches: Sequence[_Match | None], starts: Sequence[int])
     ascending = [form for form, values in zip(forms, dates_by_form, strict=True) if _ascends(values, starts)]
     if len(ascending) == 1:
         return ascending[0]
-    if (
-        len({one - other for one, other in zip(*dates_by_form, strict=True) if one is not None and other is not None})
-        == 1
-    ):
+    pairs = zip(*dates_by_form, strict=True)
+    if len({one - other for one, other in pairs if one is not None and other is not None}) == 1:
         return f"{forms[0]} (or {forms[1]}: all are of one day)"
     raise DataError(
         f"{column} holds '{present[0][0]}', which may be {forms[0]} or {forms[1]}, and its other rows do not tell; "
@@ -258,11 +245,8 @@ def _past_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple
 
 def with_clock(dates: Dates, clocks: Dates) -> Dates:
     """Return a column of dates and one of clock times as one."""
-    day = NANOSECONDS["d"]
-    values = tuple(
-        None if date is None or clock is None else date + clock % day
-        for date, clock in zip(dates.nanoseconds, clocks.nanoseconds, strict=True)
-    )
+    pairs = zip(dates.nanoseconds, clocks.nanoseconds, strict=True)
+    values = tuple(None if date is None or clock is None else date + clock % NANOSECONDS["d"] for date, clock in pairs)
     return replace(dates, nanoseconds=values, has_clock=True, form=f"{dates.form} and clock times")
 
 
@@ -270,26 +254,17 @@ def dates_of_array(values: npt.NDArray[np.datetime64]) -> Dates:
     """Return the dates of an array (N,)."""
     days = values.astype("M8[D]")
     rest = (values - days).astype("m8[ns]").astype(np.int64).tolist()
-    whole = days.astype(np.int64).tolist()
-    missing = np.isnat(values).tolist()
-    nanoseconds = [
-        None if is_missing else date * NANOSECONDS["d"] + part
-        for date, part, is_missing in zip(whole, rest, missing, strict=True)
-    ]
-    return Dates(tuple(nanoseconds), "dates", has_date=True, has_clock=any(rest))
+    parts = zip(days.astype(np.int64).tolist(), rest, np.isnat(values).tolist(), strict=True)
+    nanoseconds = tuple(None if is_nat else date * NANOSECONDS["d"] + part for date, part, is_nat in parts)
+    return Dates(nanoseconds, "dates", has_date=True, has_clock=any(rest))
 
 
 def times_of(columns: Sequence[Dates], starts: Iterable[int], unit: str | None) -> tuple[FloatArray, str, str]:
     """Return the times (N,) of one column in the files that are read together, their unit, and a remark.
 
-    Args:
-        columns: the dates in each file, of one kind.
-        starts: rows at which trajectories begin, counted over all files.
-        unit: in which times are wanted; None: the longest of days, hours, minutes and seconds of which a usual step
-            between rows has at least one.
-
-    Raises:
-        DataError: there is not one date, or `unit` is none in which dates are counted.
+    `columns` are the dates in each file, of one kind; `starts` the rows at which trajectories begin, counted over all
+    files. Without a `unit` it is the longest of days, hours, minutes and seconds of which a usual step between rows has
+    at least one. Raises DataError where there is not one date, or `unit` is none in which dates are counted.
     """
     if unit is not None and unit not in _CALLED:
         raise DataError(f"dates are counted in {', '.join(NANOSECONDS)}, but '{unit}' is wanted; choose one of these")
@@ -301,7 +276,7 @@ def times_of(columns: Sequence[Dates], starts: Iterable[int], unit: str | None) 
     origin = present[0] if first.has_date else 0
     time_unit = _unit(values, set(starts)) if unit is None else unit
     length = NANOSECONDS[_CALLED[time_unit]]
-    times = [float("nan") if value is None else (value - origin) / length for value in values]
+    times = [math.nan if value is None else (value - origin) / length for value in values]
     remark = f"{first.form}, in {time_unit} since {origin_of(columns, time_unit).since}"
     return np.array(times, dtype=np.float64), time_unit, remark
 

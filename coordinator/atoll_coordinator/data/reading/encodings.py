@@ -19,34 +19,22 @@ _KNOWN: Final = (
 
 
 def decode(name: str, data: bytes) -> tuple[str, str]:
-    """Return the text, and the name of its encoding ("" for UTF-8).
-
-    Raises:
-        DataError: the bytes are no text.
-    """
+    """Return the text, and the name of its encoding ("" for UTF-8); raises DataError where the bytes are no text."""
     for start, kind, ending in _KNOWN:
         if data.startswith(start):
             raise DataError(f"{name} is {kind}, not text; give it the ending {ending}")
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return _decoded(name, data, "utf-16"), "UTF-16"
-    if b"\0" in data:
-        content = f"{name} holds zero bytes, as a binary file does, or UTF-16 without a byte order mark"
-        raise DataError(f"{content}; save it as CSV in UTF-8, or as Parquet")
     try:
-        return data.decode("utf-8-sig"), ""
+        if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return data.decode("utf-16"), "UTF-16"
+        if b"\0" in data:
+            content = f"{name} holds zero bytes, as a binary file does, or UTF-16 without a byte order mark"
+            raise DataError(f"{content}; save it as CSV in UTF-8, or as Parquet")
+        try:
+            return data.decode("utf-8-sig"), ""
+        except UnicodeDecodeError:
+            if _CONTROL.search(data) or _UTF_8.search(data):
+                raise
+        return data.decode("cp1252"), "Windows-1252 (Latin-1)"
     except UnicodeDecodeError as error:
-        if _CONTROL.search(data) or _UTF_8.search(data):
-            raise _refusal(name, error) from error
-    return _decoded(name, data, "cp1252"), "Windows-1252 (Latin-1)"
-
-
-def _decoded(name: str, data: bytes, encoding: str) -> str:
-    try:
-        return data.decode(encoding)
-    except UnicodeDecodeError as error:
-        raise _refusal(name, error) from error
-
-
-def _refusal(name: str, error: UnicodeDecodeError) -> DataError:
-    place = f"byte {error.start + 1}"
-    return DataError(f"{name} is not UTF-8 text ({place}); save it as CSV in UTF-8, or as Parquet")
+        place = f"byte {error.start + 1}"
+        raise DataError(f"{name} is not UTF-8 text ({place}); save it as CSV in UTF-8, or as Parquet") from error

@@ -36,12 +36,9 @@ _REFUSED: Final = {
 
 
 def read_table(paths: Sequence[Path], config: DataConfig, time_units: Mapping[str, str] | None = None) -> Table:
-    """Read `paths` in order as one table.
+    """Read `paths` in order as one table; raises DataError, with one sentence about what cannot be read.
 
     `time_units` says by column in which unit dates are counted, as units of `config` do; else they tell it themselves.
-
-    Raises:
-        DataError: with one sentence about what cannot be read.
     """
     if not paths:
         raise DataError("no data file was given; name at least one, such as a CSV file")
@@ -93,13 +90,15 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
     origins: dict[str, Origin] = {}
     units, remarks = dict(first.units), []
     for name in first.values:
-        values, unit, remark = _joined([file.values[name] for file in files], starts, time_units.get(name))
-        columns.append(values)
-        if unit:
-            units[name] = unit
-            dates = [part for file in files if isinstance(part := file.values[name], Dates)]
-            origins[name] = origin_of(dates, unit)
+        parts = [file.values[name] for file in files]
+        dates = [part for part in parts if isinstance(part, Dates)]
+        if dates:
+            values, units[name], remark = times_of(dates, starts, time_units.get(name))
+            origins[name] = origin_of(dates, units[name])
             remarks.append(f"{name}: {remark}")
+        else:
+            values = np.concatenate([part for part in parts if not isinstance(part, Dates)])
+        columns.append(values)
     return Table(
         tuple(first.values),
         tuple(units[name] for name in first.values),
@@ -117,9 +116,8 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
 
 def _with_common_labels(files: Sequence[Columns]) -> tuple[Sequence[Columns], dict[str, tuple[str, ...]]]:
     """Return files in which the numbers of a column of groups stand for the same texts, and these texts."""
-    named = {name for file in files for name in file.labels}
     labels: dict[str, tuple[str, ...]] = {}
-    for name in sorted(named):
+    for name in sorted({name for file in files for name in file.labels}):
         missing = next((file.file for file in files if name not in file.labels), None)
         if missing is not None:
             raise DataError(f"column '{name}' holds numbers in {missing} and text in another file; write both alike")
@@ -136,16 +134,6 @@ def _renumbered(file: Columns, name: str, texts: Sequence[str]) -> FloatArray:
     return np.asarray(places[numbers.astype(np.int64) - 1], dtype=np.float64)
 
 
-def _joined(
-    parts: Sequence[FloatArray | Dates], starts: Sequence[int], unit: str | None
-) -> tuple[FloatArray, str, str]:
-    """Return the values (N,) of one column, and where it holds dates their unit and what they are."""
-    dates = [part for part in parts if isinstance(part, Dates)]
-    if dates:
-        return times_of(dates, starts, unit)
-    return np.concatenate([part for part in parts if not isinstance(part, Dates)]), "", ""
-
-
 def _read_as(files: Sequence[Columns]) -> str:
     """Say how files were read: all alike, or each by its name."""
     remarks = dict.fromkeys("; ".join(file.remarks) for file in files)
@@ -160,13 +148,9 @@ def _check_alike(first: Columns, other: Columns) -> None:
     if set(other.values) != set(first.values):
         different = ", ".join(sorted(set(other.values) ^ set(first.values)))
         raise DataError(f"{pair} differ in the columns {different}; files read together need the same columns")
-    if any(other.units[name] != first.units[name] for name in first.values):
+    if other.units != first.units:
         raise DataError(f"{pair} differ in the units of their columns; convert one of them")
     for name, values in first.values.items():
-        if _kind(values) != _kind(other.values[name]):
+        # None for numbers; dates and clock times differ, too
+        if getattr(values, "has_date", None) != getattr(other.values[name], "has_date", None):
             raise DataError(f"{pair} differ in column '{name}', which holds dates in one of them; write both alike")
-
-
-def _kind(values: FloatArray | Dates) -> tuple[bool, bool]:
-    is_dates = isinstance(values, Dates)
-    return is_dates, isinstance(values, Dates) and values.has_date

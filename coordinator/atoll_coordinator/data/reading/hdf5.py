@@ -4,7 +4,6 @@ Every dataset is an array of its own, or, where it is a table, one for each of i
 the unit. Files of netCDF 4 are such files.
 """
 
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,8 +35,7 @@ def read_hdf5(path: Path, config: DataConfig) -> RawTable:
 def read_arrays(path: Path, is_matlab: bool = False) -> _Arrays:
     """Return arrays and units by name; matrices as MATLAB means them, whose order of numbers is the other one.
 
-    Raises:
-        DataError: h5py is not installed, or the file is none that it reads, or one of pandas.
+    Raises DataError where h5py is not installed, or the file is none that it reads, or one of pandas.
     """
     try:
         import h5py
@@ -64,20 +62,22 @@ def _collected(name: str, file: Any, h5py: Any, is_matlab: bool) -> _Arrays:
         values = _with_missing(item, item[()])
         parts = {field: values[field] for field in values.dtype.names} if values.dtype.names else {"": values}
         for field, part in parts.items():
-            called = _unused(path, field, arrays)
+            places = [*path.split("/"), *([field] if field else [])]
+            called = places[-1] if places[-1] not in arrays else ".".join(places)
             arrays[called] = part.T if is_matlab else part
-            units[called] = _text(item.attrs.get("units", "")) if not field else ""
+            if not field and (unit := _text(item.attrs.get("units"))):
+                units[called] = unit
 
     file.visititems(take)
-    return arrays, {name: unit for name, unit in units.items() if unit}
+    return arrays, units
 
 
 def _is_hidden(path: str, item: Any, is_matlab: bool) -> bool:
     """Tell whether a dataset holds no numbers, or what only the format needs."""
-    kind = _text(item.attrs.get("MATLAB_class", ""))
+    kind = _text(item.attrs.get("MATLAB_class"))
     if path.startswith("#") or (is_matlab and kind in ("char", "cell", "struct", "function_handle", "table")):
         return True
-    if _text(item.attrs.get("NAME", "")).startswith("This is a netCDF dimension but not"):
+    if _text(item.attrs.get("NAME")).startswith("This is a netCDF dimension but not"):
         return True
     return item.dtype.kind not in "biufcSV" or item.ndim > 2 or item.size == 0
 
@@ -90,12 +90,6 @@ def _with_missing(item: Any, values: AnyArray) -> AnyArray:
     return np.where(values == np.ravel(fill)[0], np.nan, values)
 
 
-def _unused(path: str, field: str, taken: Collection[str]) -> str:
-    parts = [*path.split("/"), *([field] if field else [])]
-    return parts[-1] if parts[-1] not in taken else ".".join(parts)
-
-
 def _text(value: object) -> str:
-    return (
-        value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value) if isinstance(value, str) else ""
-    )
+    text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    return str(text) if isinstance(text, str) else ""

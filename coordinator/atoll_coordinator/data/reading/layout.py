@@ -6,13 +6,12 @@ numbers, the last comment before it that has as many cells, as `numpy.savetxt` w
 
 import csv
 import re
-import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import replace
+from typing import Final, NamedTuple
 
-from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line
+from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line, shortened
 from atoll_coordinator.data.reading.dates import is_date
 from atoll_coordinator.data.reading.encodings import decode
 from atoll_coordinator.data.reading.raw_table import RawTable, is_units_row, plain_unit, table_of_records
@@ -32,37 +31,29 @@ _MARKS: Final = "#% \t"
 _Line = tuple[int, str]
 
 
-@dataclass(frozen=True)
-class _Beginning:
-    """What stands before the first row: a separator that the file names, comments, and the number of lines of these.
-
-    `first` is the first line that is neither blank nor a comment, None where there is none.
-    """
+class _Beginning(NamedTuple):
+    """What stands before the first row, a separator that the file names and comments, and the `first` line."""
 
     separator: str | None
     comments: tuple[str, ...]
-    first: _Line | None
+    first: _Line
 
 
 def read_text(name: str, data: bytes) -> RawTable:
-    """Split a text file into cells.
-
-    Raises:
-        DataError: it is no text, empty, has no header or cannot be split.
-    """
+    """Split a text file into cells; raises DataError where it is no text, empty, has no header or cannot be split."""
     text, encoding = decode(name, data)
     if not text.strip():
         raise DataError(f"{name} is empty; a header line and rows of numbers are expected")
-    beginning = _beginning(text)
-    if beginning.first is None:
-        raise DataError(f"{name} holds comments only; a header line and rows of numbers are expected")
-    if _JSON.match(beginning.first[1]):
+    beginning = _beginning(name, text)
+    number, first = beginning.first
+    if _JSON.match(first):
         raise DataError(f"{name} holds JSON or JSON lines; give it the ending .json or .jsonl")
     try:
         raw = _split(name, text, beginning, _COMMENT.match)
     except DataError as error:
-        raise (_preamble(name, text, beginning.first[0]) or error) from None
-    if not raw.lines and _has_other_comments(text, beginning):  # the first column begins with the mark of a comment
+        raise (_preamble(name, text, number) or error) from None
+    if not raw.lines and any(place > number and _COMMENT.match(line) for place, line in _lines(text)):
+        # the first column begins with the mark of a comment
         raw = _split(name, text, beginning, lambda _: None)
     return replace(raw, remarks=(*raw.remarks, encoding)) if encoding else raw
 
@@ -72,7 +63,7 @@ def _lines(text: str) -> Iterator[_Line]:
     return enumerate((match[0] for match in _LINE.finditer(text)), start=1)
 
 
-def _beginning(text: str) -> _Beginning:
+def _beginning(name: str, text: str) -> _Beginning:
     separator: str | None = None
     comments: list[str] = []
     for number, line in _lines(text):
@@ -84,68 +75,49 @@ def _beginning(text: str) -> _Beginning:
             comments.append(line)
         else:
             return _Beginning(separator, tuple(comments), (number, line))
-    return _Beginning(separator, tuple(comments), None)
-
-
-def _has_other_comments(text: str, beginning: _Beginning) -> bool:
-    return sum(_COMMENT.match(line) is not None for _, line in _lines(text)) > len(beginning.comments)
+    raise DataError(f"{name} holds comments only; a header line and rows of numbers are expected")
 
 
 def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[str], object]) -> RawTable:
-    assert beginning.first is not None
     number, line = beginning.first
+    count = len(beginning.comments)
+
+    def body() -> Iterator[_Line]:
+        nonlocal count
+        for place, line in _lines(text):
+            if place >= number and is_comment(line):
+                count += 1
+            elif place >= number:
+                yield place, line
+
     where: tuple[str, ...] = ()
-    body = ((place, line) for place, line in _lines(text) if place >= number)
-    skipped = _Counted(body, is_comment)
     comment_header = _header_of_comments(line, beginning)
     if comment_header is not None:
         separator, headers, units = comment_header
-        raw = table_of_records(name, headers, _records(name, skipped, separator), ())
+        raw = table_of_records(name, headers, _records(name, body(), separator))
         raw, where = replace(raw, units=units or raw.units), ("header in a comment",)
+        count -= 1 + bool(units)
     else:
-        below = next(_following(text, number), "")
+        following = (line for place, line in _lines(text) if place > number and line.strip())
+        below = next((line for line in following if not _COMMENT.match(line)), "")
         separator = beginning.separator or _separator(line, below)
-        records = _records(name, skipped, separator)
+        records = _records(name, body(), separator)
         _, headers = next(records)
         _check_header(name, headers)
         is_named_as_by_r = below.lstrip().startswith('"')
-        raw = table_of_records(name, headers, records, (), has_row_names=is_named_as_by_r)
-    used = 0 if comment_header is None else 1 + bool(comment_header[2])
-    comments = skipped.count + len(beginning.comments) - used
-    left_out = (f"{comments} comment {'line' if comments == 1 else 'lines'} left out",) if comments else ()
+        raw = table_of_records(name, headers, records, has_row_names=is_named_as_by_r)
+    left_out = (f"{count} comment {'line' if count == 1 else 'lines'} left out",) if count else ()
     how = f"text with {_NAMES.get(separator, repr(separator))}"
     return replace(raw, remarks=(how, *where, *raw.remarks, *left_out), separator=separator)
 
 
-class _Counted:
-    """The lines that are no comments; `count` says how many were."""
-
-    def __init__(self, lines: Iterator[_Line], is_comment: Callable[[str], object]) -> None:
-        self._lines = lines
-        self._is_comment = is_comment
-        self.count = 0
-
-    def __iter__(self) -> Iterator[_Line]:
-        for number, line in self._lines:
-            if self._is_comment(line):
-                self.count += 1
-            else:
-                yield number, line
-
-
-def _following(text: str, number: int) -> Iterator[str]:
-    """Yield the lines below line `number` that are neither blank nor comments."""
-    return (line for place, line in _lines(text) if place > number and line.strip() and not _COMMENT.match(line))
-
-
-def _records(name: str, lines: _Counted, separator: str) -> Iterator[tuple[int, list[str]]]:
+def _records(name: str, lines: Iterator[_Line], separator: str) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and cells of each record, blank lines included."""
     if separator == SPACES:
         for number, line in lines:
             yield number, cells_of(line, separator)
         return
     numbers: list[int] = []
-
     quotes = 0
 
     def fed() -> Iterator[str]:
@@ -234,8 +206,9 @@ def _preamble(name: str, text: str, first: int) -> DataError | None:
         if usual > 1 and place > first and not any(map(is_numeral, cells_of(header, separator))):
             last = lines[counts.index(usual) - 1][0]
             above = f"line {first} of {name} stands" if last == first else f"lines {first} to {last} of {name} stand"
-            shown = textwrap.shorten(on_one_line(header), 60, placeholder="…")
-            return DataError(f"{above} above the header '{shown}' in line {place}; begin them with #, or remove them")
+            return DataError(
+                f"{above} above the header '{shortened(header, 60)}' in line {place}; begin them with #, or remove them"
+            )
     return None
 
 
@@ -243,5 +216,5 @@ def _check_header(name: str, headers: Sequence[str]) -> None:
     if all(header and is_numeral(header) for header in headers):
         raise DataError(f"the first line of {name} holds numbers only; a header with column names is expected there")
     if len(headers) == 1 and len(headers[0].split()) > 1:
-        column = textwrap.shorten(headers[0], 60, placeholder="…")
+        column = shortened(headers[0], 60)
         raise DataError(f"{name} has one column, '{column}'; separate columns with commas, semicolons or tabs")

@@ -5,13 +5,20 @@ the file decide, then what separates its cells; else the file is refused.
 """
 
 import re
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
 import numpy as np
 
-from atoll_coordinator.data.reading.cells import SPACES, WITH_COMMA, WITH_POINT, is_missing, number, on_one_line
+from atoll_coordinator.data.reading.cells import (
+    SPACES,
+    WITH_COMMA,
+    WITH_POINT,
+    is_missing,
+    number,
+    on_one_line,
+    shortened,
+)
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError
 
@@ -19,6 +26,8 @@ _THOUSANDS: Final = re.compile(r"\s*[+-]?[1-9]\d{0,2}(?:\.\d{3})+\s*")
 _GROUPS: Final = str.maketrans("", "", SPACES)
 
 Decimal = Literal["point", "comma"]
+_OF_SEPARATOR: Final[dict[str, set[Decimal]]] = {",": {"point"}, ";": {"comma"}}
+"""How numbers are written where that separates cells: semicolons do where commas are decimal."""
 
 
 def read_numbers(
@@ -26,29 +35,29 @@ def read_numbers(
 ) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
     """Return the numbers of the columns of one file, by name, and remarks on how they were read.
 
-    Args:
-        file: its name, for messages.
-        columns: cells by name.
-        lines: line numbers, 0 where there are none.
-        separator: what stands between cells.
-
-    Raises:
-        DataError: a cell holds no number, or one that may be two.
+    `file` is its name, for messages, `lines` are line numbers, 0 where there are none; `separator` stands between
+    cells. Raises DataError where a cell holds no number, or one that may be two.
     """
     plain = {name: numbers for name, cells in columns.items() if (numbers := _plain(cells)) is not None}
     ways = {name: _ways(file, name, cells, lines) for name, cells in columns.items() if name not in plain}
     seen: set[Decimal] = {next(iter(possible)) for possible in ways.values() if len(possible) == 1}
-    if any(len(possible) > 1 for possible in ways.values()) and _has_points(columns, plain):
+    if any(len(possible) > 1 for possible in ways.values()) and any(_has_decimals(columns[name]) for name in plain):
         seen.add("point")
-    usual: set[Decimal] = _of_separator(separator) if not seen else seen if len(seen) == 1 else set()
+    usual = seen if len(seen) == 1 else _OF_SEPARATOR.get(separator, set()) if not seen else set()
     decimals: dict[str, Decimal] = {
         name: next(iter(possible & usual)) if possible & usual else _only(file, name, columns[name], possible)
         for name, possible in ways.items()
     }
-    if any(way == "comma" and any("," in cell for cell in columns[name]) for name, way in decimals.items()):
+    commas = [name for name, way in decimals.items() if way == "comma" and any("," in cell for cell in columns[name])]
+    if commas:
         decimals |= {name: "comma" for name in plain if _has_thousands(columns[name])}
-    read = {name: _converted(columns[name], decimals[name]) if name in decimals else plain[name] for name in columns}
-    return read, _remarks(columns, decimals)
+    grouped = [name for name, way in decimals.items() if any(_is_grouped(cell, way) for cell in columns[name])]
+    read = {
+        name: np.array([_number(cell, way) for cell in columns[name]], dtype=np.float64)
+        for name, way in decimals.items()
+    }
+    remarks = {"decimal commas": commas, "separators of thousands": grouped}
+    return plain | read, tuple(f"{what} in {', '.join(names)}" for what, names in remarks.items() if names)
 
 
 def _plain(cells: Sequence[str]) -> FloatArray | None:
@@ -68,10 +77,8 @@ def _ways(file: str, name: str, cells: Sequence[str], lines: Sequence[int]) -> s
     for row, cell in enumerate(cells):
         cell_ways = _ways_of(cell)
         if not cell_ways:
-            shown = textwrap.shorten(on_one_line(cell), 40, placeholder="…")
-            raise DataError(
-                f"column '{name}' of {file} holds '{shown}' in {place(lines, row)} where a number is expected"
-            )
+            held = f"'{shortened(cell, 40)}' in {place(lines, row)}"
+            raise DataError(f"column '{name}' of {file} holds {held} where a number is expected")
         if not ways & cell_ways:
             raise DataError(
                 f"column '{name}' of {file} holds '{on_one_line(cell)}' in {place(lines, row)}, but decimal "
@@ -82,29 +89,20 @@ def _ways(file: str, name: str, cells: Sequence[str], lines: Sequence[int]) -> s
 
 
 def _ways_of(cell: str) -> set[Decimal]:
-    ways: set[Decimal] = set()
     if number(cell) is not None:
-        return {"point"} if "." in cell and not _THOUSANDS.fullmatch(cell) else {"point", "comma"}
-    if WITH_POINT.fullmatch(cell):
-        ways.add("point")
-    if WITH_COMMA.fullmatch(cell):
-        ways.add("comma")
-    return ways
+        return {"point"} if _has_decimals([cell]) else {"point", "comma"}
+    forms: dict[Decimal, re.Pattern[str]] = {"point": WITH_POINT, "comma": WITH_COMMA}
+    return {way for way, form in forms.items() if form.fullmatch(cell)}
 
 
-def _has_points(columns: Mapping[str, Sequence[str]], plain: Mapping[str, object]) -> bool:
-    return any("." in cell and not _THOUSANDS.fullmatch(cell) for name in plain for cell in columns[name])
+def _has_decimals(cells: Sequence[str]) -> bool:
+    """Tell whether a point in a column is none that separates thousands."""
+    return any("." in cell and not _THOUSANDS.fullmatch(cell) for cell in cells)
 
 
 def _has_thousands(cells: Sequence[str]) -> bool:
     """Tell whether all points in a column separate thousands."""
-    pointed = [cell for cell in cells if "." in cell]
-    return bool(pointed) and all(_THOUSANDS.fullmatch(cell) for cell in pointed)
-
-
-def _of_separator(separator: str) -> set[Decimal]:
-    """Return how numbers are written where that separates cells: semicolons do where commas are decimal."""
-    return {",": {"point"}, ";": {"comma"}}.get(separator, set())  # type: ignore[return-value]
+    return any("." in cell for cell in cells) and not _has_decimals(cells)
 
 
 def _only(file: str, name: str, cells: Sequence[str], ways: set[Decimal]) -> Decimal:
@@ -116,10 +114,6 @@ def _only(file: str, name: str, cells: Sequence[str], ways: set[Decimal]) -> Dec
     raise DataError(
         f"column '{name}' of {file} holds '{cell.strip()}', which may be {readings}; leave out separators of thousands"
     )
-
-
-def _converted(cells: Sequence[str], way: Decimal) -> FloatArray:
-    return np.array([_number(cell, way) for cell in cells], dtype=np.float64)
 
 
 def _number(cell: str, way: Decimal) -> float:
@@ -135,21 +129,9 @@ def _number(cell: str, way: Decimal) -> float:
     return value
 
 
-def _remarks(columns: Mapping[str, Sequence[str]], decimals: Mapping[str, Decimal]) -> tuple[str, ...]:
-    """Say which columns have decimal commas, and which separators of thousands."""
-    commas = [name for name, way in decimals.items() if way == "comma" and any("," in cell for cell in columns[name])]
-    grouped = [
-        name
-        for name, way in decimals.items()
-        if any(_is_grouped(cell, way) for cell in columns[name] if not is_missing(cell))
-    ]
-    remarks = [f"decimal commas in {', '.join(commas)}"] if commas else []
-    return (*remarks, *([f"separators of thousands in {', '.join(grouped)}"] if grouped else []))
-
-
 def _is_grouped(cell: str, way: Decimal) -> bool:
-    marks = "," if way == "point" else "."
-    return any(mark in cell.strip() for mark in (marks, *SPACES))
+    separators = ("," if way == "point" else ".", *SPACES)
+    return not is_missing(cell) and any(separator in cell.strip() for separator in separators)
 
 
 def place(lines: Sequence[int], row: int) -> str:

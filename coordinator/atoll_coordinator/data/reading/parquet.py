@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from atoll_coordinator.data.reading.cells import cell_of
 from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
 from atoll_core.errors import DataError
 
@@ -32,9 +33,7 @@ def _cells(file: str, series: "polars.Series") -> tuple[list[str], str]:
     if isinstance(kind, polars.Duration):
         return _texts(series.dt.total_nanoseconds() / 1e9), "s"
     if isinstance(kind, polars.Datetime) and kind.time_zone is not None:
-        return [
-            text + "Z" if text else "" for text in _texts(series.dt.convert_time_zone("UTC").dt.to_string("%F %T%.f"))
-        ], ""
+        return _texts(series.dt.convert_time_zone("UTC").dt.to_string("%F %T%.fZ")), ""
     if isinstance(kind, polars.Datetime):
         return _texts(series.dt.to_string("%F %T%.f")), ""
     if kind.is_numeric() or isinstance(kind, polars.Boolean):
@@ -43,4 +42,4 @@ def _cells(file: str, series: "polars.Series") -> tuple[list[str], str]:
 
 
 def _texts(series: "polars.Series") -> list[str]:
-    return ["" if value is None else str(value) for value in series.to_list()]
+    return [cell_of(value) for value in series.to_list()]

@@ -41,15 +41,12 @@ def table_of_records(
     file: str,
     headers: Sequence[str],
     records: Iterable[tuple[int, list[str]]],
-    remarks: tuple[str, ...],
     has_row_names: bool = False,
 ) -> RawTable:
     """Return the rows of line numbers and cells; blank records become starts of trajectories.
 
-    `has_row_names` says whether rows may begin with a name for which the header has no cell.
-
-    Raises:
-        DataError: a record has more or fewer cells than the header.
+    `has_row_names` says whether rows may begin with a name for which the header has no cell. Raises DataError where a
+    record has more or fewer cells than the header.
     """
     headers = [on_one_line(header) for header in headers]
     lines: list[int] = []
@@ -62,23 +59,17 @@ def table_of_records(
         else:
             starts.append(len(lines))
     if kept and all(len(record) == len(headers) + 1 for record in kept):
-        headers, kept = _one_cell_more(headers, kept, has_row_names)
+        if not any(record[-1].strip() for record in kept):  # a separator at the end
+            kept = [record[:-1] for record in kept]
+        elif has_row_names:
+            headers = ["", *headers]
     for line, record in zip(lines, kept, strict=True):
         if len(record) != len(headers):
             count = f"{len(record)} {'cell' if len(record) == 1 else 'cells'}"
             raise DataError(f"line {line} of {file} has {count} where the header has {len(headers)}; correct it")
     columns = [list(column) for column in zip(*kept, strict=True)] or [[] for _ in headers]
     starts = sorted({start for start in starts if start < max(len(lines), 1)})
-    return take_units(RawTable(tuple(headers), columns, lines, starts, remarks))
-
-
-def _one_cell_more(
-    headers: list[str], records: list[list[str]], has_row_names: bool
-) -> tuple[list[str], list[list[str]]]:
-    """Take in records with one cell more than the header: a separator at the end, or names of rows."""
-    if not any(record[-1].strip() for record in records):
-        return headers, [record[:-1] for record in records]
-    return (["", *headers] if has_row_names else headers), records
+    return take_units(RawTable(tuple(headers), columns, lines, starts, ()))
 
 
 def take_units(raw: RawTable) -> RawTable:

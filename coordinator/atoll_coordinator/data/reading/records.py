@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from atoll_coordinator.data.reading.cells import cell_of
 from atoll_coordinator.data.reading.encodings import decode
 from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
 from atoll_core.errors import DataError
@@ -68,6 +69,4 @@ def _columns(name: str, document: Any) -> tuple[list[str], list[Sequence[Any]]]:
 def _cell(name: str, header: str, value: object) -> str:
     if isinstance(value, (list, dict)):
         raise DataError(f"column '{header}' of {name} holds lists or objects; write one number a cell")
-    if isinstance(value, bool):
-        return "1" if value else "0"
-    return "" if value is None else str(value)
+    return cell_of(value)

@@ -3,13 +3,13 @@
 The first sheet that is not empty is read, from its first row that is not.
 """
 
-import datetime
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from atoll_coordinator.data.reading.cells import cell_of
 from atoll_coordinator.data.reading.raw_table import RawTable, table_of_records
 from atoll_core.errors import DataError
 
@@ -34,15 +34,16 @@ def read_workbook(path: Path) -> RawTable:
         raise
     except Exception as error:  # of many kinds, for whatever is broken in there
         raise DataError(f"{path.name} is not an Excel workbook that can be read; save it anew, or as CSV") from error
-    filled = [(title, records) for title, records in sheets if records]
+    filled = {title: records for title, records in sheets if records}
     if not filled:
         raise DataError(f"{path.name} is empty; a header line and rows of numbers are expected")
-    title, records = filled[0]
-    others = [other for other, _ in filled[1:]]
+    title, *others = filled
+    records = filled[title]
     remarks = (f"Excel, sheet '{title}'", *([f"other sheets left out: {', '.join(others)}"] if others else []))
-    first, last = _extent(records)
+    used = [place for _, cells in records for place, cell in enumerate(cells) if cell]
+    first, last = min(used), max(used) + 1
     cut = [(line, [*cells[first:last], *[""] * (last - max(len(cells), first))]) for line, cells in records]
-    raw = table_of_records(path.name, cut[0][1], iter(cut[1:]), ())
+    raw = table_of_records(path.name, cut[0][1], cut[1:])
     return replace(raw, remarks=(*remarks, *raw.remarks))
 
 
@@ -50,27 +51,7 @@ def _records(sheet: Any) -> Iterator[_Record]:
     """Yield the rows from the first that is not empty to the last."""
     waiting: list[_Record] = []
     for line, row in enumerate(sheet.iter_rows(values_only=True), start=1):
-        cells = [_cell(value) for value in row]
-        waiting.append((line, cells))
-        if any(cells):
+        waiting.append((line, [cell_of(value) for value in row]))
+        if any(waiting[-1][1]):
             yield from waiting if len(waiting) < line else waiting[-1:]
             waiting = []
-
-
-def _extent(records: list[_Record]) -> tuple[int, int]:
-    """Return the half-open range of the columns that are not empty."""
-    used = [place for _, cells in records for place, cell in enumerate(cells) if cell]
-    return min(used), max(used) + 1
-
-
-def _cell(value: object) -> str:
-    """Return a cell as text; dates in ISO form."""
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "1" if value else "0"
-    if isinstance(value, datetime.datetime):
-        return value.isoformat(" ")
-    if isinstance(value, datetime.timedelta):
-        return str(value)
-    return str(value)
