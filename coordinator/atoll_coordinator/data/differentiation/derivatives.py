@@ -8,7 +8,7 @@ that there is noise.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,6 @@ from atoll_coordinator.data.differentiation.quantisation import find_quantisatio
 from atoll_coordinator.data.differentiation.robust import fit_robustly, has_heavy_tails, weigh_by
 from atoll_coordinator.data.differentiation.smoothing import (
     Signal,
-    SmoothedSignal,
     Smoother,
     estimate_noise,
     select_smoother,
@@ -37,9 +36,6 @@ from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError
-
-_PAPER_DEGREES: Final = (2,)
-"""The degree of Schmidt & Lipson 2008."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +109,8 @@ class Differentiation:
 
     @property
     def degrees(self) -> tuple[int, ...]:
-        """Degrees of loess among which one is selected."""
-        return _PAPER_DEGREES if self.paper else SETTINGS.smoothing.degrees
+        """Degrees of loess among which one is selected; 2 is that of Schmidt & Lipson 2008."""
+        return (2,) if self.paper else SETTINGS.smoothing.degrees
 
 
 def estimate_states(
@@ -122,10 +118,7 @@ def estimate_states(
 ) -> list[StateEstimate]:
     """Return values and derivatives of the measured states.
 
-    Args:
-        measurements: with trajectories.
-        weights: inverse variances of the errors of each row, up to a factor; None: all are 1.
-        options: how.
+    `weights` (R,) are inverse variances of the errors of each row, up to a factor; None: all are 1.
 
     Raises:
         DataError: a state has too few values along every trajectory, or its derivative is zero everywhere, or beyond
@@ -147,8 +140,8 @@ def estimate_states(
             quantisation = None
         least = 0.0 if quantisation is None else quantisation.error
         estimate = estimate_derivatives(signals, options, measurements.held_out, least)
+        derivative_standard_deviation(state, estimate.derivative)
         estimates.append(replace(estimate, quantisation=quantisation))
-        derivative_standard_deviation(state, estimates[-1].derivative)
     return estimates
 
 
@@ -157,12 +150,8 @@ def estimate_derivatives(
 ) -> StateEstimate:
     """Return values and derivatives of one state, over all rows of all signals.
 
-    Args:
-        signals: the state along each trajectory, 5 rows or more each; where fewer of them were measured, the state is
-            not known there.
-        options: how.
-        held_out: for each signal, whether it takes no part in any choice; empty: all do.
-        least_noise: standard deviation that errors have at least.
+    Signals have 5 rows or more each; where fewer of them were measured, the state is not known there. Those `held_out`
+    take no part in any choice (empty: all do). Errors have the standard deviation `least_noise` at least.
     """
     _, exponent = math.frexp(max(float(np.max(np.abs(signal.values))) for signal in signals))
     scaled = [replace(signal, values=np.ldexp(signal.values, -exponent)) for signal in signals]
@@ -207,15 +196,9 @@ def _estimate(
     fit = fit_robustly(searched, options.degrees) if options.robust else None
     if fit is None or not fit.outliers:
         return replace(_by_loess(signals, smoother, options.order, searched, least), has_heavy_tails=is_tailed)
-    rest = iter(fit.signals)
-    weighted = [
-        next(rest) if any(signal is other for other in searched) else weigh_by(fit, signal) for signal in signals
-    ]
-    robustness_weights = [signal.robustness_weights for signal in weighted]
-    weights = [
-        np.ones(len(signal.times)) if row_weights is None else row_weights
-        for signal, row_weights in zip(weighted, robustness_weights, strict=True)
-    ]
+    fitted = {id(signal): weighted for signal, weighted in zip(searched, fit.signals, strict=True)}
+    weighted = [fitted.get(id(signal)) or weigh_by(fit, signal) for signal in signals]
+    weights = [signal.robustness_weights for signal in weighted if signal.robustness_weights is not None]
     estimate = _by_loess(weighted, fit.smoother, options.order, fit.signals, least)
     return replace(estimate, outliers=fit.outliers, robustness_weights=np.concatenate(weights))
 
@@ -224,12 +207,12 @@ def _by_loess(
     signals: Sequence[Signal], smoother: Smoother, order: int, searched: Sequence[Signal], least: float
 ) -> StateEstimate:
     """Return what loess gives of `signals`, with the noise of those `searched`, `least` at least."""
-    noise = max(estimate_noise(searched, [smooth(signal, smoother) for signal in searched]), least)
-    fits, gains = _joined([smooth(signal, smoother) for signal in signals])
+    noise = max(estimate_noise(searched, smoother), least)
+    fits, gains = _joined(signals, smoother)
     span = max(int(SETTINGS.smoothing.narrower * smoother.span), smoother.degree + 2)
     narrower = replace(smoother, span=span)
-    narrower_noise = max(estimate_noise(searched, [smooth(signal, narrower) for signal in searched]), least)
-    narrower_fits, _ = _joined([smooth(signal, narrower) for signal in signals])
+    narrower_noise = max(estimate_noise(searched, narrower), least)
+    narrower_fits, _ = _joined(signals, narrower)
     bias = fits[order] - narrower_fits[order]
     uncertainty = noise * gains[order]
     total = np.sqrt(uncertainty * uncertainty + bias * bias)
@@ -246,15 +229,12 @@ def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: 
     A missing value is known where it is as certain, by the others, as one measurement: where its noise gain (R,) is at
     most 1.
     """
-    if all(signal.is_measured is None for signal in signals):
-        return estimate
     is_long = np.concatenate([np.full(len(signal.times), _is_long_enough(signal)) for signal in signals])
-    ones = [np.ones(len(signal.times)) if signal.is_measured is None else signal.is_measured for signal in signals]
-    is_known = is_long & ((np.concatenate(ones) > 0.0) | (gains <= 1.0))
+    is_known = is_long & (np.concatenate([signal.measured_rows for signal in signals]) | (gains <= 1.0))
     held, start = estimate.values.copy(), 0
     for signal in signals:
         part = slice(start, start + len(signal.times))
-        rows = is_known[part] if is_known[part].any() else np.concatenate(ones)[part] > 0.0
+        rows = is_known[part] if is_known[part].any() else signal.measured_rows
         held[part] = fill(signal.times, held[part], rows, 1)[0] if rows.any() else moments(held[is_known])[0]
         start = part.stop
     return replace(
@@ -276,8 +256,9 @@ def _is_long_enough(signal: Signal) -> bool:
     return len(signal.measured.times) >= SETTINGS.checks.min_rows
 
 
-def _joined(smoothed: Sequence[SmoothedSignal]) -> tuple[FloatArray, FloatArray]:
-    """Return fits and gains over the rows of all signals."""
+def _joined(signals: Sequence[Signal], smoother: Smoother) -> tuple[FloatArray, FloatArray]:
+    """Return fits (3, R) and gains (4, R) over the rows of all signals."""
+    smoothed = [smooth(signal, smoother) for signal in signals]
     fits = np.concatenate([signal.fits for signal in smoothed], axis=1)
     return fits, np.concatenate([signal.gains for signal in smoothed], axis=1)
 
@@ -289,16 +270,12 @@ def _standard_deviation(signals: Sequence[Signal]) -> float:
 
 def _interpolate(signals: Sequence[Signal], order: int, noise: float, deviation: float) -> StateEstimate:
     filled = [fill_holes(signal) for signal in signals]
-    known = [np.flatnonzero(np.isfinite(filling.steps)) for filling in filled]
-    parts = [slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0) for rows in known]
-    whole = [
-        Signal(filling.signal.times[part], filling.signal.values[part])
-        for filling, part in zip(filled, parts, strict=True)
-    ]
-    errors = [
-        np.maximum(noise, noise * filling.gains + filling.steps)[part]
-        for filling, part in zip(filled, parts, strict=True)
-    ]
+    whole, errors = [], []
+    for filling in filled:
+        known = np.flatnonzero(np.isfinite(filling.steps))
+        part = slice(int(known[0]), int(known[-1]) + 1) if len(known) else slice(0)
+        whole.append(Signal(filling.signal.times[part], filling.signal.values[part]))
+        errors.append(np.maximum(noise, noise * filling.gains + filling.steps)[part])
     rows = np.concatenate([np.isfinite(filling.steps) for filling in filled])
     velocity, uncertainty = _spread(interpolate_derivative(whole, 1, errors), rows)
     derivative = velocity

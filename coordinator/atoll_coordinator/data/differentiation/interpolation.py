@@ -37,25 +37,20 @@ QUIET_ERROR: Final = 3.0156
 
 def mark_ends(lengths: Sequence[int]) -> FloatArray:
     """Return 1.0 at rows that stand at the ends of trajectories of which half the rows remain, else 0.0."""
-    ends = np.zeros(sum(lengths))
-    first = 0
-    for length in lengths:
-        if length >= 4 * END_ROWS:
-            ends[first : first + END_ROWS] = 1.0
-            ends[first + length - END_ROWS : first + length] = 1.0
-        first += length
-    return ends
+    parts = [np.zeros(length) for length in lengths]
+    for part in parts:
+        if len(part) >= 4 * END_ROWS:
+            part[:END_ROWS] = part[-END_ROWS:] = 1.0
+    return np.concatenate(parts)
 
 
 def predict_left_out(signals: Sequence[Signal]) -> tuple[FloatArray, FloatArray]:
     """Return errors of predicting each row from its neighbours, and their noise gains, both (R, H)."""
-    errors, gains = [], []
-    for signal in signals:
-        shape = (len(signal.times), HALF_WIDTHS)
-        errors.append(np.empty(shape))
-        gains.append(np.empty(shape))
-        left_out_into(errors[-1], gains[-1], signal.times, signal.values)
-    return np.concatenate(errors), np.concatenate(gains)
+    pairs = [np.empty((2, len(signal.times), HALF_WIDTHS)) for signal in signals]
+    for (errors, gains), signal in zip(pairs, signals, strict=True):
+        left_out_into(errors, gains, signal.times, signal.values)
+    errors, gains = np.concatenate(pairs, axis=1)
+    return errors, gains
 
 
 def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: bool = False) -> float:
@@ -83,13 +78,10 @@ def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: boo
 def is_interpolation_better(
     signals: Sequence[Signal], errors: FloatArray, smoothed: Sequence[SmoothedSignal], shares: Sequence[float]
 ) -> bool:
-    """Say whether interpolation predicts rows that are left out better than loess does.
+    """Say whether interpolation predicts rows that are left out better than loess does, which gave `smoothed`.
 
-    Args:
-        signals: one state along each trajectory.
-        errors: by which interpolation misses the rows that were measured, from `predict_left_out`.
-        smoothed: loess of each of `signals`.
-        shares: of the rows, those with the smallest errors; it is better where it is by one of these.
+    `errors` are those by which interpolation misses the rows that were measured, from `predict_left_out`. It is better
+    where it is by one of the `shares` of the rows, those with the smallest errors.
     """
     inner = mark_ends([len(signal.measured.times) for signal in signals]) == 0.0
     by_loess = _loess_errors(signals, smoothed)[inner]
@@ -107,29 +99,23 @@ def interpolate_derivative(
 
     `noise` has the standard errors of the values of each signal.
     """
-    derivatives, uncertainties = [], []
-    for signal, errors in zip(signals, noise, strict=True):
-        rows = len(signal.times)
-        slopes, gains = np.empty((rows, HALF_WIDTHS)), np.empty((rows, HALF_WIDTHS))
+    pairs = [np.empty((2, len(signal.times))) for signal in signals]
+    for (derivative, uncertainty), signal, errors in zip(pairs, signals, noise, strict=True):
+        slopes, gains = np.empty((2, len(signal.times), HALF_WIDTHS))
         differences_into(slopes, gains, signal.times, signal.values, order)
-        derivatives.append(np.empty(rows))
-        uncertainties.append(np.empty(rows))
         rounding = np.maximum(errors, 2.0**-53 * np.abs(signal.values))
-        best_stencil_into(derivatives[-1], uncertainties[-1], slopes, gains, rounding)
-    return np.concatenate(derivatives), np.concatenate(uncertainties)
+        best_stencil_into(derivative, uncertainty, slopes, gains, rounding)
+    derivative, uncertainty = np.concatenate(pairs, axis=1)
+    return derivative, uncertainty
 
 
 def _loess_errors(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> FloatArray:
     """Return the leave-one-out errors of loess, residual / (1 - leverage), of all rows that were measured."""
-    values = np.concatenate([signal.values for signal in signals])
-    fits = np.concatenate([signal.fits[0] for signal in smoothed])
-    leverages = np.concatenate([signal.gains[3] for signal in smoothed])
-    if any(signal.is_measured is not None for signal in signals):
-        ones = [np.ones(len(signal.times)) if signal.is_measured is None else signal.is_measured for signal in signals]
-        rows = np.concatenate(ones) > 0.0
-        values, fits, leverages = values[rows], fits[rows], leverages[rows]
-    errors: FloatArray = (values - fits) / np.maximum(1.0 - leverages, _LEAST_FREEDOM)
-    return errors
+    errors = [
+        (signal.values - fit.fits[0]) / np.maximum(1.0 - fit.gains[3], _LEAST_FREEDOM)
+        for signal, fit in zip(signals, smoothed, strict=True)
+    ]
+    return np.concatenate([part[signal.measured_rows] for part, signal in zip(errors, signals, strict=True)])
 
 
 def _typical_size(errors: FloatArray, share: float) -> float:

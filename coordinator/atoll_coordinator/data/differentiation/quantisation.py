@@ -23,35 +23,27 @@ LIMITS = SETTINGS.quantisation
 def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     """Return the coarsest rounding that all values of a state show; None where that is the one of doubles.
 
-    Args:
-        parts: the measured values along each trajectory, NaN where they are missing.
+    `parts` are the values along each trajectory, NaN where they are missing.
     """
     values = np.concatenate([part[np.isfinite(part)] for part in parts])
     values = values[:: max(1, len(values) // SETTINGS.rows.most)]
     unique = np.unique(values)
     if len(unique) < LIMITS.fewest_values:
         return None
-    roundings = [_decimal_rounding(unique), _binary_rounding(unique)]
-    finest = max((rounding.step for rounding in roundings if rounding is not None), default=0.0)
-    roundings.append(_common_step(unique, finest))
-    coarsest = max(
-        (rounding for rounding in roundings if rounding is not None), key=lambda rounding: rounding.error, default=None
-    )
+    decimal, binary = _decimal_rounding(unique), _binary_rounding(unique)
+    step = _common_step(unique, max(decimal.step, 0.0 if binary is None else binary.step))
+    roundings = [decimal, *(rounding for rounding in (binary, step) if rounding is not None)]
+    coarsest = max(roundings, key=lambda rounding: rounding.error)
     spread = float(unique[-1] - unique[0])
-    return (
-        coarsest if coarsest is not None and coarsest.error > SETTINGS.interpolation.smallest_noise * spread else None
-    )
+    return coarsest if coarsest.error > SETTINGS.interpolation.smallest_noise * spread else None
 
 
 def is_refuted(quantisation: Quantisation, signals: Sequence[Signal]) -> bool:
     """Say whether a state follows a smooth curve more closely, in every row, than rounded values could: it is exact.
 
     Whole numbers that are squares, or a line in even steps, show a step and have no error. Where values were rounded,
-    the curve misses some row by about the error of rounding, however slowly the state moves.
-
-    Args:
-        quantisation: what the digits say.
-        signals: the state along each trajectory that is long enough to be differentiated.
+    the curve misses some row by about the error of rounding, however slowly the state moves. The `signals` are long
+    enough to be differentiated.
     """
     errors, gains = predict_left_out([signal.measured for signal in signals])
     largest = np.max(np.abs(errors) / gains, axis=0)
@@ -86,11 +78,7 @@ def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
 
     It is a share of the least difference, and refined by ever larger ones. All values must be multiples to within the
     digits in which they were written; by chance they would all lie within a share m of a step from multiples with the
-    probability (2 m)^n.
-
-    Args:
-        values: distinct, ascending.
-        finest: the step in which numbers were written down; differences near it are none.
+    probability (2 m)^n. `finest` is the step in which numbers were written down; differences near it are none.
     """
     written = finest + 4.0 * float(np.spacing(np.abs(values).max()))
     offsets = values - values[0]

@@ -55,8 +55,11 @@ def fit_robustly(signals: Sequence[Signal], degrees: Sequence[int]) -> RobustFit
 
 
 def weigh_by(fit: RobustFit, signal: Signal) -> Signal:
-    """Return another signal with the robustness weights that smoother and median residual of `fit` give its rows."""
-    for _ in range(LIMITS.rounds if fit.median > 0.0 else 0):
+    """Return another signal with the robustness weights that smoother and median residual of `fit` give its rows.
+
+    There are outliers in `fit`, so that its median residual is not zero.
+    """
+    for _ in range(LIMITS.rounds):
         (residuals,) = _residuals([signal], [smooth(signal, fit.smoother)])
         signal = _weigh(signal, residuals, fit.median)
     return signal
@@ -84,23 +87,15 @@ def _residuals(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) ->
 
     They are 0 where the value is missing.
     """
-    parts = [signal.values - fit.fits[0] for signal, fit in zip(signals, smoothed, strict=True)]
-    parts = [
-        part if signal.is_measured is None else part * signal.is_measured
-        for part, signal in zip(parts, signals, strict=True)
-    ]
     return [
-        part if signal.inverse_variances is None else part * np.sqrt(signal.inverse_variances)
-        for part, signal in zip(parts, signals, strict=True)
+        (signal.values - fit.fits[0]) * signal.measured_rows * np.sqrt(signal.filled_inverse_variances)
+        for signal, fit in zip(signals, smoothed, strict=True)
     ]
 
 
 def _median(residuals: Sequence[FloatArray], signals: Sequence[Signal]) -> float:
     """Return the median size of the residuals of what was measured."""
-    measured = [
-        part if signal.is_measured is None else part[signal.is_measured > 0.0]
-        for part, signal in zip(residuals, signals, strict=True)
-    ]
+    measured = [part[signal.measured_rows] for part, signal in zip(residuals, signals, strict=True)]
     ordered = np.sort(np.abs(np.concatenate(measured)))
     return float(ordered[len(ordered) // 2])
 

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_coordinator.data.differentiation.kernels.loess import (
     DEGREES,
@@ -48,15 +49,17 @@ class Signal:
     is_measured: FloatArray | None = None
 
     @cached_property
+    def measured_rows(self) -> npt.NDArray[np.bool_]:
+        """Whether each row was measured, (R,)."""
+        return np.ones(len(self.times), np.bool_) if self.is_measured is None else self.is_measured > 0.0
+
+    @cached_property
     def measured(self) -> "Signal":
         """The rows that were measured; the same object where none is missing."""
         if self.is_measured is None:
             return self
-        rows = self.is_measured > 0.0
-        weights = [
-            None if factor is None else factor[rows] for factor in (self.robustness_weights, self.inverse_variances)
-        ]
-        return Signal(self.times[rows], self.values[rows], *weights)
+        rows, factors = self.measured_rows, (self.robustness_weights, self.inverse_variances)
+        return Signal(self.times[rows], self.values[rows], *(part if part is None else part[rows] for part in factors))
 
     @cached_property
     def filled_inverse_variances(self) -> FloatArray:
@@ -150,12 +153,8 @@ def _thin(signal: Signal, thinning: int) -> _BinnedSignal:
     rows = len(signal.times)
     bins = max(rows // thinning, min(rows, _LEAST_BINS))
     share = rows / bins / thinning if bins > rows // thinning else 1.0
-    times, values, weights = np.empty(bins), np.empty(bins), np.empty(bins)
-    if signal.inverse_variances is None:
-        thin_into(times, values, weights, signal.times, signal.values, signal.weights)
-        return _BinnedSignal(Signal(times, values, share * weights), share)
-    inverse_variances = np.empty(bins)
-    thin_into(times, values, inverse_variances, signal.times, signal.values, signal.inverse_variances)
+    times, values, weights, inverse_variances = np.empty((4, bins))
+    thin_into(times, values, inverse_variances, signal.times, signal.values, signal.filled_inverse_variances)
     thin_into(times, values, weights, signal.times, signal.values, signal.weights)
     return _BinnedSignal(Signal(times, values, share * weights / inverse_variances, inverse_variances), share)
 
@@ -205,20 +204,15 @@ def _score(sums: FloatArray) -> float:
 def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
     """Return loess of one signal by `smoother`; a short signal bears a lower degree only."""
     part = _thin(signal, smoother.thinning)
-    of_bins = _loess(part.signal, part.span(smoother.span), smoother.degree)
+    bins, of_bins = part.signal, _empty(len(part.signal.times))
+    degree = min(smoother.degree, len(bins.times) - 2)
+    window = max(part.span(smoother.span), degree + 2), degree + 1
+    weights = bins.weights, bins.filled_inverse_variances
+    loess_into(of_bins.fits, of_bins.gains, bins.times, bins.values, *weights, *window)
     if smoother.thinning == 1:
         return of_bins
     smoothed = _empty(len(signal.times))
-    spread_into(smoothed.fits, smoothed.gains, signal.times, part.signal.times, of_bins.fits, of_bins.gains)
-    return smoothed
-
-
-def _loess(signal: Signal, span: int, degree: int) -> SmoothedSignal:
-    smoothed = _empty(len(signal.times))
-    weights, inverse_variances = signal.weights, signal.filled_inverse_variances
-    degree = min(degree, len(signal.times) - 2)
-    window = max(span, degree + 2), degree + 1
-    loess_into(smoothed.fits, smoothed.gains, signal.times, signal.values, weights, inverse_variances, *window)
+    spread_into(smoothed.fits, smoothed.gains, signal.times, bins.times, of_bins.fits, of_bins.gains)
     return smoothed
 
 
@@ -226,15 +220,15 @@ def _empty(rows: int) -> SmoothedSignal:
     return SmoothedSignal(np.empty((3, rows)), np.empty((4, rows)))
 
 
-def estimate_noise(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> float:
-    """Return the estimated standard deviation of the errors in a row of inverse variance 1.
+def estimate_noise(signals: Sequence[Signal], smoother: Smoother) -> float:
+    """Return the estimated standard deviation of the errors in a row of inverse variance 1, by what `smoother` leaves.
 
     Squared residuals over degrees of freedom (Cleveland & Devlin 1988, section 3): rows minus twice the trace of the
     smoother plus the trace of its square. Rows without weight do not count.
     """
     squares, degrees_of_freedom = 0.0, 0.0
-    for signal, fit in zip(signals, smoothed, strict=True):
-        inverse_variances = signal.filled_inverse_variances
+    for signal in signals:
+        fit, inverse_variances = smooth(signal, smoother), signal.filled_inverse_variances
         residuals, weights = (signal.values - fit.fits[0]).tolist(), signal.weights.tolist()
         row_degrees_of_freedom = (1.0 - 2.0 * fit.gains[3] + inverse_variances * fit.gains[0] * fit.gains[0]).tolist()
         rows = zip(residuals, weights, inverse_variances.tolist(), row_degrees_of_freedom, strict=True)
