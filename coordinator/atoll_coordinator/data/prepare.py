@@ -13,9 +13,12 @@ from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
-from atoll_coordinator.data.row_selection.selected_rows import select_rows
-from atoll_coordinator.data.row_selection.thinning import thin_searched_rows
-from atoll_coordinator.data.row_selection.weights import normalize_weights, select_weighty_rows
+from atoll_coordinator.data.row_selection.selected_rows import (
+    normalize_weights,
+    select_rows,
+    select_weighty_rows,
+    thin_searched_rows,
+)
 from atoll_coordinator.data.trajectories.gaps import split_at_gaps
 from atoll_coordinator.data.trajectories.measurements import take_measurements
 from atoll_core.config import DataConfig, JobConfig
@@ -30,13 +33,10 @@ def prepare(table: Table, config: JobConfig) -> Preparation:
         DataError: the measurements cannot be used as they are; the message says where and what to do.
     """
     roles, options = assign_roles(table, config.data)
-    return replace(_prepare(table, config, roles, options), source=_source(table, roles, options))
-
-
-def _source(table: Table, roles: Roles, options: DataConfig) -> Source:
     units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if unit} | options.units
     role_values = (roles.time, roles.states, roles.velocities, roles.inputs, roles.target, roles.order)
-    return Source(table.digest, table.files, table.rows, units, *role_values, table.read_as)
+    source = Source(table.digest, table.files, table.rows, units, *role_values, table.read_as)
+    return replace(_prepare(table, config, roles, options), source=source)
 
 
 def _prepare(table: Table, config: JobConfig, roles: Roles, options: DataConfig) -> Preparation:

@@ -174,10 +174,6 @@ class ProcessRecording:
         """Names of the components of the diffusion: quadratic variations ``[x]`` and covariations ``[x,y]``."""
         return tuple(component_name(self.states[i], self.states[j]) for i, j in self.pairs)
 
-    def with_findings(self, noise: FloatArray, pairs: tuple[tuple[int, int], ...]) -> "ProcessRecording":
-        """Return the same with the noise and the components of the diffusion that the data show."""
-        return replace(self, noise=noise, pairs=pairs)
-
 
 @dataclass(frozen=True)
 class Source:
@@ -222,17 +218,16 @@ class Preparation:
 
 def of_group(recording: Recording, group: str) -> Recording:
     """Return the trajectories of one group, as if there were no others."""
-    trajectories = tuple(
-        replace(trajectory, group="") for trajectory in recording.trajectories if trajectory.group == group
-    )
-    return replace(recording, trajectories=trajectories, groups=())
+    trajectories = (trajectory for trajectory in recording.trajectories if trajectory.group == group)
+    return replace(recording, trajectories=tuple(replace(its, group="") for its in trajectories), groups=())
 
 
 def by_group(preparation: Preparation) -> Iterator[Preparation]:
     """Yield what each group of trajectories that may have constants of its own gives by itself."""
     dataset, recording = preparation.dataset, preparation.recording
-    for place, group in enumerate(() if recording is None else recording.groups):
-        assert recording is not None
+    if recording is None:
+        return
+    for place, group in enumerate(recording.groups):
         rows = np.flatnonzero(dataset.groups == place)
         targets = tuple(dataset.problem(name).of_group(place).target for name in dataset.variables)
         inputs = np.ascontiguousarray(dataset.inputs[:, rows])

@@ -23,6 +23,7 @@ from atoll_core.errors import DataError
 
 _MOST_OUTLIERS: Final = 0.1
 """Share of the rows beyond which outliers are said to be hardly errors of measurement."""
+_MANY_OUTLIERS: Final = "; so many suggest that rows are too far apart for --robust, not that they are wrong"
 
 
 def assemble_given(
@@ -34,12 +35,8 @@ def assemble_given(
 ) -> Preparation:
     """Return the problems of a table that holds the left-hand sides: labels or derivatives, taken as exact.
 
-    Args:
-        measurements: without trajectories.
-        weights: of the rows, 1 on average; None: all are 1.
-        selected: the rows that the search sees.
-        equations: of which problems are made.
-        symbols: by column name, the name in expressions.
+    Problems are made of the `equations`, over the rows `selected`; `weights` (R,) are 1 on average, None: all are 1;
+    `symbols` has by column name the name in expressions.
     """
     roles, warnings = measurements.roles, measurements.warnings
     searched = len(measurements.searched_rows)
@@ -52,15 +49,10 @@ def assemble_given(
         deviation = representable_standard_deviation(column, values[selected])
         targets.append(Target(name, roles.left_hand_sides[name], values, 0.0, deviation))
     inputs = np.array([measurements.columns[name] for name in roles.variables])
-    sought = [target for target in targets if target.variable in equations]
-    whole = Dataset(tuple(symbols.values()), inputs, tuple(sought), dict(symbols), warnings)
-    held_out = measurements.held_out_rows
-    return Preparation(
-        _take_rows(whole, selected),
-        None,
-        _take_rows(whole, held_out) if held_out else None,
-        None if weights is None else weights[selected],
-    )
+    sought = tuple(target for target in targets if target.variable in equations)
+    whole = Dataset(tuple(symbols.values()), inputs, sought, dict(symbols), warnings)
+    held_out = _take_rows(whole, measurements.held_out_rows) if any(measurements.held_out) else None
+    return Preparation(_take_rows(whole, selected), None, held_out, None if weights is None else weights[selected])
 
 
 def assemble_differentiated(
@@ -73,16 +65,8 @@ def assemble_differentiated(
 ) -> Preparation:
     """Return the problems and the recording that smoothed and differentiated states make.
 
-    Args:
-        measurements: with trajectories.
-        weights: of the rows, 1 on average; None: all are 1.
-        estimates: one for each state.
-        selected: the rows that the search sees, and those that equations are judged by.
-        equations: of which problems are made.
-        symbols: by column name, the name in expressions.
-
-    Raises:
-        DataError: too few rows are selected, or a derivative cannot be a target.
+    Parameters are those of `assemble_given`, with one of the `estimates` for each state. Raises DataError where too few
+    rows are selected, or a derivative cannot be a target.
     """
     roles = measurements.roles
     warnings = (*measurements.warnings, *selected.warnings, *_remarks(measurements, estimates, selected))
@@ -139,18 +123,12 @@ def _remarks(measurements: Measurements, estimates: Sequence[StateEstimate], sel
     remarks = []
     for state, estimate in zip(states, estimates, strict=True):
         if estimate.outliers:
-            remarks.append(_outlier_remark(state, estimate.outliers, measurements.row_count))
-    tailed = [state for state, estimate in zip(states, estimates, strict=True) if estimate.has_heavy_tails]
+            count = f"{estimate.outliers} {'outlier' if estimate.outliers == 1 else 'outliers'} without weight"
+            is_likely = estimate.outliers <= _MOST_OUTLIERS * measurements.row_count
+            remarks.append(f"State '{state}' has {count}{'' if is_likely else _MANY_OUTLIERS}.")
+    tailed = ", ".join(state for state, estimate in zip(states, estimates, strict=True) if estimate.has_heavy_tails)
     if tailed:
-        remarks.append(
-            f"Some measurements of {', '.join(tailed)} look like outliers; --robust takes their weight away."
-        )
+        remarks.append(f"Some measurements of {tailed} look like outliers; --robust takes their weight away.")
     if any(measurements.held_out) and not selected.held_out:
         remarks.append("No row that was held out can be differentiated well; equations are not judged by them.")
     return remarks
-
-
-def _outlier_remark(state: str, count: int, rows: int) -> str:
-    sentence = f"State '{state}' has {count} {'outlier' if count == 1 else 'outliers'} without weight"
-    many = "; so many suggest that rows are too far apart for --robust, not that they are wrong"
-    return sentence + (many if count > _MOST_OUTLIERS * rows else "") + "."

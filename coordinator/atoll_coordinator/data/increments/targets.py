@@ -1,6 +1,7 @@
 """The regression problems of a process: a target for each drift and for each component of the diffusion. Pure."""
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def assemble_process(measurements: Measurements, equations: Collection[str], sym
             )
     moments = bin_moments(steps)
     roles = measurements.roles
-    process = process.with_findings(moments.noise, tuple(moments.products))
+    process = replace(process, noise=moments.noise, pairs=tuple(moments.products))
     values = [*moments.drift, *moments.products.values()]
     targets = tuple(
         _target(name, roles.left_hand_side(name), moment, error)

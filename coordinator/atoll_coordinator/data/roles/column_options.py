@@ -9,17 +9,42 @@ from atoll_core.config import DataConfig
 from atoll_core.errors import UsageError
 
 TRAJECTORY_NAME: Final = "trajectory"
+_SINGLE: Final = ("time", "trajectory", "group", "target", "weights")
+_SEVERAL: Final = ("states", "inputs", "derivatives", "only", "offsets")
+"""Options that name one column, and several."""
+_EXCLUSIONS: Final = (
+    ("--target", "--derivatives", "give the one column set that is sought"),
+    ("--order 2", "--target", "explicit regression has no time derivative"),
+    ("--holdout", "--target", "rows of an explicit regression are no trajectories"),
+    ("--order 2", "--derivatives", "the velocity has to be derived from the data"),
+    ("--offsets", "--target", "offsets belong to states measured in time"),
+    ("--offsets", "--derivatives", "offsets belong to states measured in time"),
+    ("--stochastic", "--target", "an explicit regression has no process"),
+    ("--stochastic", "--derivatives", "the steps of a process are those of its states"),
+    ("--stochastic", "--order 2", "name the velocities among the states instead"),
+    ("--stochastic", "--only", "the likelihood of a step is that of all states"),
+    ("--stochastic", "--robust", "nothing is smoothed"),
+    ("--stochastic", "--weights", "the diffusion says how much each step counts"),
+    ("--stochastic", "--offsets", "increments know nothing of offsets"),
+    ("--stochastic", "--group", "the likelihood of a step has one set of constants"),
+    ("--stochastic", "--per-trajectory", "the likelihood of a step has one set of constants"),
+    ("--group", "--per-trajectory", "name the column, or let all differ"),
+    ("--group", "--target", "constants by group need states measured in time"),
+    ("--group", "--derivatives", "constants by group need states measured in time"),
+    ("--per-trajectory", "--target", "constants by group need states measured in time"),
+    ("--per-trajectory", "--derivatives", "constants by group need states measured in time"),
+    ("--per-trajectory", "--holdout", "constants of what is held out are unknown"),
+)
+"""Options that mean nothing together, and why."""
 _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
 _IN_PARENTHESES = re.compile(r"^(?P<name>.*?)\s+\((?P<unit>[^()]*)\)$", re.DOTALL)
 
 
 def named_columns(config: DataConfig) -> frozenset[str]:
     """Return every column that the options name."""
-    named = (config.time, config.trajectory, config.group, config.target, config.weights)
-    single = [name for name in named if name is not None]
-    angles = [angle.column for angle in config.angles]
-    several = (*(config.states or ()), *config.inputs, *(config.derivatives or ()), *(config.only or ()))
-    return frozenset((*single, *several, *angles, *config.offsets))
+    single = {getattr(config, part) for part in _SINGLE} - {None}
+    several = [name for part in _SEVERAL for name in getattr(config, part) or ()]
+    return frozenset((*single, *several, *(angle.column for angle in config.angles)))
 
 
 def split_unit(header: str) -> tuple[str, str]:
@@ -40,9 +65,9 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
     def several(columns: Iterable[str] | None) -> tuple[str, ...] | None:
         return None if columns is None else tuple(plain(name) for name in columns)
 
-    single = {part: getattr(config, part) for part in ("time", "trajectory", "group", "target", "weights")}
+    single = {part: getattr(config, part) for part in _SINGLE}
     changes: dict[str, object] = {part: plain(name) for part, name in single.items() if name is not None}
-    changes |= {part: several(getattr(config, part)) for part in ("states", "inputs", "derivatives", "only", "offsets")}
+    changes |= {part: several(getattr(config, part)) for part in _SEVERAL}
     if isinstance(config.holdout, str):
         name, _, value = config.holdout.rpartition("=")
         changes["holdout"] = f"{plain(name.strip())}={value.strip()}"
@@ -60,75 +85,45 @@ def find_trajectory_column(names: Iterable[str], config: DataConfig) -> str | No
 
 def check_options(config: DataConfig) -> None:
     """Raise UsageError when options contradict each other, whatever the data."""
-    if config.target is not None and config.derivatives is not None:
-        raise UsageError("--target and --derivatives exclude each other; give the one column set that is sought")
-    if config.order == 2 and config.target is not None:
-        raise UsageError("--order 2 and --target exclude each other; explicit regression has no time derivative")
-    if config.holdout is not None and config.target is not None:
-        raise UsageError(
-            "--holdout and --target exclude each other; rows of an explicit regression are no trajectories"
-        )
-    if config.order == 2 and config.derivatives is not None:
-        raise UsageError("--order 2 and --derivatives exclude each other; the velocity has to be derived from the data")
+    given = {
+        "--stochastic": config.stochastic,
+        "--target": config.target is not None,
+        "--derivatives": config.derivatives is not None,
+        "--order 2": config.order == 2,
+        "--holdout": config.holdout is not None,
+        "--only": config.only is not None,
+        "--robust": config.robust,
+        "--weights": config.weights is not None,
+        "--offsets": bool(config.offsets),
+        "--group": config.group is not None,
+        "--per-trajectory": config.per_trajectory,
+    }
+    for one, other, reason in _EXCLUSIONS:
+        if given[one] and given[other]:
+            raise UsageError(f"{one} and {other} exclude each other; {reason}")
     if config.derivatives is not None and config.states is not None and len(config.derivatives) != len(config.states):
         counts = f"{len(config.states)} states and {len(config.derivatives)} derivatives"
         raise UsageError(f"{counts} were named; give one derivative per state, in the same order")
-    if config.offsets and (config.target is not None or config.derivatives is not None):
-        other = "--target" if config.target is not None else "--derivatives"
-        raise UsageError(f"--offsets and {other} exclude each other; offsets belong to states measured in time")
-    _check_stochastic(config)
-    _check_groups(config)
     _check_parts(config)
-
-
-def _check_groups(config: DataConfig) -> None:
-    """Raise UsageError when groups of trajectories are asked for where there are none."""
-    if config.group is None and not config.per_trajectory:
-        return
-    option = "--per-trajectory" if config.per_trajectory else "--group"
-    if config.group is not None and config.per_trajectory:
-        raise UsageError("--group and --per-trajectory exclude each other; name the column, or let all differ")
-    others = {"--target": config.target is not None, "--derivatives": config.derivatives is not None}
-    other = next((name for name, is_given in others.items() if is_given), None)
-    if other is not None:
-        raise UsageError(f"{option} and {other} exclude each other; constants by group need states measured in time")
-    if config.per_trajectory and config.holdout is not None:
-        raise UsageError("--per-trajectory and --holdout exclude each other; constants of what is held out are unknown")
-
-
-def _check_stochastic(config: DataConfig) -> None:
-    """Raise UsageError when an option is given that means nothing where noise is part of the law."""
-    reasons = {
-        "--target": (config.target is not None, "an explicit regression has no process"),
-        "--derivatives": (config.derivatives is not None, "the steps of a process are those of its states"),
-        "--order 2": (config.order == 2, "name the velocities among the states instead"),
-        "--only": (config.only is not None, "the likelihood of a step is that of all states"),
-        "--robust": (config.robust, "nothing is smoothed"),
-        "--weights": (config.weights is not None, "the diffusion says how much each step counts"),
-        "--offsets": (bool(config.offsets), "increments know nothing of offsets"),
-        "--group": (config.group is not None, "the likelihood of a step has one set of constants"),
-        "--per-trajectory": (config.per_trajectory, "the likelihood of a step has one set of constants"),
-    }
-    for option, (is_given, reason) in reasons.items():
-        if config.stochastic and is_given:
-            raise UsageError(f"--stochastic and {option} exclude each other; {reason}")
 
 
 def _check_parts(config: DataConfig) -> None:
     """Raise UsageError when one column is given two parts, or one part twice."""
-    parts: list[tuple[str, Sequence[str]]] = [
-        ("a state", config.states or ()),
-        ("an input", config.inputs),
-        ("a derivative", config.derivatives or ()),
-        ("the target", [config.target] if config.target is not None else []),
-        ("the trajectory column", [config.trajectory] if config.trajectory is not None else []),
-        ("the group", [config.group] if config.group not in (None, config.trajectory) else []),
-        ("the time", [config.time] if config.time is not None else []),
-        ("the weights", [config.weights] if config.weights is not None else []),
-    ]
+    parts: dict[str, Sequence[str | None]] = {
+        "a state": config.states or (),
+        "an input": config.inputs,
+        "a derivative": config.derivatives or (),
+        "the target": [config.target],
+        "the trajectory column": [config.trajectory],
+        "the group": [config.group] if config.group != config.trajectory else [],
+        "the time": [config.time],
+        "the weights": [config.weights],
+    }
     owner: dict[str, str] = {}
-    for part, names in parts:
+    for part, names in parts.items():
         for name in names:
+            if name is None:
+                continue
             if owner.get(name, part) != part and {owner[name], part} != {"an input", "the time"}:
                 raise UsageError(f"column '{name}' cannot be both {owner[name]} and {part}; name it once")
             if list(names).count(name) > 1:

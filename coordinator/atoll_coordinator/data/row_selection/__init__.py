@@ -1,9 +1,8 @@
 """Which rows the search is given.
 
-- `selected_rows`: `select_rows`, from the uncertainties of derivatives
-- `thinning`: fewer rows where there are many
+- `selected_rows`: `select_rows`, from the uncertainties of derivatives, and fewer where there are many; weights of rows
+  over their mean, and rows of too little weight where left-hand sides are given
 - `excluded_rows`: the reason why a row is not used: end, gap, jump or outlier
-- `weights`: weights of rows over their mean, and rows of too little weight where left-hand sides are given
 
 Estimates go in, `SelectedRows` come out.
 """

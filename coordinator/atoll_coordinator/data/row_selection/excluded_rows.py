@@ -21,16 +21,12 @@ def explain_excluded_rows(
 ) -> tuple[ExcludedRow, ...]:
     """Return the rows of one state that the search does not see because of it, and its outliers, in order.
 
-    Args:
-        times: of each trajectory, ascending strictly.
-        estimate: the state's values and derivatives over all rows, one trajectory after another.
-        uncertain: rows whose derivative is too uncertain.
-        searched: rows of the trajectories that are not held out.
+    Of all rows, one trajectory after another, these are `uncertain` because their derivative is; those `searched` are
+    of trajectories that are not held out, whose `times` are all given.
     """
     lengths = [len(part) for part in times]
     cut_off = mark_ends(lengths) if estimate.is_interpolated else np.zeros(sum(lengths))
-    weights = np.ones(sum(lengths)) if estimate.robustness_weights is None else estimate.robustness_weights
-    is_known = estimate.is_known
+    weights, is_known = estimate.robustness_weights, estimate.is_known
     excluded: list[ExcludedRow] = []
     first = 0
     for number, part in enumerate(times):
@@ -38,7 +34,7 @@ def explain_excluded_rows(
         ends, gaps = _near_ends(len(part), known, estimate), _near_gaps(part)
         for row in range(len(part)):
             place = first + row
-            is_outlier = weights[place] == 0.0
+            is_outlier = weights is not None and weights[place] == 0.0
             is_missing = not is_known[place]
             if place not in searched or not (place in uncertain or cut_off[place] or is_outlier or is_missing):
                 continue
@@ -59,18 +55,15 @@ def explain_excluded_rows(
 def _near_ends(rows: int, known: Sequence[int], estimate: StateEstimate) -> list[bool]:
     """Return for each row of a trajectory whether it is near the first or the last one where the state is known."""
     low, high = (known[0], known[-1]) if known else (0, rows - 1)
-    reach = END_ROWS
-    if estimate.smoother is not None:
-        reach = max(END_ROWS, int(_END_SHARE * min(estimate.smoother.rows, rows)))
+    span = 0 if estimate.smoother is None else estimate.smoother.rows
+    reach = max(END_ROWS, int(_END_SHARE * min(span, rows)))
     return [min(row - low, high - row) < reach for row in range(rows)]
 
 
 def _near_gaps(times: FloatArray) -> list[bool]:
     """Return for each row of a trajectory whether a long step of the times is near."""
     steps = np.diff(times)
-    long = np.flatnonzero(steps > _GAP_STEPS * float(np.sort(steps)[len(steps) // 2])).tolist()
-    near = [False] * len(times)
-    for step in long:
-        for row in range(max(step + 1 - END_ROWS, 0), min(step + 1 + END_ROWS, len(times))):
-            near[row] = True
-    return near
+    near = np.zeros(len(times), np.bool_)
+    for step in np.flatnonzero(steps > _GAP_STEPS * float(np.sort(steps)[len(steps) // 2])).tolist():
+        near[max(step + 1 - END_ROWS, 0) : step + 1 + END_ROWS] = True
+    return near.tolist()

@@ -1,4 +1,4 @@
-"""Which rows the search sees: those whose derivatives are certain enough. Pure.
+"""Which rows the search sees: those whose derivatives are certain enough, or that have weight, not too many. Pure.
 
 Interpolated states: not the ends of trajectories, and not rows of very uncertain derivatives, which are jumps and
 passages by a singularity that the sampling does not resolve. Smoothed states: not rows whose total uncertainty,
@@ -7,17 +7,19 @@ standard error and estimated bias together, is far above the typical one.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.interpolation import END_ROWS, mark_ends
-from atoll_coordinator.data.differentiation.standard_deviation import bounded_standard_deviation
+from atoll_coordinator.data.differentiation.kernels.stencils import moments
+from atoll_coordinator.data.differentiation.standard_deviation import ROUNDING, bounded_standard_deviation
 from atoll_coordinator.data.recording import ExcludedRow
 from atoll_coordinator.data.row_selection.excluded_rows import explain_excluded_rows
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.rows
 FAR_OUT = LIMITS.over_median_uncertainty
@@ -39,17 +41,12 @@ class SelectedRows:
 
 
 def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], *, paper: bool) -> SelectedRows:
-    """Return the rows that all targets use.
-
-    Args:
-        measurements: with trajectories; the same limits apply to rows of those held out.
-        estimates: one for each state.
-        paper: select every row, as the paper does.
-    """
+    """Return the rows that all targets use, all of them for `paper`; to rows held out the same limits apply."""
     assert measurements.trajectories is not None
     times = measurements.trajectories.times
     is_known = np.all([estimate.is_known for estimate in estimates], axis=0)
-    searched = [row for row in measurements.searched_rows if is_known[row]]
+    every = measurements.searched_rows
+    searched = [row for row in every if is_known[row]]
     held_out = [row for row in measurements.held_out_rows if is_known[row]]
     selected, within, warnings = searched, held_out, []
     uncertain = [frozenset[int]()] * len(estimates)
@@ -63,14 +60,11 @@ def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], 
         totals = [estimate.total_uncertainty for estimate in estimates]
         limits = [float(np.max(total[selected], initial=0.0)) for total in totals]
         pairs = list(zip(totals, limits, strict=True))
-        uncertain = [
-            frozenset(row for row in measurements.searched_rows if limit < total[row] < math.inf)
-            for total, limit in pairs
-        ]
+        uncertain = [frozenset(row for row in every if limit < total[row] < math.inf) for total, limit in pairs]
         within = [row for row in held_out if ends[row] == 0.0 and all(total[row] <= limit for total, limit in pairs)]
         warnings = _sentences(len(searched), len(inner), len(certain), len(selected))
     excluded = [
-        explain_excluded_rows(times, estimate, rows, frozenset(measurements.searched_rows))
+        explain_excluded_rows(times, estimate, rows, frozenset(every))
         for estimate, rows in zip(estimates, uncertain, strict=True)
     ]
     return SelectedRows(selected, within, tuple(uncertain), tuple(excluded), tuple(warnings))
@@ -92,9 +86,9 @@ def _sentences(searched: int, inner: int, certain: int, selected: int) -> list[s
 
 def _certain_interpolated(estimates: Sequence[StateEstimate], inner: list[int]) -> list[int]:
     """Return the rows of `inner` whose relative uncertainty, the worst of all states, is small enough."""
-    selected = inner
     if not estimates or not inner:
-        return selected
+        return inner
+    selected = inner
     least = math.ceil(LIMITS.least_kept * len(inner))
     for _ in range(SETTINGS.robustness.rounds):
         worst = np.zeros(len(inner))
@@ -141,3 +135,45 @@ def _certain_smoothed(estimates: Sequence[StateEstimate], rows: list[int]) -> li
     least = min(max(math.ceil(LIMITS.least_kept * len(rows)), SETTINGS.checks.min_rows), len(rows))
     limit = max(FAR_OUT, ordered[least - 1]) if rows else FAR_OUT
     return [row for row, value in zip(rows, worst.tolist(), strict=True) if value <= limit]
+
+
+def thin_searched_rows(selected: SelectedRows, states: Sequence[FloatArray], most: int = LIMITS.most) -> SelectedRows:
+    """Return the selection with about `most` rows for the search, if there were more; `states` are (R,) each.
+
+    Neighbours' derivatives come from the same measurements. Rows are spread evenly over the rows and over the way that
+    each state goes, so that a quick passage keeps rows.
+    """
+    rows = selected.searched
+    if len(rows) <= most:
+        return selected
+    place = evenly = np.arange(len(rows)) / (len(rows) - 1)
+    for state in states:
+        way = np.cumsum(np.abs(np.diff(state[rows], prepend=state[rows[0]])))  # one after another: no pairwise sums
+        place = place + (way / way[-1] if way[-1] > 0.0 else evenly)
+    numbers = np.floor(place * ((most - 1) / (len(states) + 1)))
+    is_kept = np.diff(numbers, prepend=-1.0) > 0.0
+    kept = [row for row, keep in zip(rows, is_kept.tolist(), strict=True) if keep]
+    sentence = f"The search sees {len(kept)} of {len(rows)} rows, spread evenly; models are judged by all."
+    return replace(selected, searched=kept, warnings=(*selected.warnings, sentence))
+
+
+def normalize_weights(weights: FloatArray | None) -> FloatArray | None:
+    """Return positive weights over their mean; None when there are none, or all are equal."""
+    if weights is None:
+        return None
+    scaled = weights / float(np.max(weights))
+    mean, deviation = moments(scaled)
+    return None if deviation <= ROUNDING * mean else np.ascontiguousarray(scaled / mean)
+
+
+def select_weighty_rows(weights: FloatArray | None, rows: list[int]) -> list[int]:
+    """Return those of `rows` whose weight is not far below the median one, most of them in any case.
+
+    The search counts all rows alike (ADR 0027), so that rows of a far larger error are left out of it.
+    """
+    if weights is None:
+        return rows
+    ordered = np.sort(weights[rows]).tolist()
+    least = ordered[len(rows) - max(1, math.ceil(LIMITS.least_kept * len(rows)))]
+    limit = min(ordered[len(rows) // 2] / LIMITS.over_median_uncertainty**2, least)
+    return [row for row in rows if weights[row] >= limit]

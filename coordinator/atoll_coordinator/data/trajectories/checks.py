@@ -26,37 +26,28 @@ _TURNS: Final = ((6.283185307179586, "2 pi", ""), (360.0, "360", ":deg"))
 """A full turn, how it is called, and what `--angle` appends for its unit."""
 
 
-def select_usable_rows(
-    table: Table, roles: Roles, columns: Mapping[str, FloatArray], config: DataConfig
-) -> tuple[list[int], list[str]]:
+def select_usable_rows(table: Table, roles: Roles, config: DataConfig) -> tuple[list[int], list[str]]:
     """Return the rows that are used, and sentences for the user.
 
     Those have a weight that is not negligible; all columns that must be known are finite; and where states are measured
     in time, at least one of them is: a missing value of a state costs that value.
-
-    Args:
-        table: what was read.
-        roles: of its columns.
-        columns: of the table, by name.
-        config: whether missing numbers are dropped, and which choices were left open.
 
     Raises:
         DataError: there are too few rows, a weight is negative or no number, or a used column is not finite in a row
             with weight although missing numbers are not to be dropped.
     """
     _check_count(table, table.rows)
-    weighted, unused = _weighted_rows(table, roles.weights, columns)
+    weighted, unused = _weighted_rows(table, roles.weights)
     rows, dropped = _finite_rows(table, roles, weighted, config.missing == "drop")
-    sentences = [*([] if unused is None else [unused]), *dropped]
-    return rows, sentences + _remarks(table, roles, columns, rows, config)
+    return rows, [*unused, *dropped, *_remarks(table, roles, rows, config)]
 
 
-def check_searched_rows(table: Table, roles: Roles, columns: Mapping[str, FloatArray], rows: Sequence[int]) -> None:
+def check_searched_rows(table: Table, roles: Roles, rows: Sequence[int]) -> None:
     """Raise DataError when the `rows` that the search may see are too few, or what is sought is constant in them."""
     _check_count(table, len(rows))
     for name in roles.derivatives or roles.equations:
         role = "state" if name in roles.states else "derivative" if roles.derivatives else "target"
-        check_varies(table, name, columns[name][rows], role)
+        check_varies(table, name, table.column(name)[rows], role)
 
 
 def check_sizes(columns: Mapping[str, FloatArray]) -> None:
@@ -88,12 +79,7 @@ def check_varies(table: Table, name: str, values: FloatArray, role: str) -> None
 def check_trajectory(table: Table, name: str, times: FloatArray, rows: Sequence[int], number: int) -> None:
     """Raise DataError unless trajectory `number` (from 1), at table rows `rows`, is long enough and its times ascend.
 
-    Args:
-        table: what was read.
-        name: the time column.
-        times: of the trajectory.
-        rows: of the trajectory, in the table.
-        number: of the trajectory.
+    `name` is the time column.
     """
     if len(times) > 1 and np.all(times == times[0]):
         raise DataError(f"the time column '{name}' is constant ({float(times[0]):g}); name another with --time")
@@ -121,11 +107,10 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
     none: it makes steps of all sizes up to the largest, whereas a jump stands out from all others.
     """
     parts = [part[np.isfinite(part)] for part in parts]
-    parts = [part for part in parts if len(part)]
-    low = min(float(np.min(part)) for part in parts)
-    high = max(float(np.max(part)) for part in parts)
+    values = np.concatenate(parts)
+    width = float(np.max(values)) - float(np.min(values))
     for turn, called, suffix in _TURNS:
-        if not 0.5 * turn < high - low <= (1.0 + SETTINGS.common.negligible) * turn:
+        if not 0.5 * turn < width <= (1.0 + SETTINGS.common.negligible) * turn:
             continue
         steps = [np.abs(np.diff(part)) for part in parts]
         usual = max(float(np.max(sizes[sizes < 0.5 * turn], initial=0.0)) for sizes in steps)
@@ -155,12 +140,12 @@ def _check_count(table: Table, count: int) -> None:
         raise DataError(f"{table.files[0]} has {count} {rows} of data; at least {MIN_ROWS} are needed")
 
 
-def _weighted_rows(table: Table, name: str | None, columns: Mapping[str, FloatArray]) -> tuple[list[int], str | None]:
+def _weighted_rows(table: Table, name: str | None) -> tuple[list[int], list[str]]:
     """Return the rows that have weight, all of them without a column, and a sentence when others are left out."""
     if name is None:
-        return [*range(table.rows)], None
-    weights = columns[name]
-    bad = [int(row) for row in np.flatnonzero(~(np.isfinite(weights) & (weights >= 0.0)))]
+        return [*range(table.rows)], []
+    weights = table.column(name)
+    bad = np.flatnonzero(~(np.isfinite(weights) & (weights >= 0.0))).tolist()
     if bad:
         value = float(weights[bad[0]])
         value_text = "an empty cell or NaN" if math.isnan(value) else f"{value:g}"
@@ -168,14 +153,12 @@ def _weighted_rows(table: Table, name: str | None, columns: Mapping[str, FloatAr
             f"the weights '{name}' hold {value_text} in {table.places(bad)}; a weight is a number from 0 (a row that "
             "is not used) up, such as 1/variance"
         )
-    rows = [int(row) for row in np.flatnonzero(weights > 0.0)]
+    rows = np.flatnonzero(weights > 0.0).tolist()
     if len(rows) < MIN_ROWS:
-        raise DataError(
-            f"only {len(rows)} rows of {table.files[0]} have a weight above zero in '{name}'; at least {MIN_ROWS} are "
-            "needed"
-        )
+        few = f"only {len(rows)} rows of {table.files[0]} have a weight above zero in '{name}'"
+        raise DataError(f"{few}; at least {MIN_ROWS} are needed")
     count = table.rows - len(rows)
-    return rows, f"{count} of {table.rows} rows have no weight and are left out." if count else None
+    return rows, [f"{count} of {table.rows} rows have no weight and are left out."] if count else []
 
 
 def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) -> tuple[list[int], list[str]]:
@@ -184,18 +167,16 @@ def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) ->
     Of states measured in time one is enough; of all other columns in use each is needed.
     """
     used = [table.names.index(name) for name in roles.used]
-    bad = ~np.isfinite(table.columns[used])
-    without_weight = np.ones(table.rows, dtype=np.bool_)
-    without_weight[weighted] = False
-    bad &= ~without_weight
+    has_weight = np.isin(np.arange(table.rows), weighted)
+    bad = ~np.isfinite(table.columns[used]) & has_weight
     if not bad.any():
         return weighted, []
     if not drop:
         raise DataError(_not_finite(table, used, bad))
     measured = () if roles.target is not None or roles.derivatives else roles.states
     is_state = np.array([name in measured for name in roles.used])
-    is_lost = bad[~is_state].any(axis=0) | (bad[is_state].all(axis=0) & is_state.any()) | without_weight
-    kept = [int(row) for row in np.flatnonzero(~is_lost)]
+    is_lost = bad[~is_state].any(axis=0) | (bad[is_state].all(axis=0) & is_state.any())
+    kept = np.flatnonzero(has_weight & ~is_lost).tolist()
     if not kept:
         raise DataError(f"every row of {table.files[0]} holds NaN or infinity; nothing is left to search")
     sentences = []
@@ -215,7 +196,7 @@ def _not_finite(table: Table, used: Sequence[int], bad: BoolArray) -> str:
     """Name the first bad column and its rows, and say how many rows are bad over all."""
     names = [table.names[index] for index in used]
     first = next(place for place in range(len(used)) if bad[place].any())
-    rows = [int(row) for row in np.flatnonzero(bad[first])]
+    rows = np.flatnonzero(bad[first]).tolist()
     is_missing = bool(np.isnan(table.columns[used[first]][rows]).all())
     text = f"column '{names[first]}' holds {'NaN or an empty cell' if is_missing else 'NaN or infinity'}"
     text += f" in {table.places(rows)}"
@@ -226,9 +207,7 @@ def _not_finite(table: Table, used: Sequence[int], bad: BoolArray) -> str:
     return text + "; correct them, or add --missing drop to do without them"
 
 
-def _remarks(
-    table: Table, roles: Roles, columns: Mapping[str, FloatArray], rows: list[int], config: DataConfig
-) -> list[str]:
+def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) -> list[str]:
     """Return sentences about choices that the user may not expect."""
     remarks = []
     if table.skipped:
@@ -240,7 +219,9 @@ def _remarks(
     if degrees:
         remarks.append(f"Degrees were converted to radians: {', '.join(degrees)}.")
     variables = [name for name in (*roles.states, *roles.inputs) if name not in roles.equations or roles.derivatives]
-    finite = {name: columns[name][rows][np.isfinite(columns[name][rows])] for name in variables}
-    constant = [name for name, values in finite.items() if len(values) and np.all(values == values[0])]
-    remarks += [f"Column '{name}' is constant and of no use to an equation." for name in constant]
+    for name in variables:
+        values = table.column(name)[rows]
+        values = values[np.isfinite(values)]
+        if len(values) and np.all(values == values[0]):
+            remarks.append(f"Column '{name}' is constant and of no use to an equation.")
     return remarks

@@ -57,25 +57,15 @@ def _split(measurements: Measurements, pieces: Sequence[Sequence[Range]], reason
     whole = measurements.trajectories
     assert whole is not None
     parts = [(number, slice(*piece)) for number, ranges in enumerate(pieces) for piece in ranges]
-    rows = [
-        row
-        for (first, last), ranges in zip(measurements.ranges, pieces, strict=True)
-        for piece in ranges
-        for row in range(first, last)[slice(*piece)]
-    ]
+    rows = [row for number, part in parts for row in range(*measurements.ranges[number])[part]]
     ends = np.cumsum([0, *(part.stop - part.start for _, part in parts)]).tolist()
     names = distinguish([whole.names[number] for number, _ in parts])
     times = tuple(whole.times[number][part] for number, part in parts)
     states = {name: [along[number][part] for number, part in parts] for name, along in whole.states.items()}
-    pieces_of = {
-        number: [name for name, (origin, _) in zip(names, parts, strict=True) if origin == number]
-        for number, _ in parts
-    }
-    texts = [
-        f"{whole.names[number]} into {', '.join(piece_names)}"
-        for number, piece_names in pieces_of.items()
-        if len(piece_names) > 1
-    ]
+    names_of: dict[int, list[str]] = {}
+    for name, (number, _) in zip(names, parts, strict=True):
+        names_of.setdefault(number, []).append(name)
+    texts = [f"{whole.names[number]} into {', '.join(its)}" for number, its in names_of.items() if len(its) > 1]
     listed = "; ".join(texts[:MANY]) + ("; …" if len(texts) > MANY else "")
     warnings = [*measurements.warnings, f"{reason}; trajectories are split there{f': {listed}' if listed else ''}."]
     left_out = measurements.row_count - len(rows)

@@ -26,12 +26,10 @@ def select_held_out(holdout: int | str | None, trajectory: str | None, values: S
         DataError: there are too few trajectories, or none with that value.
     """
     count = len(values)
-    if holdout is None:
-        return (False,) * count
-    if isinstance(holdout, int):
-        held_out = [place >= count - holdout for place in range(count)]
-    else:
+    if isinstance(holdout, str):
         held_out = _with_value(holdout, trajectory, values)
+    else:
+        held_out = [place >= count - (holdout or 0) for place in range(count)]
     if all(held_out):
         there = "is only one trajectory" if count == 1 else f"are {count} trajectories"
         raise DataError(f"--holdout {holdout} would keep everything from the search: there {there}; leave at least one")
@@ -45,16 +43,12 @@ def _with_value(holdout: str, trajectory: str | None, values: Sequence[float]) -
         by = "blank rows or files" if trajectory is None else f"column '{trajectory}'"
         advice = f"add --trajectory {name}, or give the number of trajectories to hold out"
         raise UsageError(f"--holdout names column '{name}', but trajectories are told apart by {by}; {advice}")
-    held_out = [value == _parse_number(holdout, text) for value in values]
+    try:
+        held_out = [value == float(text) for value in values]
+    except ValueError:
+        raise UsageError(f"--holdout must be a whole number or COLUMN=NUMBER, but {holdout!r} was given") from None
     if not any(held_out):
         known = ", ".join(format_number(value) for value in values[:MANY])
         more = ", …" if len(values) > MANY else ""
         raise DataError(f"--holdout {holdout}: no trajectory has this value; there are {known}{more}")
     return held_out
-
-
-def _parse_number(holdout: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError(f"--holdout must be a whole number or COLUMN=NUMBER, but {holdout!r} was given") from None

@@ -3,13 +3,14 @@
 Cheap enough for a client to meet every objection to its data before it uploads them.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.trajectories.angles import convert_to_radians, unwrap
 from atoll_coordinator.data.trajectories.checks import check_searched_rows, check_sizes, select_usable_rows
 from atoll_coordinator.data.trajectories.holdout import select_held_out
 from atoll_coordinator.data.trajectories.trajectories import (
@@ -18,10 +19,13 @@ from atoll_coordinator.data.trajectories.trajectories import (
     find_ranges,
     name_groups,
     split_trajectories,
+    unwrap,
 )
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.data.table import Table
+
+RADIANS_PER_DEGREE: Final = math.pi / 180.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,52 +81,39 @@ class Measurements:
         return np.repeat(np.array([names.index(group) for group in self.groups], np.int64), lengths)
 
     def _rows(self, *, held_out: bool) -> list[int]:
-        ranges = [
-            row_range
-            for row_range, is_held_out in zip(self.ranges, self.held_out, strict=True)
-            if is_held_out == held_out
-        ]
-        return [row for first, last in ranges for row in range(first, last)]
+        places = zip(self.ranges, self.held_out, strict=True)
+        return [row for (first, last), is_out in places if is_out == held_out for row in range(first, last)]
 
     @property
     def inputs(self) -> list[list[FloatArray]]:
         """Each input along each trajectory, unwrapped if it is an angle."""
         angles = {angle.column for angle in self.roles.angles}
-        parts = [[self.columns[name][first:last] for first, last in self.ranges] for name in self.roles.inputs]
-        return [
-            [unwrap(part) for part in input_parts] if name in angles else input_parts
-            for name, input_parts in zip(self.roles.inputs, parts, strict=True)
-        ]
+        parts = {name: [self.columns[name][first:last] for first, last in self.ranges] for name in self.roles.inputs}
+        return [list(map(unwrap, along)) if name in angles else along for name, along in parts.items()]
 
 
 def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measurements:
-    """Select the rows that are used and check what was measured.
-
-    Args:
-        table: what was read.
-        roles: of its columns.
-        config: the options, columns named as in `table`.
+    """Select the rows that are used and check what was measured; `config` names columns as `table` does.
 
     Raises:
         UsageError: trajectories to hold out are not told apart by the column that is named.
         DataError: the measurements cannot be used as they are; the message says where and what to do.
     """
-    raw = dict(zip(table.names, table.columns, strict=True))
-    rows, warnings = select_usable_rows(table, roles, raw, config)
-    numbers = np.zeros(table.rows) if roles.trajectory is None else raw[roles.trajectory]
-    marks = [numbers] if roles.group is None else [numbers, raw[roles.group]]
+    rows, warnings = select_usable_rows(table, roles, config)
+    numbers = np.zeros(table.rows) if roles.trajectory is None else table.column(roles.trajectory)
+    marks = [numbers] if roles.group is None else [numbers, table.column(roles.group)]
     ranges = find_ranges(table.starts, rows, *marks)
     first_rows = [rows[first] for first, _ in ranges]
     held_out = select_held_out(config.holdout, roles.trajectory, numbers[first_rows].tolist())
     searched = [row for (first, last), out in zip(ranges, held_out, strict=True) if not out for row in rows[first:last]]
-    check_searched_rows(table, roles, raw, searched)
-    check_sizes({name: raw[name][rows] for name in (*roles.states, *roles.inputs)})
-    angles = {angle.column: angle for angle in roles.angles}
-    angles |= {
-        name: angles[state] for state, name in zip(roles.states, roles.derivatives, strict=False) if state in angles
-    }
-    columns = {name: convert_to_radians(raw[name][rows], angles.get(name)) for name in roles.used}
+    check_searched_rows(table, roles, searched)
+    columns = {name: table.column(name)[rows] for name in roles.used}
+    check_sizes({name: columns[name] for name in (*roles.states, *roles.inputs)})
+    degrees = {angle.column for angle in roles.angles if angle.degrees}
+    rates = zip(roles.states, roles.derivatives, strict=False)
+    for name in degrees | {rate for state, rate in rates if state in degrees}:
+        columns[name] = columns[name] * RADIANS_PER_DEGREE
     is_given = roles.target is not None or roles.derivatives
-    trajectories = None if is_given else split_trajectories(table, roles, rows, ranges, raw, columns)
+    trajectories = None if is_given else split_trajectories(table, roles, rows, ranges, columns)
     groups = () if trajectories is None else name_groups(table, roles, trajectories.names, first_rows, held_out)
     return Measurements(roles, columns, ranges, held_out, trajectories, tuple(warnings), groups)

@@ -4,6 +4,7 @@ Times are centred over the whole data set, and made exactly even where they are 
 that an offset of 1900 or of 10**9 costs no precision. Angles are unwrapped.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.trajectories.angles import unwrap
 from atoll_coordinator.data.trajectories.checks import check_no_turns, check_trajectory, check_varies
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
@@ -42,12 +42,10 @@ class Trajectories:
 
 
 def find_ranges(starts: Sequence[int], rows: Sequence[int], *marks: FloatArray) -> tuple[Range, ...]:
-    """Return the half-open ranges into `rows`, one for each trajectory.
+    """Return the half-open ranges into the used `rows`, one for each trajectory.
 
-    Args:
-        starts: rows of the table at which a file begins or blank rows end, the first one 0.
-        rows: the rows of the table that are used.
-        marks: numbers at all rows of the table: where one of them changes, another trajectory begins.
+    `starts` are rows of the table at which a file begins or blank rows end, the first one 0. Where one of the `marks`,
+    numbers at all rows of the table, changes, another trajectory begins.
     """
     segments = np.searchsorted(starts, rows, side="right")
     is_break = segments[1:] != segments[:-1]
@@ -57,42 +55,30 @@ def find_ranges(starts: Sequence[int], rows: Sequence[int], *marks: FloatArray) 
 
 
 def split_trajectories(
-    table: Table,
-    roles: Roles,
-    rows: Sequence[int],
-    ranges: Sequence[Range],
-    raw: Mapping[str, FloatArray],
-    columns: Mapping[str, FloatArray],
+    table: Table, roles: Roles, rows: list[int], ranges: Sequence[Range], columns: Mapping[str, FloatArray]
 ) -> Trajectories:
     """Return names, times and states along each trajectory.
 
-    Args:
-        table: what was read.
-        roles: with a time.
-        rows: the rows of the table that are used.
-        ranges: half-open ranges into `rows`, one for each trajectory.
-        raw: columns of the table at all its rows, by name.
-        columns: the same at `rows`, angles in radians.
-
-    Raises:
-        DataError: a trajectory is too short, its times do not ascend, or a state looks like a wrapped angle.
+    `ranges` are half-open ranges into the `rows` of the table that are used; `columns` are at these rows, angles in
+    radians. Raises DataError where a trajectory is too short, its times do not ascend, or a state looks like a wrapped
+    angle.
     """
     assert roles.time is not None
-    times = raw[roles.time][list(rows)]
+    times = table.column(roles.time)[rows]
     for number, (first, last) in enumerate(ranges, start=1):
         check_trajectory(table, roles.time, times[first:last], rows[first:last], number)
     known = {name: np.where(np.isfinite(columns[name]), columns[name], np.nan) for name in roles.states}
     states = {name: [values[first:last] for first, last in ranges] for name, values in known.items()}
-    angles = {angle.column for angle in roles.angles}
     for name, parts in states.items():
-        if name in angles:
+        if name in {angle.column for angle in roles.angles}:
             states[name] = [unwrap(part) for part in parts]
             check_varies(table, name, np.concatenate(states[name]), "state")
         else:
             check_no_turns(name, parts)
     names = tuple(str(number) for number, _ in enumerate(ranges, start=1))
     if roles.trajectory is not None:
-        names = distinguish([format_number(float(raw[roles.trajectory][rows[first]])) for first, _ in ranges])
+        numbers = table.column(roles.trajectory)
+        names = distinguish([format_number(float(numbers[rows[first]])) for first, _ in ranges])
     centre = 0.5 * (float(np.min(times)) + float(np.max(times)))
     centred = tuple(_center_times(times[first:last], centre) for first, last in ranges)
     return Trajectories(names, centred, centre, states)
@@ -103,15 +89,7 @@ def name_groups(
 ) -> tuple[str, ...]:
     """Return the group of each trajectory, nothing where constants are the same for all.
 
-    Args:
-        table: what was read.
-        roles: with a time.
-        names: of the trajectories.
-        first_rows: of each trajectory, rows of the table.
-        held_out: which trajectories are.
-
-    Raises:
-        DataError: there is one group only, or one whose trajectories are all held out.
+    `first_rows` are rows of the table. Raises DataError where there is one group only, or one that is held out.
     """
     if roles.group is None and not roles.is_by_trajectory:
         return ()
@@ -172,3 +150,14 @@ def _round_step(length: float, steps: int, precision: float) -> float:
     step = length / steps
     rounded = (float(f"{step:.{digits}g}") for digits in range(1, 17))
     return next((candidate for candidate in rounded if abs(candidate * steps - length) <= precision), step)
+
+
+def unwrap(values: FloatArray) -> FloatArray:
+    """Return an angle (radians) of one trajectory with jumps of more than half a turn taken out, NaN passed over."""
+    turn = 2.0 * math.pi
+    result = values.copy()
+    turns = 0
+    for before, index in pairwise(np.flatnonzero(np.isfinite(values)).tolist()):
+        turns -= round((float(values[index]) - float(values[before])) / turn)
+        result[index] = float(values[index]) + turns * turn
+    return result

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from atoll_coordinator.data.row_selection.selected_rows import SelectedRows
-from atoll_coordinator.data.row_selection.thinning import thin_searched_rows
+from atoll_coordinator.data.row_selection.selected_rows import SelectedRows, thin_searched_rows
 
 
 def selection(rows: list[int]) -> SelectedRows:

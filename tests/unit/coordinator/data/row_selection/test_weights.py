@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.data.row_selection.weights import normalize_weights, select_weighty_rows
+from atoll_coordinator.data.row_selection.selected_rows import normalize_weights, select_weighty_rows
 from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.errors import DataError, UsageError

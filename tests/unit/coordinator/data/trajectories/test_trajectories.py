@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.trajectories.angles import unwrap
-from atoll_coordinator.data.trajectories.trajectories import distinguish, find_ranges, format_number, split_trajectories
+from atoll_coordinator.data.trajectories.trajectories import (
+    distinguish,
+    find_ranges,
+    format_number,
+    split_trajectories,
+    unwrap,
+)
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 ROLES = Roles("t", None, ("x", "y"), ())
