@@ -44,7 +44,7 @@ ALLOWED = {
     ("matlab_child.py", "scipy"): "reads files",
     ("roughness.py", "np.median"): "one or two values of those that are there, added and halved",
     ("steps.py", "np.median"): "the same",
-    ("thinning.py", "np.cumsum"): "adds one after another",
+    ("selected_rows.py", "np.cumsum"): "adds one after another",
     ("gaps.py", "np.cumsum"): "of whole numbers",
     ("weak_form.py", "np.cumsum"): "of whole numbers",
     ("checks.py", ".sum"): "counts",

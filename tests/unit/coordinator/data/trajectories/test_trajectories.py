@@ -22,7 +22,7 @@ def times_of(columns, starts=(0,), left_out=()):
     raw = dict(zip(table.names, table.columns, strict=True))
     used = {name: raw[name][rows] for name in ROLES.states}
     ranges = find_ranges(starts, rows, np.zeros(table.rows))
-    return split_trajectories(table, ROLES, rows, ranges, raw, used).times
+    return split_trajectories(table, ROLES, rows, ranges, used).times
 
 
 @pytest.mark.parametrize("start", [0.0, 1900.0, -3.0, 1e9])
