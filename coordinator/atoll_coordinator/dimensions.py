@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Final
 
-from atoll_coordinator.units import Unit, expanded
+from atoll_coordinator.units import Unit, expanded, product_of
 from atoll_core.expression.builder import live_nodes
 from atoll_core.expression.operators import (
     ABS,
@@ -35,6 +35,13 @@ Vector = dict[str, Fraction]
 """Exponents by base symbol; unknowns stand in it by their names, which begin with a blank."""
 
 _DIGITS: Final = 3
+_POWERS: Final = {
+    NEGATE: Fraction(1),
+    ABS: Fraction(1),
+    INVERSE: Fraction(-1),
+    SQUARE: Fraction(2),
+    SQRT: Fraction(1, 2),
+}
 
 
 @dataclass(frozen=True)
@@ -89,19 +96,18 @@ class _Inference:
     faults: list[str] = field(default_factory=list)
     _solved: dict[str, Vector] = field(default_factory=dict)
     _of_nodes: list[Vector] = field(default_factory=list)
-    _top: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
-        self._top = frozenset(self._sums(len(self.program) - 1))
+        self._top_terms, self._top_sums = self._at_top(len(self.program) - 1)
         for index in range(len(self.program)):
             self._of_nodes.append(self._node(index))
 
     def close(self, left: Mapping[str, Fraction] | None, unit: Unit | None) -> None:
         """Take in that each term of the whole has the unit of the left-hand side; of the first term, if not known."""
-        terms = self._terms(len(self.program) - 1)
-        wanted = self._of_nodes[terms[0]] if left is None else dict(left)
-        shown = self._unit(terms[0]) if unit is None else _said(unit)
-        for term in terms:
+        first = self._top_terms[0]
+        wanted = self._of_nodes[first] if left is None else dict(left)
+        shown = self._unit(first) if unit is None else _said(unit)
+        for term in self._top_terms:
             if not self._equate(self._of_nodes[term], wanted):
                 self._blame(f"the term {self._text(term)} has {self._unit(term)} instead of {shown}")
 
@@ -113,19 +119,15 @@ class _Inference:
             units.append(None if any(_is_unknown(name) for name in powers) else Unit.of(powers))
         return tuple(units)
 
-    def _terms(self, index: int) -> list[int]:
-        """Return the nodes that are added and subtracted at the top."""
+    def _at_top(self, index: int) -> tuple[list[int], list[int]]:
+        """Return the nodes that are added and subtracted at the top, and those that add and subtract them."""
         code, left, right = self._parts(index)
-        if code in (ADD, SUBTRACT):
-            return [*self._terms(left), *self._terms(right)]
-        return self._terms(left) if code == NEGATE else [index]
-
-    def _sums(self, index: int) -> list[int]:
-        """Return the nodes that add and subtract at the top."""
-        code, left, right = self._parts(index)
-        if code in (ADD, SUBTRACT):
-            return [index, *self._sums(left), *self._sums(right)]
-        return self._sums(left) if code == NEGATE else []
+        if code == NEGATE:
+            return self._at_top(left)
+        if code not in (ADD, SUBTRACT):
+            return [index], []
+        (terms, sums), (more_terms, more_sums) = self._at_top(left), self._at_top(right)
+        return [*terms, *more_terms], [index, *sums, *more_sums]
 
     def _parts(self, index: int) -> tuple[int, int, int]:
         program = self.program
@@ -142,22 +144,17 @@ class _Inference:
         second = self._of_nodes[right] if ARITY[code] == 2 else {}
         if code in (ADD, SUBTRACT):
             return self._sum(index, left, right)
-        if code in (NEGATE, ABS):
-            return dict(first)
-        if code == MULTIPLY:
-            return _combined(first, second, Fraction(1))
-        if code == DIVIDE:
-            return _combined(first, second, Fraction(-1))
-        factors = {INVERSE: Fraction(-1), SQUARE: Fraction(2), SQRT: Fraction(1, 2)}
-        if code in factors:
-            return _combined({}, first, factors[code])
+        if code in (MULTIPLY, DIVIDE):
+            return product_of(first, second, Fraction(1 if code == MULTIPLY else -1))
+        if code in _POWERS:
+            return product_of({}, first, _POWERS[code])
         if code == POW:
             return self._power(index, left, right)
         self._require_number(left, f"the argument {self._text(left)} of a function")
         return {}
 
     def _sum(self, index: int, left: int, right: int) -> Vector:
-        if index not in self._top and not self._equate(self._of_nodes[left], self._of_nodes[right]):
+        if index not in self._top_sums and not self._equate(self._of_nodes[left], self._of_nodes[right]):
             texts = f"{self._text(left)} has {self._unit(left)} and {self._text(right)} {self._unit(right)}"
             self._blame(f"{texts}, but they are added")
         return dict(self._of_nodes[left])
@@ -166,7 +163,7 @@ class _Inference:
         self._require_number(right, f"the exponent {self._text(right)}")
         if self.program.operators[right] == CONSTANT:
             exponent = Fraction(float(self.program.constants[right])).limit_denominator(1000)
-            return _combined({}, self._of_nodes[left], exponent)
+            return product_of({}, self._of_nodes[left], exponent)
         self._require_number(left, f"{self._text(left)}, raised to a power that varies,")
         return {}
 
@@ -180,24 +177,22 @@ class _Inference:
 
     def _equate(self, one: Vector, other: Vector) -> bool:
         """Take in that two units are equal; return False, and take in nothing, where that contradicts what is known."""
-        difference = self._reduced(_combined(one, other, Fraction(-1)))
+        difference = self._reduced(product_of(one, other, Fraction(-1)))
         unknowns = [name for name in difference if _is_unknown(name)]
         if not unknowns:
             return not difference
         unknown = unknowns[0]
         factor = difference.pop(unknown)
         solution = {name: -power / factor for name, power in difference.items()}
-        self._solved = {
-            name: _without_zeros(_substituted(vector, unknown, solution)) for name, vector in self._solved.items()
-        }
+        self._solved = {name: _substituted(vector, unknown, solution) for name, vector in self._solved.items()}
         self._solved[unknown] = solution
         return True
 
     def _reduced(self, vector: Vector) -> Vector:
-        reduced = dict(vector)
-        for name in [name for name in reduced if name in self._solved]:
+        reduced = vector
+        for name in [name for name in vector if name in self._solved]:
             reduced = _substituted(reduced, name, self._solved[name])
-        return _without_zeros(reduced)
+        return reduced
 
     def _unit(self, index: int) -> str:
         """Return words for the unit of a node as far as it is known, in the symbols of those that were given."""
@@ -222,18 +217,7 @@ def _is_unknown(name: str) -> bool:
     return name.startswith(" ")
 
 
-def _combined(one: Vector, other: Vector, factor: Fraction) -> Vector:
-    combined = dict(one)
-    for name, power in other.items():
-        combined[name] = combined.get(name, Fraction(0)) + factor * power
-    return _without_zeros(combined)
-
-
 def _substituted(vector: Vector, name: str, solution: Vector) -> Vector:
     substituted = dict(vector)
     factor = substituted.pop(name, Fraction(0))
-    return _combined(substituted, solution, factor) if factor else substituted
-
-
-def _without_zeros(vector: Vector) -> Vector:
-    return {name: power for name, power in vector.items() if power}
+    return product_of(substituted, solution, factor) if factor else substituted

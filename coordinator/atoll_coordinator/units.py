@@ -44,8 +44,17 @@ _THEMSELVES: Final = frozenset({"pH"})
 """What looks like a prefix with a symbol and is none."""
 _PRIMES: Final = (2, 3, 5, 7)
 _FACTORS: Final = frozenset(map(str, _PRIMES))
+_OPENING, _CLOSING, _END = ("sign", "("), ("sign", ")"), ("end", "")
 _LONGEST: Final = 300
 """Characters of a unit. No unit has as many, and what has fewer cannot have too many brackets to be read."""
+
+
+def product_of(one: Powers, other: Powers, power: Fraction) -> dict[str, Fraction]:
+    """Return the powers of the product of one unit with a power of another; those of zero are left out."""
+    powers = dict(one)
+    for symbol, exponent in other.items():
+        powers[symbol] = powers.get(symbol, Fraction(0)) + exponent * power
+    return {symbol: exponent for symbol, exponent in powers.items() if exponent}
 
 
 @dataclass(frozen=True)
@@ -66,10 +75,7 @@ class Unit:
 
     def times(self, other: "Unit", power: Fraction | int = 1) -> "Unit":
         """Return the product with a power of another unit."""
-        powers = dict(self.powers)
-        for symbol, exponent in other.powers:
-            powers[symbol] = powers.get(symbol, Fraction(0)) + exponent * power
-        return Unit.of(powers)
+        return Unit.of(product_of(dict(self.powers), dict(other.powers), Fraction(power)))
 
     def __str__(self) -> str:
         if not self.powers:
@@ -92,33 +98,28 @@ def _power(symbol: str, power: Fraction) -> str:
 
 
 def parse_unit(text: str) -> Unit:
-    """Return the unit that a text says; ``1`` and ``-`` are none.
-
-    Raises:
-        UsageError: it is no product of powers.
-    """
+    """Return the unit that a text says, none for ``1`` and ``-``; raises UsageError for no product of powers."""
     if text.strip() in _NONE:
         return NO_UNIT
     if len(text) > _LONGEST:
-        raise UsageError(_fault(text))
+        raise _fault(text)
     tokens: list[tuple[str, str]] = []
     place, end = 0, len(text.rstrip())
     while place < end:
         match = _TOKEN.match(text, place)
         if match is None or match.lastgroup is None:
-            raise UsageError(_fault(text))
+            raise _fault(text)
         tokens.append((match.lastgroup, match[match.lastgroup]))
         place = match.end()
-    parser = _Parser(text, tokens)
+    parser = _Parser(text, [*tokens, _END])
     unit = parser.product()
-    if parser.left:
-        raise UsageError(_fault(text))
+    parser.expect(_END)
     return unit
 
 
-def _fault(text: str) -> str:
+def _fault(text: str) -> UsageError:
     shown = text if len(text) <= _LONGEST else text[:30] + "…"
-    return f"{shown!r} is no unit; write a product of powers such as m/s^2 or mol/(L h)"
+    return UsageError(f"{shown!r} is no unit; write a product of powers such as m/s^2 or mol/(L h)")
 
 
 class _Parser:
@@ -129,16 +130,16 @@ class _Parser:
         self._tokens = tokens
         self._place = 0
 
-    @property
-    def left(self) -> bool:
-        """Whether something was not read."""
-        return self._place < len(self._tokens)
+    def expect(self, token: tuple[str, str]) -> None:
+        """Take the next token; raises UsageError when it is another one."""
+        if self._take() != token:
+            raise _fault(self._text)
 
     def product(self) -> Unit:
         """Return the product up to a closing bracket or the end."""
         unit, side = NO_UNIT, 1
-        while self.left and self._next() != ("sign", ")"):
-            kind, value = self._next()
+        while self._next not in (_CLOSING, _END):
+            kind, value = self._next
             if kind == "sign" and value in "*·⋅×.":
                 self._place, side = self._place + 1, 1
             elif kind == "sign" and value == "/" and side > 0:
@@ -146,81 +147,71 @@ class _Parser:
             else:
                 unit, side = unit.times(self._factor(), side), 1
         if side < 0:
-            raise UsageError(_fault(self._text))
+            raise _fault(self._text)
         return unit
 
+    @property
     def _next(self) -> tuple[str, str]:
-        if not self.left:
-            raise UsageError(_fault(self._text))
         return self._tokens[self._place]
 
-    def _factor(self) -> Unit:
-        kind, value = self._next()
+    def _take(self) -> tuple[str, str]:
         self._place += 1
+        return self._tokens[self._place - 1]
+
+    def _factor(self) -> Unit:
+        kind, value = self._take()
         if kind == "symbol":
             base = NO_UNIT if value in _NONE else Unit(((value, Fraction(1)),))
         elif kind == "number":
             base = Unit.of(_factored(Fraction(value), self._text))
-        elif (kind, value) == ("sign", "("):
+        elif (kind, value) == _OPENING:
             base = self.product()
-            if self._next() != ("sign", ")"):
-                raise UsageError(_fault(self._text))
-            self._place += 1
+            self.expect(_CLOSING)
         else:
-            raise UsageError(_fault(self._text))
+            raise _fault(self._text)
         return NO_UNIT.times(base, self._exponent(is_symbol=kind != "number"))
 
     def _exponent(self, *, is_symbol: bool) -> Fraction:
         """Return the exponent that follows, 1 where there is none; a number right behind a symbol is one, too."""
-        if not self.left:
-            return Fraction(1)
-        kind, value = self._tokens[self._place]
-        if kind == "raised":
-            self._place += 1
-            return Fraction(value.translate(_RAISED))
+        kind, value = self._next
         if kind == "power":
             self._place += 1
             return self._number()
-        is_negative = kind == "sign" and value in "-−" and is_symbol
-        return self._number() if is_symbol and (kind == "number" or is_negative) else Fraction(1)
+        is_negative = kind == "sign" and value in "-−"
+        is_exponent = kind == "raised" or (is_symbol and (kind == "number" or is_negative))
+        return self._number() if is_exponent else Fraction(1)
 
     def _number(self) -> Fraction:
-        kind, value = self._next()
-        self._place += 1
-        if (kind, value) == ("sign", "("):
+        kind, value = self._take()
+        if (kind, value) == _OPENING:
             number = self._number()
-            if self._next() == ("sign", "/"):
+            if self._next == ("sign", "/"):
                 self._place += 1
                 divisor = self._number()
                 if not divisor:
-                    raise UsageError(_fault(self._text))
+                    raise _fault(self._text)
                 number /= divisor
-            if self._next() != ("sign", ")"):
-                raise UsageError(_fault(self._text))
-            self._place += 1
+            self.expect(_CLOSING)
             return number
         if kind == "sign" and value in "+-−":
             return self._number() * (1 if value == "+" else -1)
-        if kind == "number":
-            return Fraction(value)
-        if kind == "raised":
+        if kind in ("number", "raised"):
             return Fraction(value.translate(_RAISED))
-        raise UsageError(_fault(self._text))
+        raise _fault(self._text)
 
 
 def _factored(number: Fraction, text: str) -> dict[str, Fraction]:
     """Return a number as powers of small primes; raises UsageError for any other."""
     powers: dict[str, Fraction] = {}
-    for part, sign in ((number.numerator, 1), (number.denominator, -1)):
-        rest = part
+    for rest, sign in ((number.numerator, 1), (number.denominator, -1)):
         if rest <= 0:
-            raise UsageError(_fault(text))
+            raise _fault(text)
         for prime in _PRIMES:
             while rest % prime == 0:
                 powers[str(prime)] = powers.get(str(prime), Fraction(0)) + sign
                 rest //= prime
         if rest != 1:
-            raise UsageError(_fault(text))
+            raise _fault(text)
     return powers
 
 

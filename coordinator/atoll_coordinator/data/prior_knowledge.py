@@ -3,8 +3,8 @@
 What cannot be used is refused in one sentence, before anything is searched.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import combinations, combinations_with_replacement
+from collections.abc import Mapping, Sequence
+from itertools import chain, combinations, combinations_with_replacement
 from typing import Final
 
 from atoll_coordinator.data.recording import component_name
@@ -56,8 +56,7 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     known = sides.single("--known", config.prior.known)
     for name, text in known.items():
         _known_program(name, text, names)
-    text_lists = sides.several("--guess", config.prior.guesses)
-    guesses = {name: tuple(text for texts in lists for text in texts) for name, lists in text_lists.items()}
+    guesses = _texts(sides, "--guess", config.prior.guesses)
     space = _resolved_space(config.space, sides)
     bounds = _resolved_bounds(config.prior.bounds, sides, [name for name in variables if name not in known])
     for option, by_variable in (
@@ -67,7 +66,9 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
         ("--require", space.required_of),
         ("--bound", bounds),
     ):
-        _check_sought(option, by_variable, known)
+        for name in by_variable:
+            if name in known:
+                raise UsageError(f"{option} names '{name}', whose equation is known; leave one of the two out")
     _check_required(space, names)
     prior = PriorConfig(guesses=guesses, known=known, bounds=bounds)
     resolved = config.model_copy(update={"prior": prior, "space": space})
@@ -76,17 +77,21 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     return resolved
 
 
+def _texts(sides: LeftSides, option: str, by_side: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+    """Return the texts by variable; raises UsageError."""
+    return {name: tuple(chain.from_iterable(texts)) for name, texts in sides.several(option, by_side).items()}
+
+
 def _resolved_bounds(
     bounds: Mapping[str, tuple[str, ...]], sides: LeftSides, sought: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
     """Return the bounds by variable, those on all equations among them; raises UsageError."""
     general = tuple(bounds.get(ALL_EQUATIONS, ()))
-    text_lists = sides.several("--bound", {side: texts for side, texts in bounds.items() if side != ALL_EQUATIONS})
-    own = {name: tuple(text for texts in lists for text in texts) for name, lists in text_lists.items()}
+    own = _texts(sides, "--bound", {side: texts for side, texts in bounds.items() if side != ALL_EQUATIONS})
     if general and not sought:
         raise UsageError(f"--bound {general[0]!r} is about equations that are sought, but all are known; leave it out")
     names = tuple(sides.symbols.values())
-    whole = {name: (*general, *own.get(name, ())) for name in (*sought, *(name for name in own if name not in sought))}
+    whole = {name: (*general, *own.get(name, ())) for name in dict.fromkeys((*sought, *own))}
     for name, texts in whole.items():
         try:
             _check_agreement(name, [parse_bound(text, names) for text in texts])
@@ -117,24 +122,18 @@ def _check_required(space: SpaceConfig, names: Sequence[str]) -> None:
 
 
 def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
-    """Return the programs of the known equations by variable, in the dataset's order.
+    """Return the programs of the known equations by variable, in the order of the dataset, which has them as targets.
 
-    Args:
-        dataset: has the known variables among its targets.
-        config: resolved.
-
-    Raises:
-        UsageError: an equation is no expression over the dataset's symbols.
+    `config` is resolved. Raises UsageError where an equation is no expression over the dataset's symbols.
     """
     known = config.prior.known
     return {name: _known_program(name, known[name], dataset.names) for name in dataset.variables if name in known}
 
 
 def guessed_programs(dataset: Dataset, config: JobConfig) -> dict[str, tuple[Program, ...]]:
-    """Return the programs of the guesses by variable, their constants as given; `config` is resolved.
+    """Return the programs of the guesses by variable, their constants as given.
 
-    Raises:
-        UsageError: a guess is no expression over the dataset's symbols.
+    `config` is resolved. Raises UsageError where a guess is no expression over the dataset's symbols.
     """
     guesses = config.prior.guesses
     return {
@@ -157,12 +156,6 @@ def _resolved_space(space: SpaceConfig, sides: LeftSides) -> SpaceConfig:
         "variables_of": {name: sides.symbols_of("--allow", texts) for name, texts in allowed.items()},
     }
     return space.model_copy(update=update)
-
-
-def _check_sought(option: str, variables: Iterable[str], known: Collection[str]) -> None:
-    for name in variables:
-        if name in known:
-            raise UsageError(f"{option} names '{name}', whose equation is known; leave one of the two out")
 
 
 def _parsed(option: str, variable: str, text: str, names: Sequence[str]) -> Program:

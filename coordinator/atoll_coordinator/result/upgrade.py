@@ -34,51 +34,50 @@ def say_columns(content: Content) -> Content:
     return {**content, "system": {"states": states, "inputs": inputs, "target": target}}
 
 
-def say_kind(content: Content) -> Content:
-    """Say what was sought, where `system` does not: left-hand sides and the part on a process tell it."""
+def say_more_of_columns(content: Content) -> Content:
+    """Say what `system` lacks: kind and order, which left-hand sides tell, and the ranges of the rows in the file."""
     system = content.get("system")
-    if not isinstance(system, Mapping) or "kind" in system:
+    if not isinstance(system, Mapping):
         return content
-    has_rates = any("/" in side for side in _sides(content))
-    kind = "process" if content.get("process") else "dynamics"
-    return {**content, "system": {**system, "kind": kind if has_rates else "regression"}}
-
-
-def say_order(content: Content) -> Content:
-    """Say the order of the equations, where `system` does not."""
-    system = content.get("system")
-    if not isinstance(system, Mapping) or "order" in system:
-        return content
-    sides = _sides(content)
-    is_second = bool(sides) and all(side.startswith("d2") and "/" in side for side in sides)
-    return {**content, "system": {**system, "order": 2 if is_second else 1}}
-
-
-def measure_ranges(content: Content) -> Content:
-    """Say what ranges were measured, where `system` does not: those of the rows that the file lists."""
-    system = content.get("system")
-    if not isinstance(system, Mapping) or "ranges" in system:
-        return content
-    listed = (_trajectories(content.get(part)) for part in ("data", "simulation"))
-    rows = next(filter(None, listed), [])
-    curves: dict[str, list[float]] = {}
-    for trajectory in rows:
-        for name, values in _curves(trajectory):
-            curves.setdefault(name, []).extend(values)
-    ranges = {name: [min(values), max(values)] for name, values in curves.items() if values}
-    return {**content, "system": {**system, "ranges": ranges}}
+    lacking = {key: tell(content) for key, tell in _TOLD.items() if key not in system}
+    return {**content, "system": {**system, **lacking}}
 
 
 def say_discretisation(content: Content) -> Content:
     """Say how the steps of a process are described: there was one way before there were two."""
     process = content.get("process")
-    if not isinstance(process, Mapping) or "discretisation" in process:
+    if not isinstance(process, Mapping):
         return content
-    return {**content, "process": {**process, "discretisation": "local linearisation"}}
+    return {**content, "process": {"discretisation": "local linearisation", **process}}
 
 
-STEPS: Final[tuple[Step, ...]] = (say_columns, say_kind, say_order, measure_ranges, say_discretisation)
+STEPS: Final[tuple[Step, ...]] = (say_columns, say_more_of_columns, say_discretisation)
 """From the oldest version on."""
+
+
+def _kind(content: Content) -> str:
+    if not any("/" in side for side in _sides(content)):
+        return "regression"
+    return "process" if content.get("process") else "dynamics"
+
+
+def _order(content: Content) -> int:
+    sides = _sides(content)
+    return 2 if sides and all(side.startswith("d2") and "/" in side for side in sides) else 1
+
+
+def _ranges(content: Content) -> dict[str, list[float]]:
+    """Return the lowest and highest value by column of the listed rows that took part in the search."""
+    listed = (_trajectories(content.get(part)) for part in ("data", "simulation"))
+    curves: dict[str, list[float]] = {}
+    for trajectory in next(filter(None, listed), []):
+        for name, values in _curves(trajectory):
+            curves.setdefault(name, []).extend(values)
+    return {name: [min(values), max(values)] for name, values in curves.items() if values}
+
+
+_TOLD: Final[Mapping[str, Callable[[Content], object]]] = {"kind": _kind, "order": _order, "ranges": _ranges}
+"""What tells the keys of `system` that came one after another."""
 
 
 def _sides(content: Content) -> list[str]:

@@ -1,5 +1,7 @@
 """Rows that are near each other: the leaves of a k-d tree (Bentley 1975). Pure, and the same bits on every machine."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -23,8 +25,11 @@ def split_into_bins(positions: FloatArray, most: int) -> list[Rows]:
 def _halves(positions: FloatArray, rows: Rows, ranges: FloatArray) -> tuple[Rows, Rows]:
     points = positions[:, rows]
     widths = np.max(points, axis=1) - np.min(points, axis=1)
-    shares = [
-        width / whole if whole > 0.0 else 0.0 for width, whole in zip(widths.tolist(), ranges.tolist(), strict=True)
-    ]
-    order = rows[np.argsort(points[shares.index(max(shares))], kind="stable")]
+    widest = int(np.argmax(np.divide(widths, ranges, out=np.zeros(len(ranges)), where=ranges > 0.0)))
+    order = rows[np.argsort(points[widest], kind="stable")]
     return order[: len(order) // 2], order[len(order) // 2 :]
+
+
+def total(values: FloatArray) -> float:
+    """Return the sum, correctly rounded."""
+    return math.fsum(values.tolist())

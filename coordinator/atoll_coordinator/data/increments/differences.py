@@ -6,6 +6,7 @@ N steps, W windows of neighbouring steps.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 import numpy.typing as npt
@@ -35,12 +36,9 @@ class Windows:
 
     def _moves(self, values: FloatArray) -> list[FloatArray]:
         """Return the sums of each move's steps, (W,) for each of the moves."""
-        moves = []
-        for begin in range(0, self.count * self.lag, self.lag):
-            move = np.zeros(len(self.first))
-            for k in range(begin, begin + self.lag):
-                move += values[self.first + k]
-            moves.append(move)
+        moves = [np.zeros(len(self.first)) for _ in range(self.count)]
+        for k in range(self.count * self.lag):
+            moves[k // self.lag] += values[self.first + k]
         return moves
 
 
@@ -63,16 +61,11 @@ def separate_windows(steps: Steps, count: int) -> Windows:
 
 def _weights(lengths: Sequence[FloatArray]) -> list[FloatArray]:
     """Return what multiplies each of the moves of these lengths in the divided difference of the rows at their ends."""
-    times = [np.zeros_like(lengths[0])]
-    for length in lengths:
-        times.append(times[-1] + length / lengths[0])
+    times = [*accumulate((length / lengths[0] for length in lengths), initial=np.zeros_like(lengths[0]))]
     of_rows = []
     for i, time in enumerate(times):
         product = np.ones_like(time)
         for j, other in enumerate(times):
             product = product * (time - other) if i != j else product
         of_rows.append(1.0 / product)
-    weights = [of_rows[-1]]
-    for of_row in reversed(of_rows[1:-1]):
-        weights.append(weights[-1] + of_row)
-    return weights[::-1]
+    return [*accumulate(reversed(of_rows[1:]))][::-1]

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll_coordinator.data.increments.bins import Rows, split_into_bins
+from atoll_coordinator.data.increments.bins import Rows, split_into_bins, total
 from atoll_coordinator.data.increments.correlations import Pair, correlated_pairs
-from atoll_coordinator.data.increments.exact_sums import total
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
@@ -44,42 +43,35 @@ def bin_moments(steps: Steps) -> BinnedMoments:
 
     Where a position has errors of its own, they are errors of the increment as well, with the other sign.
     """
-    bins = split_into_bins(steps.points, bin_count(steps))
-    drift, residuals, factors = _drift(steps, bins)
+    bins, drift, residuals, factors = _drift(steps)
     noise = measurement_noise(residuals, steps)
-    if (noise > 0.0).any():
+    is_noisy = bool((noise > 0.0).any())
+    if is_noisy:
         steps = lagged(steps)
-        bins = split_into_bins(steps.points, bin_count(steps))
-        drift, residuals, factors = _drift(steps, bins)
+        bins, drift, residuals, factors = _drift(steps)
         noise = np.where(noise > 0.0, np.maximum(measurement_noise(residuals, steps), noise), 0.0)
     pairs = [(i, i) for i in range(len(drift))] + correlated_pairs(steps, bins)
-    squares = {pair: products(residuals, steps, pair, corrected=bool((noise > 0.0).any())) for pair in pairs}
+    squares = {pair: products(residuals, steps, pair, corrected=is_noisy) for pair in pairs}
     points = np.array([[total(positions[rows]) / len(rows) for rows in bins] for positions in steps.points])
+    times = [total(steps.lengths[rows]) for rows in bins]
     means = {
-        pair: np.array(
-            [
-                total(pair_products[rows]) / total(steps.lengths[rows]) * factor
-                for rows, factor in zip(bins, factors, strict=True)
-            ]
-        )
-        for pair, pair_products in squares.items()
+        pair: np.array([total(its[rows]) / t * factor for rows, t, factor in zip(bins, times, factors, strict=True)])
+        for pair, its in squares.items()
     }
     errors = [_mean_error(values, steps.lengths, bins) for values in (*residuals, *squares.values())]
     return BinnedMoments(points, drift, means, errors, noise)
 
 
-def bin_count(steps: Steps) -> int:
-    """Return how many bins there may be: twice the root of the rows, and rows to judge the lines in each by."""
-    rows, variables = len(steps.lengths), len(steps.points)
-    return max(min(2 * math.isqrt(rows), rows // (2 * (variables + 1))), 1)
+def _drift(steps: Steps) -> tuple[list[Rows], FloatArray, FloatArray, list[float]]:
+    """Return bins, drifts in the middle of each (S, M), and what lines through them leave of the increments (S, N).
 
-
-def _drift(steps: Steps, bins: Sequence[Rows]) -> tuple[FloatArray, FloatArray, list[float]]:
-    """Return drifts in the middle of each bin (S, M), and what lines through the bins leave of the increments (S, N).
-
-    In each bin the drift is a linear function of where steps begin. The last are for each bin the factors by which
-    products of what is left are larger than they seem, for what is fitted.
+    There are at most twice the root of the rows as many bins, and rows to judge the lines in each by. In each bin the
+    drift is a linear function of where steps begin. The last are for each bin the factors by which products of what is
+    left are larger than they seem, for what is fitted.
     """
+    rows_in_all, variables = len(steps.lengths), len(steps.points)
+    most = max(min(2 * math.isqrt(rows_in_all), rows_in_all // (2 * (variables + 1))), 1)
+    bins = split_into_bins(steps.points, most)
     drift = np.zeros((len(steps.increments), len(bins)))
     residuals = steps.increments.copy()
     factors = []
@@ -93,7 +85,7 @@ def _drift(steps: Steps, bins: Sequence[Rows]) -> tuple[FloatArray, FloatArray, 
             for column, coefficients in zip(design, solved, strict=True):
                 residuals[state, rows] -= coefficients[state] * column
         factors.append(len(rows) / (len(rows) - rank) if len(rows) > rank else 1.0)
-    return drift, residuals, factors
+    return bins, drift, residuals, factors
 
 
 def _design(steps: Steps, rows: Rows) -> list[FloatArray]:
@@ -164,15 +156,12 @@ def products(residuals: FloatArray, steps: Steps, pair: Pair, *, corrected: bool
     return np.asarray(product)
 
 
-def _bessel_correction(rows: Rows) -> float:
-    return len(rows) / (len(rows) - 1.0) if len(rows) > 1 else 1.0
-
-
 def _mean_error(values: FloatArray, lengths: FloatArray, bins: Sequence[Rows]) -> float:
     """Return the mean standard error of the sums of `values` over the time of their bin."""
     errors = []
     for rows in bins:
         time, in_bin = total(lengths[rows]), values[rows]
         spread = in_bin - total(in_bin) / len(rows)
-        errors.append(math.sqrt(total(spread * spread) * _bessel_correction(rows)) / time)
+        bessel = len(rows) / (len(rows) - 1.0) if len(rows) > 1 else 1.0
+        errors.append(math.sqrt(total(spread * spread) * bessel) / time)
     return math.fsum(errors) / len(errors)

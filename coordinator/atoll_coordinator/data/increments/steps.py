@@ -34,21 +34,12 @@ class Steps:
 
 def take_steps(process: ProcessRecording, *, held_out: bool = False) -> Steps:
     """Return the steps of the trajectories that take part in fits, or of those that were held out."""
-    points, lengths, increments, follows = [], [], [], []
+    states, inputs = len(process.states), len(process.inputs)
+    parts = [(np.zeros((states + inputs, 0)), np.zeros(0), np.zeros((states, 0)), np.zeros(0, np.bool_))]
     for path in process.paths:
-        if path.held_out is not held_out:
-            continue
-        inputs = path.inputs[:, :-1] + 0.5 * (path.inputs[:, 1:] - path.inputs[:, :-1])
-        points.append(np.concatenate([path.states[:, :-1], inputs]))
-        lengths.append(path.times[1:] - path.times[:-1])
-        increments.append(path.states[:, 1:] - path.states[:, :-1])
-        follows.append(np.arange(len(path.times) - 1) > 0)
-    variables = len(process.states) + len(process.inputs)
-    if not points:
-        return Steps(np.zeros((variables, 0)), np.zeros(0), np.zeros((len(process.states), 0)), np.zeros(0, np.bool_))
-    return Steps(
-        np.ascontiguousarray(np.concatenate(points, axis=1)),
-        np.concatenate(lengths),
-        np.ascontiguousarray(np.concatenate(increments, axis=1)),
-        np.concatenate(follows),
-    )
+        if path.held_out is held_out:
+            middles = path.inputs[:, :-1] + 0.5 * (path.inputs[:, 1:] - path.inputs[:, :-1])
+            points = np.concatenate([path.states[:, :-1], middles])
+            follows = np.arange(len(path.times) - 1) > 0
+            parts.append((points, np.diff(path.times), np.diff(path.states), follows))
+    return Steps(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))

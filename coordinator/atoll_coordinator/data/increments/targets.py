@@ -17,23 +17,16 @@ from atoll_core.errors import DataError
 
 
 def assemble_process(measurements: Measurements, equations: Collection[str], symbols: Mapping[str, str]) -> Preparation:
-    """Return the problems and the recording of a process.
+    """Return the problems of the `equations`, as far as the data show them, and the recording of a process.
 
-    Args:
-        measurements: with trajectories.
-        equations: of which problems are made, as far as the data show them.
-        symbols: by column name, the name in expressions.
-
-    Raises:
-        DataError: there are too few steps, or a state does not move.
+    `symbols` has by column name the name in expressions. Raises DataError for too few steps, or a state without noise.
     """
     process = record_process(measurements, symbols)
     steps = take_steps(process)
     fewest = SETTINGS.process.fewest_steps
     if len(steps.lengths) < fewest:
-        raise DataError(
-            f"there are {len(steps.lengths)} steps from row to row; a stochastic process takes at least {fewest}"
-        )
+        count = f"there are {len(steps.lengths)} steps from row to row"
+        raise DataError(f"{count}; a stochastic process takes at least {fewest}")
     for number, (state, share) in enumerate(zip(process.states, noise_shares(steps).tolist(), strict=True)):
         if share < SETTINGS.process.least_noise and not is_driven(steps, number):
             raise DataError(
@@ -64,15 +57,8 @@ def record_process(measurements: Measurements, symbols: Mapping[str, str]) -> Pr
         states = np.array([whole.states[state][number] for state in roles.states])
         acting = np.array([parts[number] for parts in inputs]).reshape(len(inputs), len(times))
         rows = np.flatnonzero(np.isfinite(states).all(axis=0))
-        paths.append(
-            SampledPath(
-                name,
-                times[rows],
-                np.ascontiguousarray(states[:, rows]),
-                np.ascontiguousarray(acting[:, rows]),
-                held_out,
-            )
-        )
+        states, acting = (np.ascontiguousarray(array[:, rows]) for array in (states, acting))
+        paths.append(SampledPath(name, times[rows], states, acting, held_out))
     return ProcessRecording(
         roles.states,
         tuple(symbols[name] for name in roles.states),
@@ -90,10 +76,8 @@ def _target(name: str, lhs: str, values: FloatArray, error: float) -> Target:
 
 
 def _remarks(process: ProcessRecording, moments: BinnedMoments, steps: int) -> list[str]:
-    bins = moments.points.shape[1]
-    remarks = [
-        f"The search sees means over {bins} groups of neighbouring rows; models are judged by all {steps} steps."
-    ]
+    groups = f"{moments.points.shape[1]} groups of neighbouring rows"
+    remarks = [f"The search sees means over {groups}; models are judged by all {steps} steps."]
     for state, variance in zip(process.states, moments.noise.tolist(), strict=True):
         if variance > 0.0:
             remarks.append(
