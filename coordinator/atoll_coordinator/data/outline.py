@@ -43,15 +43,15 @@ class Outline:
         """Return lines on what would be searched, and when the search would end."""
         searched = sum(equation.known is None for equation in self.equations)
         sought = "1 equation" if searched == 1 else f"{searched} equations"
-        evolution, budget = self.config.evolution, self.config.budget
-        parts = [f"preset {self.config.preset}, seed {self.config.seed}, {evolution.islands} islands for each equation"]
+        config, budget = self.config, self.config.budget
+        effort = f"preset {config.preset}, seed {config.seed}, {config.evolution.islands} islands for each equation"
         ends = ["when it has converged or gets no better", f"after {budget.max_epochs} epochs at most"]
         ends += [f"after {epochs} of {name}" for name, epochs in budget.max_epochs_of.items()]
         ends += [] if budget.max_time is None else [f"after {budget.max_time:g} s"]
         if budget.target_error is not None:
             ends[0] = f"at a normalized error of {budget.target_error:g}, or when it gets no better"
         lines = [f"{sought} would be searched:", *(f"  {equation}" for equation in self.equations)]
-        return "\n".join([*lines, *parts, f"the search ends {', '.join(ends)}", "dry run: nothing was started"])
+        return "\n".join([*lines, effort, f"the search ends {', '.join(ends)}", "dry run: nothing was started"])
 
     def as_dict(self) -> dict[str, object]:
         """Return the same for other programs; `config` are the settings that are not defaults, as in a job file."""
@@ -62,13 +62,7 @@ class Outline:
             "time": self.time,
             "units": self.units,
             "equations": [
-                {
-                    "lhs": equation.lhs,
-                    "variables": list(equation.variables),
-                    "operators": list(equation.operators),
-                    "known": equation.known,
-                    "guesses": list(equation.guesses),
-                }
+                {key: list(value) if isinstance(value, tuple) else value for key, value in vars(equation).items()}
                 for equation in self.equations
             ],
             "config": self.config.model_dump(mode="json", exclude_defaults=True),

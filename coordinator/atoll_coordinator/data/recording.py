@@ -22,18 +22,16 @@ the sampling or for the smoother, as an outlier, or because the state is missing
 STENCIL_ROWS: Final = 15
 """Rows of the widest stencil of an interpolation; here, since what counts rows is not to load kernels."""
 
-QuantisationKind = Literal["decimals", "digits", "single precision", "steps"]
-"""Rounded to a decimal place, to significant digits, to float32; or multiples of a step, as of an encoder."""
-
 
 @dataclass(frozen=True)
 class Quantisation:
     """How a state was rounded: the `kind`, the `step` (of the largest values, where it depends on these), the `error`.
 
-    `error` is the root mean square of what rounding leaves, in the state's unit.
+    The kinds are rounded to a decimal place, to significant digits, to float32, or multiples of a step, as of an
+    encoder. `error` is the root mean square of what rounding leaves, in the state's unit.
     """
 
-    kind: QuantisationKind
+    kind: Literal["decimals", "digits", "single precision", "steps"]
     step: float
     error: float
 

@@ -39,9 +39,3 @@ class Part(BaseModel):
 def misfit(sentence: str) -> PydanticCustomError:
     """Return the error of values that are of their kinds and do not fit together."""
     return PydanticCustomError("misfit", "{sentence}", {"sentence": sentence})
-
-
-def require_lengths(length: int, *columns: Curves | None) -> None:
-    """Raise the error of curves that do not have one number for each of so many times."""
-    if any(len(curve) != length for curves in columns for curve in (curves or {}).values()):
-        raise misfit("this result has a curve that is not as long as its 'times'; give it as it was written")

@@ -4,10 +4,22 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from atoll_coordinator.result.base import Count, Curve, Curves, Flag, Numbers, Part, Text, require_lengths
+from atoll_coordinator.result.base import Count, Curve, Curves, Flag, Numbers, Part, Text, misfit
 
 
-class Recorded(Part):
+class _Listed(Part):
+    """A part all curves of which, by name or not, have one number for each of its times."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        fields = vars(self).values()
+        by_name = [values for field in fields if isinstance(field, dict) for values in field.values()]
+        if len({len(curve) for curve in (*fields, *by_name) if isinstance(curve, tuple)}) > 1:
+            raise misfit("this result has a curve that is not as long as its 'times'; give it as it was written")
+        return self
+
+
+class Recorded(_Listed):
     """A trajectory as it was measured; weights are None where all are 1, `rows` are all that there were."""
 
     name: Text
@@ -20,14 +32,8 @@ class Recorded(Part):
     weights: Curve | None = None
     robustness_weights: Curves | None = None
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        columns = (self.measured, self.inputs, self.input_slopes, self.robustness_weights)
-        require_lengths(len(self.times), *columns, None if self.weights is None else {"weights": self.weights})
-        return self
 
-
-class Smoothed(Part):
+class Smoothed(_Listed):
     """A trajectory of states that were smoothed, beside what was measured."""
 
     name: Text
@@ -37,13 +43,8 @@ class Smoothed(Part):
     smoothed: Curves = Field(default_factory=dict)
     residuals: Curves = Field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        require_lengths(len(self.times), self.measured, self.smoothed, self.residuals)
-        return self
 
-
-class Simulated(Part):
+class Simulated(_Listed):
     """A trajectory by the model, from a fitted initial state, with its band; curves are None where it ends early."""
 
     name: Text
@@ -56,11 +57,6 @@ class Simulated(Part):
     values: Curves | None = None
     lower: Curves | None = None
     upper: Curves | None = None
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        require_lengths(len(self.times), self.measured, self.values, self.lower, self.upper)
-        return self
 
 
 class Smoothing(Part):

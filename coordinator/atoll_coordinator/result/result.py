@@ -71,8 +71,6 @@ class Result(Part):
     command: Text | None = None
     group: Text | None = None
 
-    # ------------------------------------------------------------------------------------- reading and writing
-
     @classmethod
     def of(cls, content: "Mapping[str, object] | Result") -> "Result":
         """Return the content of a ``result.json`` as a result; raises UsageError when it is none."""
@@ -80,12 +78,9 @@ class Result(Part):
 
     @classmethod
     def load(cls, source: "str | Path | Mapping[str, object] | Result") -> "Result":
-        """Return a result by its file, the folder of its ``result.json``, or its content.
+        """Return a result by its file, the folder of its ``result.json``, or its content, of this version or earlier.
 
-        Files of earlier versions are brought up to date.
-
-        Raises:
-            UsageError: the file cannot be read, or holds no result of this version.
+        Raises UsageError where the file cannot be read, or holds no result.
         """
         if isinstance(source, Mapping | Result):
             return cls.of(source)
@@ -109,8 +104,6 @@ class Result(Part):
     def to_json(self) -> str:
         """Return the content of ``result.json`` on one line."""
         return json_of(self.as_dict())
-
-    # ------------------------------------------------------------------------------------------- what it says
 
     @property
     def columns(self) -> System:
@@ -194,8 +187,7 @@ def _drop_empty(content: dict[str, JsonValue], keys: tuple[str, ...]) -> None:
 def json_schema() -> dict[str, JsonValue]:
     """Return the JSON schema of ``result.json``, for other programs."""
     described = TypeAdapter(Result).json_schema(by_alias=True, mode="serialization")
-    title = "result.json of Atoll"
-    return {"$schema": _DIALECT, **described, "title": title}
+    return {"$schema": _DIALECT, **described, "title": "result.json of Atoll"}
 
 
 def schema_text() -> str:

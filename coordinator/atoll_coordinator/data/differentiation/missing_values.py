@@ -41,9 +41,8 @@ def make_signal(times: FloatArray, values: FloatArray, inverse_variances: FloatA
 def fill_holes(signal: Signal) -> Filled:
     """Return `signal` with what is missing interpolated as well as its own rows allow."""
     if signal.is_measured is None:
-        zeros = np.zeros(len(signal.times))
-        return Filled(signal, zeros, zeros)
-    values, steps, gains = fill(signal.times, signal.values, signal.is_measured > 0.0, HALF_WIDTHS)
+        return Filled(signal, *np.zeros((2, len(signal.times))))
+    values, steps, gains = fill(signal.times, signal.values, signal.measured_rows, HALF_WIDTHS)
     return Filled(replace(signal, values=values, is_measured=None), steps, gains)
 
 

@@ -97,15 +97,11 @@ def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
 
 def _refined(offsets: FloatArray, step: float) -> tuple[float, float]:
     """Return the step by least squares over ever more differences, and how far values are from its multiples."""
-    products, squares = 0.0, 0.0
-    for difference in np.sort(np.diff(offsets)).tolist():
-        count = round(difference / step)
-        products, squares = products + count * difference, squares + count * count
-        step = products / squares
-    products, squares = 0.0, 0.0
-    for offset in offsets[1:].tolist():
-        count = round(offset / step)
-        products, squares = products + count * offset, squares + count * count
-        step = products / squares if squares * step > step else step
+    for lengths in (np.sort(np.diff(offsets)), offsets[1:]):
+        products, squares = 0.0, 0.0
+        for length in lengths.tolist():
+            count = round(length / step)
+            products, squares = products + count * length, squares + count * count
+            step = products / squares if squares * step > step else step
     multiples = offsets / step
     return step, float(np.abs(multiples - np.round(multiples)).max())

@@ -45,10 +45,9 @@ class Roles:
     @property
     def used(self) -> tuple[str, ...]:
         """Every column that is used, once."""
-        extra = [
-            name for name in (self.time, self.trajectory, self.group, self.target, self.weights) if name is not None
-        ]
-        return tuple(dict.fromkeys((*extra, *self.states, *self.inputs, *self.derivatives)))
+        single = (self.time, self.trajectory, self.group, self.target, self.weights)
+        every = (*single, *self.states, *self.inputs, *self.derivatives)
+        return tuple(dict.fromkeys(name for name in every if name is not None))
 
     @property
     def equations(self) -> tuple[str, ...]:
@@ -99,7 +98,10 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
         _check_known(config.holdout.rpartition("=")[0], table)
     for name, unit in config.units.items():
         _check_known(name, table)
-        _check_unit(name, unit)
+        try:
+            parse_unit(unit)
+        except UsageError as error:
+            raise UsageError(f"--unit for '{name}': {error}") from error
     roles = assigned(table.names, config, trajectory)
     if not _has_time_or_slopes(roles):
         check_no_text_time(table)
@@ -120,14 +122,6 @@ def _check_known(name: str, table: Table, *, may_be_text: bool = False) -> None:
     raise DataError(
         f"there is no column '{name}' in {table.files[0]}, which has {', '.join(table.names)}{of_text}{hint}"
     )
-
-
-def _check_unit(name: str, text: str) -> None:
-    """Raise UsageError when a text is no unit."""
-    try:
-        parse_unit(text)
-    except UsageError as error:
-        raise UsageError(f"--unit for '{name}': {error}") from error
 
 
 def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
@@ -186,7 +180,7 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
 
 def _check_angles(roles: Roles) -> None:
     for angle in roles.angles:
-        if angle.column not in (*roles.states, *roles.inputs, roles.target):
-            raise UsageError(f"--angle names '{angle.column}', which is neither a state nor an input; remove it")
-        if roles.target is not None and angle.column == roles.target:
+        if angle.column == roles.target:
             raise UsageError(f"--angle names '{angle.column}', the target of an explicit regression; remove it")
+        if angle.column not in (*roles.states, *roles.inputs):
+            raise UsageError(f"--angle names '{angle.column}', which is neither a state nor an input; remove it")

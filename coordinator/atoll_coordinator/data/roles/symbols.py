@@ -8,6 +8,7 @@ import keyword
 import re
 import unicodedata
 from collections.abc import Sequence
+from itertools import chain, count
 from typing import Final
 
 RESERVED: Final = frozenset(
@@ -46,9 +47,5 @@ def _rewritten(name: str) -> str:
 
 
 def _unique(name: str, taken: set[str]) -> str:
-    number = 2
-    symbol = name
-    while symbol in taken:
-        symbol = f"{name}_{number}"
-        number += 1
-    return symbol
+    candidates = chain([name], (f"{name}_{number}" for number in count(2)))
+    return next(symbol for symbol in candidates if symbol not in taken)

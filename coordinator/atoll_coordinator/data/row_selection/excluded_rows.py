@@ -38,16 +38,14 @@ def explain_excluded_rows(
             is_missing = not is_known[place]
             if place not in searched or not (place in uncertain or cut_off[place] or is_outlier or is_missing):
                 continue
-            reason: Reason = "jump"
-            if is_missing:
-                reason = "missing"
-            elif is_outlier:
-                reason = "outlier"
-            elif cut_off[place] or ends[row]:
-                reason = "end"
-            elif gaps[row]:
-                reason = "gap"
-            excluded.append(ExcludedRow(number, row, reason))
+            reasons: dict[Reason, bool] = {
+                "missing": is_missing,
+                "outlier": is_outlier,
+                "end": cut_off[place] or ends[row],
+                "gap": gaps[row],
+                "jump": True,
+            }
+            excluded.append(ExcludedRow(number, row, next(reason for reason, holds in reasons.items() if holds)))
         first += len(part)
     return tuple(excluded)
 

@@ -28,8 +28,7 @@ def find_pieces(times: FloatArray, span: int) -> list[Range]:
     steps = np.diff(times)
     by_chance = int(1.0 / SETTINGS.quantisation.improbable).bit_length()
     longest = max(span, by_chance) * float(np.sort(steps)[len(steps) // 2])
-    ends = [0, *(int(row) + 1 for row in np.flatnonzero(steps > longest)), len(times)]
-    return list(pairwise(ends))
+    return list(pairwise([0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(times)]))
 
 
 def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
