@@ -277,17 +277,10 @@ def _interpolate(signals: Sequence[Signal], order: int, noise: float, deviation:
         whole.append(Signal(filling.signal.times[part], filling.signal.values[part]))
         errors.append(np.maximum(noise, noise * filling.gains + filling.steps)[part])
     rows = np.concatenate([np.isfinite(filling.steps) for filling in filled])
-    velocity, uncertainty = _spread(interpolate_derivative(whole, 1, errors), rows)
-    derivative = velocity
-    if order == 2:
-        derivative, uncertainty = _spread(interpolate_derivative(whole, 2, errors), rows)
+    derivatives = {each: np.zeros((2, len(rows))) for each in (1, order)}
+    for each, everywhere in derivatives.items():
+        everywhere[:, rows] = interpolate_derivative(whole, each, errors)
+    velocity, (derivative, uncertainty) = derivatives[1][0], derivatives[order]
     values = np.concatenate([filling.signal.values for filling in filled])
     estimate = StateEstimate(values, velocity, derivative, uncertainty, uncertainty, noise, deviation, None)
     return _without_unknown(estimate, signals, np.where(rows, 0.0, math.inf))
-
-
-def _spread(parts: tuple[FloatArray, FloatArray], is_known: npt.NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    """Return derivative and uncertainty at all rows, given those at the rows known; elsewhere 0 and infinite."""
-    derivative, uncertainty = np.zeros(len(is_known)), np.full(len(is_known), math.inf)
-    derivative[is_known], uncertainty[is_known] = parts
-    return derivative, uncertainty

@@ -123,7 +123,7 @@ def _is_resolved(signals: Sequence[Signal], smoother: Smoother, degrees: Sequenc
     """Say whether thinned rows are followed as well as rows are by narrow spans: a fast wave may vanish in means."""
     if not math.isfinite(smoother.score):
         return False
-    whole = [_BinnedSignal(signal, 1.0) for signal in signals]
+    whole = [(signal, 1.0) for signal in signals]
     narrow = min(_score_degrees(whole, span, 1, degrees).score for span in _NARROW_SPANS)
     squares, count = 0.0, 0.0
     for signal in signals:
@@ -134,37 +134,28 @@ def _is_resolved(signals: Sequence[Signal], smoother: Smoother, degrees: Sequenc
     return squares <= narrow * count
 
 
-@dataclass(frozen=True, eq=False)
-class _BinnedSignal:
-    """A signal thinned to bins, `share` (at most 1) times as wide as asked for: a short signal is thinned less."""
+def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
+    """Return means over bins of `thinning` rows, for 1 the signal itself, and how wide they are as a share of that.
 
-    signal: Signal
-    share: float
-
-    def span(self, span: int) -> int:
-        """Return what a span in bins as wide as asked for is here."""
-        return round(span / self.share)
-
-
-def _thin(signal: Signal, thinning: int) -> _BinnedSignal:
-    """Return means over bins of `thinning` rows; for 1 the signal itself."""
+    A short signal is thinned less: there the share is below 1, and a span of so many bins as asked for has more.
+    """
     if thinning == 1:
-        return _BinnedSignal(signal, 1.0)
+        return signal, 1.0
     rows = len(signal.times)
     bins = max(rows // thinning, min(rows, _LEAST_BINS))
     share = rows / bins / thinning if bins > rows // thinning else 1.0
     times, values, weights, inverse_variances = np.empty((4, bins))
     thin_into(times, values, inverse_variances, signal.times, signal.values, signal.filled_inverse_variances)
     thin_into(times, values, weights, signal.times, signal.values, signal.weights)
-    return _BinnedSignal(Signal(times, values, share * weights / inverse_variances, inverse_variances), share)
+    return Signal(times, values, share * weights / inverse_variances, inverse_variances), share
 
 
-def _best_smoother(parts: Sequence[_BinnedSignal], degrees: Sequence[int]) -> Smoother:
-    longest = max(len(part.signal.times) for part in parts)
-    every = -(-sum(len(part.signal.times) for part in parts) // (2 * SETTINGS.rows.most))
+def _best_smoother(parts: Sequence[tuple[Signal, float]], degrees: Sequence[int]) -> Smoother:
+    lengths = [len(signal.times) for signal, _ in parts]
+    every = -(-sum(lengths) // (2 * SETTINGS.rows.most))
     best = Smoother(0, 0, math.inf)
     since = 0
-    for span in _spans(longest):
+    for span in _spans(max(lengths)):
         here = _score_degrees(parts, span, every, degrees)
         since = 0 if here.score < best.score else since + 1
         best = here if here.score < best.score else best
@@ -181,12 +172,11 @@ def _spans(longest: int) -> list[int]:
     return spans
 
 
-def _score_degrees(parts: Sequence[_BinnedSignal], span: int, every: int, degrees: Sequence[int]) -> Smoother:
+def _score_degrees(parts: Sequence[tuple[Signal, float]], span: int, every: int, degrees: Sequence[int]) -> Smoother:
     """Return the best of `degrees` at one span."""
     sums = np.zeros((3, DEGREES))
-    for part in parts:
-        signal = part.signal
-        validate_into(sums, signal.times, signal.values, signal.weights, part.span(span), every)
+    for signal, share in parts:
+        validate_into(sums, signal.times, signal.values, signal.weights, round(span / share), every)
     smoothers = (Smoother(span, degree, _score(sums[:, degree])) for degree in degrees)
     return min(smoothers, key=lambda smoother: smoother.score)
 
@@ -203,10 +193,10 @@ def _score(sums: FloatArray) -> float:
 
 def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
     """Return loess of one signal by `smoother`; a short signal bears a lower degree only."""
-    part = _thin(signal, smoother.thinning)
-    bins, of_bins = part.signal, _empty(len(part.signal.times))
+    bins, share = _thin(signal, smoother.thinning)
+    of_bins = _empty(len(bins.times))
     degree = min(smoother.degree, len(bins.times) - 2)
-    window = max(part.span(smoother.span), degree + 2), degree + 1
+    window = max(round(smoother.span / share), degree + 2), degree + 1
     weights = bins.weights, bins.filled_inverse_variances
     loess_into(of_bins.fits, of_bins.gains, bins.times, bins.values, *weights, *window)
     if smoother.thinning == 1:

@@ -7,9 +7,9 @@ months, and local ones are read; whether ``03/04/2020`` begins with the day is t
 import datetime
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -208,7 +208,11 @@ def _order(column: str, matches: Sequence[_Match | None], starts: Sequence[int])
     if any(int(match["two"]) > 12 for match in present):
         return forms[1]
     dates_by_form = [[match and _date(match, form) for match in matches] for form in forms]
-    ascending = [form for form, values in zip(forms, dates_by_form, strict=True) if _ascends(values, starts)]
+    ascending = [
+        form
+        for form, values in zip(forms, dates_by_form, strict=True)
+        if all(step > 0 for step in _steps(values, starts))
+    ]
     if len(ascending) == 1:
         return ascending[0]
     pairs = zip(*dates_by_form, strict=True)
@@ -220,12 +224,11 @@ def _order(column: str, matches: Sequence[_Match | None], starts: Sequence[int])
     )
 
 
-def _ascends(values: Sequence[int | None], starts: Sequence[int]) -> bool:
-    return all(
-        one < other
-        for first, last in zip(starts, (*starts[1:], len(values)), strict=True)
-        for one, other in pairwise(value for value in values[first:last] if value is not None)
-    )
+def _steps(values: Sequence[int | None], starts: Sequence[int]) -> Iterator[int]:
+    """Yield the steps from one value to the next that is there, along each trajectory."""
+    for first, last in zip(starts, (*starts[1:], len(values)), strict=True):
+        for one, other in pairwise(value for value in values[first:last] if value is not None):
+            yield other - one
 
 
 def _past_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple[int | None, ...]:
@@ -259,7 +262,7 @@ def dates_of_array(values: npt.NDArray[np.datetime64]) -> Dates:
     return Dates(nanoseconds, "dates", has_date=True, has_clock=any(rest))
 
 
-def times_of(columns: Sequence[Dates], starts: Iterable[int], unit: str | None) -> tuple[FloatArray, str, str]:
+def times_of(columns: Sequence[Dates], starts: Sequence[int], unit: str | None) -> tuple[FloatArray, str, str]:
     """Return the times (N,) of one column in the files that are read together, their unit, and a remark.
 
     `columns` are the dates in each file, of one kind; `starts` the rows at which trajectories begin, counted over all
@@ -274,7 +277,7 @@ def times_of(columns: Sequence[Dates], starts: Iterable[int], unit: str | None) 
         raise DataError("a column of dates holds none; correct it")
     first = columns[0]
     origin = present[0] if first.has_date else 0
-    time_unit = _unit(values, set(starts)) if unit is None else unit
+    time_unit = _unit(values, starts) if unit is None else unit
     length = NANOSECONDS[_CALLED[time_unit]]
     times = [math.nan if value is None else (value - origin) / length for value in values]
     remark = f"{first.form}, in {time_unit} since {origin_of(columns, time_unit).since}"
@@ -288,12 +291,8 @@ def origin_of(columns: Sequence[Dates], unit: str) -> Origin:
     return Origin(since, NANOSECONDS[_CALLED[unit]] / NANOSECONDS["s"])
 
 
-def _unit(values: Sequence[int | None], starts: set[int]) -> str:
-    runs = accumulate(row in starts for row in range(len(values)))
-    present = [(run, value) for run, value in zip(runs, values, strict=True) if value is not None]
-    steps = sorted(
-        abs(other - one) for (run, one), (next_run, other) in pairwise(present) if run == next_run and one != other
-    )
+def _unit(values: Sequence[int | None], starts: Sequence[int]) -> str:
+    steps = sorted(abs(step) for step in _steps(values, starts) if step)
     usual = steps[len(steps) // 2] if steps else 0
     return next((unit for unit, length in NANOSECONDS.items() if length <= usual), "s")
 

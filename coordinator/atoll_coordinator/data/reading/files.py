@@ -136,9 +136,8 @@ def _renumbered(file: Columns, name: str, texts: Sequence[str]) -> FloatArray:
 
 def _read_as(files: Sequence[Columns]) -> str:
     """Say how files were read: all alike, or each by its name."""
-    remarks = dict.fromkeys("; ".join(file.remarks) for file in files)
-    if len(remarks) == 1:
-        return next(iter(remarks))
+    if all(file.remarks == files[0].remarks for file in files):
+        return "; ".join(files[0].remarks)
     return "; ".join(f"{file.file}: {', '.join(file.remarks)}" for file in files)
 
 

@@ -34,7 +34,10 @@ def _parsed(name: str, text: str) -> tuple[Any, str]:
         whole = error
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     if len(lines) < 2 or not lines[0][1].strip().endswith("}"):
-        raise DataError(f"{name} is not valid JSON{_at(whole)}; {_EXPECTED}") from whole
+        at = ""
+        if isinstance(whole, json.JSONDecodeError):
+            at = f" from line {whole.lineno}, column {whole.colno} on"
+        raise DataError(f"{name} is not valid JSON{at}; {_EXPECTED}") from whole
     records = []
     for number, line in lines:
         try:
@@ -42,10 +45,6 @@ def _parsed(name: str, text: str) -> tuple[Any, str]:
         except (ValueError, RecursionError) as error:
             raise DataError(f"line {number} of {name} is not valid JSON; one record a line is expected") from error
     return records, "JSON lines"
-
-
-def _at(error: Exception) -> str:
-    return f" from line {error.lineno}, column {error.colno} on" if isinstance(error, json.JSONDecodeError) else ""
 
 
 def _columns(name: str, document: Any) -> tuple[list[str], list[Sequence[Any]]]:

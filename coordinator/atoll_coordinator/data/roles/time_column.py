@@ -14,14 +14,9 @@ TIME_NAMES: Final = ("t", "time", "Time", "TIME")
 
 
 def find_time_column(names: Sequence[str], config: DataConfig) -> str | None:
-    """Return the column that options name as the time, else one that is called so and has no other role."""
-    return config.time or next((name for name in TIME_NAMES if name in names and _is_free(name, config)), None)
-
-
-def _is_free(name: str, config: DataConfig) -> bool:
-    """Say whether a column called t or time may be the time: as an input it may, in another role it may not."""
+    """Return the column that options name as the time, else one that is called so and has no role but an input's."""
     other = (config.target, config.trajectory, config.weights, *(config.states or ()), *(config.derivatives or ()))
-    return name not in other
+    return config.time or next((name for name in TIME_NAMES if name in names and name not in other), None)
 
 
 def check_no_text_time(table: Table) -> None:

@@ -182,11 +182,8 @@ def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) ->
     sentences = []
     if len(kept) < len(weighted):
         sentences.append(f"{len(weighted) - len(kept)} of {table.rows} rows hold NaN or infinity and were dropped.")
-    values = [
-        f"{int(bad_rows[kept].sum())} of {name}"
-        for name, bad_rows in zip(roles.used, bad, strict=True)
-        if bad_rows[kept].any()
-    ]
+    counts = zip(bad[:, kept].sum(axis=1).tolist(), roles.used, strict=True)
+    values = [f"{count} of {name}" for count, name in counts if count]
     if values:
         sentences.append(f"Values are missing, {' and '.join(values)}; their rows count for the other states.")
     return kept, sentences
@@ -195,7 +192,7 @@ def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) ->
 def _not_finite(table: Table, used: Sequence[int], bad: BoolArray) -> str:
     """Name the first bad column and its rows, and say how many rows are bad over all."""
     names = [table.names[index] for index in used]
-    first = next(place for place in range(len(used)) if bad[place].any())
+    first = int(np.argmax(bad.any(axis=1)))
     rows = np.flatnonzero(bad[first]).tolist()
     is_missing = bool(np.isnan(table.columns[used[first]][rows]).all())
     text = f"column '{names[first]}' holds {'NaN or an empty cell' if is_missing else 'NaN or infinity'}"
