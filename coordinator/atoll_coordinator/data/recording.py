@@ -214,12 +214,6 @@ class Preparation:
     source: Source | None = None
 
 
-def of_group(recording: Recording, group: str) -> Recording:
-    """Return the trajectories of one group, as if there were no others."""
-    trajectories = (trajectory for trajectory in recording.trajectories if trajectory.group == group)
-    return replace(recording, trajectories=tuple(replace(its, group="") for its in trajectories), groups=())
-
-
 def by_group(preparation: Preparation) -> Iterator[Preparation]:
     """Yield what each group of trajectories that may have constants of its own gives by itself."""
     dataset, recording = preparation.dataset, preparation.recording
@@ -230,4 +224,6 @@ def by_group(preparation: Preparation) -> Iterator[Preparation]:
         targets = tuple(dataset.problem(name).of_group(place).target for name in dataset.variables)
         inputs = np.ascontiguousarray(dataset.inputs[:, rows])
         part = replace(dataset, inputs=inputs, targets=targets, groups=None)
-        yield Preparation(part, of_group(recording, group))
+        trajectories = (trajectory for trajectory in recording.trajectories if trajectory.group == group)
+        of_group = tuple(replace(trajectory, group="") for trajectory in trajectories)
+        yield Preparation(part, replace(recording, trajectories=of_group, groups=()))

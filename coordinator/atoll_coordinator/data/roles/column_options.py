@@ -1,4 +1,4 @@
-"""Column names as the options write them: which are named, units taken off, contradictions refused. Pure."""
+"""Columns by their names and the options: which are named, which is the time, units taken off, contradictions. Pure."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -8,6 +8,8 @@ from atoll_coordinator.data.roles.unit_texts import are_units
 from atoll_core.config import DataConfig
 from atoll_core.errors import UsageError
 
+TIME_NAMES: Final = ("t", "time", "Time", "TIME")
+"""What the time is called unless options name it, in this order."""
 TRAJECTORY_NAME: Final = "trajectory"
 _SINGLE: Final = ("time", "trajectory", "group", "target", "weights")
 _SEVERAL: Final = ("states", "inputs", "derivatives", "only", "offsets")
@@ -74,6 +76,12 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
     changes["units"] = {plain(name): unit for name, unit in config.units.items()}
     changes["angles"] = tuple(angle.model_copy(update={"column": plain(angle.column)}) for angle in config.angles)
     return config.model_copy(update=changes)
+
+
+def find_time_column(names: Sequence[str], config: DataConfig) -> str | None:
+    """Return the column that options name as the time, else one that is called so and has no role but an input's."""
+    other = (config.target, config.trajectory, config.weights, *(config.states or ()), *(config.derivatives or ()))
+    return config.time or next((name for name in TIME_NAMES if name in names and name not in other), None)
 
 
 def find_trajectory_column(names: Iterable[str], config: DataConfig) -> str | None:

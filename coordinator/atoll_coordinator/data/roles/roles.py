@@ -4,13 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from atoll_coordinator.data.roles.column_options import (
+    TIME_NAMES,
     check_options,
+    find_time_column,
     find_trajectory_column,
     named_columns,
     strip_units,
 )
-from atoll_coordinator.data.roles.time_column import check_no_text_time, find_time_column, missing_time
 from atoll_coordinator.units import parse_unit
 from atoll_core.config import Angle, DataConfig
 from atoll_core.data.table import Table
@@ -104,7 +107,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
             raise UsageError(f"--unit for '{name}': {error}") from error
     roles = assigned(table.names, config, trajectory)
     if not _has_time_or_slopes(roles):
-        check_no_text_time(table)
+        _check_no_text_time(table)
     _check_equations(roles, config, table)
     _check_angles(roles)
     return roles, config
@@ -168,7 +171,7 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         counts = f"{len(roles.derivatives)} derivatives were named for the states {states}"
         raise UsageError(f"{counts}; name as many states with --states, in the same order")
     if not _has_time_or_slopes(roles):
-        raise missing_time(table, roles.states, config)
+        raise _missing_time(table, roles.states, config)
     for name in config.only or ():
         if name not in roles.equations:
             sought = f"equations are sought for {', '.join(roles.equations)}{did_you_mean(name, roles.equations)}"
@@ -184,3 +187,26 @@ def _check_angles(roles: Roles) -> None:
             raise UsageError(f"--angle names '{angle.column}', the target of an explicit regression; remove it")
         if angle.column not in (*roles.states, *roles.inputs):
             raise UsageError(f"--angle names '{angle.column}', which is neither a state nor an input; remove it")
+
+
+def _check_no_text_time(table: Table) -> None:
+    """Raise DataError when a column is called as the time is, but holds text; for a table without a time."""
+    name = next((name for name in TIME_NAMES if name in table.skipped), None)
+    if name is not None:
+        reason = f"column '{name}' of {table.files[0]} holds text that is neither a number nor a date"
+        raise DataError(f"{reason}; write numbers, or dates as year-month-day")
+
+
+def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> DataError:
+    """Return the error of a table without a time; it names a state that may be the time."""
+    looked = config.time or " or ".join(TIME_NAMES[:2])
+    ascending = next((name for name in states if _ascends(table, name)), None)
+    perhaps = "" if ascending is None else f" (perhaps {ascending})"
+    reason = f"no time column was found (looked for {looked})"
+    return DataError(f"{reason}; name it with --time{perhaps}, or use --target COLUMN")
+
+
+def _ascends(table: Table, name: str) -> bool:
+    """Tell whether the numbers of a column only grow within each trajectory, as times do."""
+    steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
+    return bool(len(steps)) and bool((steps > 0.0).all())

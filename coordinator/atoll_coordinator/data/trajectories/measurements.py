@@ -12,12 +12,12 @@ import numpy as np
 
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.trajectories.checks import check_searched_rows, check_sizes, select_usable_rows
-from atoll_coordinator.data.trajectories.holdout import select_held_out
 from atoll_coordinator.data.trajectories.trajectories import (
     Range,
     Trajectories,
     find_ranges,
     name_groups,
+    select_held_out,
     split_trajectories,
     unwrap,
 )
