@@ -72,9 +72,7 @@ class Outline:
 def outline(table: Table, config: JobConfig) -> Outline:
     """Return what a job would search.
 
-    Raises:
-        UsageError: options contradict each other, or what is known beforehand cannot be used.
-        DataError: the columns cannot be used as they are.
+    Raises UsageError where options or what is known beforehand cannot be used, DataError where the columns cannot.
     """
     roles, options = assign_roles(table, config.data)
     symbols = assign_symbols(roles.variables)

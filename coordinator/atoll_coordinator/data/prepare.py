@@ -28,9 +28,7 @@ from atoll_core.data.table import Table
 def prepare(table: Table, config: JobConfig) -> Preparation:
     """Return the regression problems that `table` holds under `config`, and the recording that they come from.
 
-    Raises:
-        UsageError: options contradict each other.
-        DataError: the measurements cannot be used as they are; the message says where and what to do.
+    Raises UsageError where options contradict each other, DataError where the measurements cannot be used.
     """
     roles, options = assign_roles(table, config.data)
     units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if unit} | options.units

@@ -16,9 +16,7 @@ from atoll_core.data.table import Table
 def describe(table: Table, config: JobConfig) -> str:
     """Return lines on files, how they were read, trajectories, rows, time, columns and what is known beforehand.
 
-    Raises:
-        UsageError: options contradict each other, or what is known beforehand cannot be used.
-        DataError: the measurements cannot be used as they are.
+    Raises UsageError where options or what is known beforehand cannot be used, DataError where the measurements cannot.
     """
     roles, options = assign_roles(table, config.data)
     measurements = take_measurements(table, roles, options)

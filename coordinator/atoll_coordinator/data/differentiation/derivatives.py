@@ -118,11 +118,8 @@ def estimate_states(
 ) -> list[StateEstimate]:
     """Return values and derivatives of the measured states.
 
-    `weights` (R,) are inverse variances of the errors of each row, up to a factor; None: all are 1.
-
-    Raises:
-        DataError: a state has too few values along every trajectory, or its derivative is zero everywhere, or beyond
-            the range of numbers.
+    `weights` (R,) are inverse variances of the errors of each row, up to a factor; None: all are 1. Raises DataError
+    where a state has too few values along every trajectory, or a derivative of zeros, or beyond the range of numbers.
     """
     assert measurements.trajectories is not None
     parts = [None if weights is None else weights[first:last] for first, last in measurements.ranges]

@@ -16,9 +16,8 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.increments.bins import Rows, total
-from atoll_coordinator.data.increments.differences import separate_windows
 from atoll_coordinator.data.increments.roughness import is_driven
-from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.data.increments.steps import Steps, separate_windows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 

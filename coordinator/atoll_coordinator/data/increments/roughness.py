@@ -12,8 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.increments.differences import all_windows
-from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.data.increments.steps import Steps, all_windows
 from atoll_core.data.dataset import FloatArray
 
 _STEPS: Final = 7

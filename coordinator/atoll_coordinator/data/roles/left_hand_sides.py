@@ -35,8 +35,7 @@ class LeftSides:
     def several(self, option: str, by_side: Mapping[str, Value]) -> dict[str, tuple[Value, ...]]:
         """Return the values in `by_side` for each variable, in the order of the variables.
 
-        Raises:
-            UsageError: a left-hand side belongs to no variable; `option` is named.
+        Raises UsageError, naming `option`, where a left-hand side belongs to no variable.
         """
         pairs = [(self.variable(option, text), value) for text, value in by_side.items()]
         named = {name for name, _ in pairs}
@@ -71,9 +70,8 @@ class LeftSides:
     def symbols_of(self, option: str, texts: Sequence[str]) -> tuple[str, ...]:
         """Return the symbols of variables named by column or symbol; raises UsageError, naming `option`."""
         if not texts:
-            raise UsageError(
-                f"{option} names no variable for an equation; name at least one of {', '.join(self.symbols)}"
-            )
+            nothing = f"{option} names no variable for an equation"
+            raise UsageError(f"{nothing}; name at least one of {', '.join(self.symbols)}")
         return tuple(dict.fromkeys(self._symbol(option, text) for text in texts))
 
     def _symbol(self, option: str, text: str) -> str:

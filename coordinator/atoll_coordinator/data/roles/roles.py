@@ -88,9 +88,7 @@ def _unused(name: str, taken: Sequence[str]) -> str:
 def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
     """Return the role of every column, and `config` with columns named as the table does, without units.
 
-    Raises:
-        UsageError: options contradict each other.
-        DataError: a column does not exist, holds text or is missing.
+    Raises UsageError where options contradict each other, DataError for a column that does not exist or holds text.
     """
     config = strip_units(config, table.names)
     check_options(config)

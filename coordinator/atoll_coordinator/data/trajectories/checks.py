@@ -30,11 +30,9 @@ def select_usable_rows(table: Table, roles: Roles, config: DataConfig) -> tuple[
     """Return the rows that are used, and sentences for the user.
 
     Those have a weight that is not negligible; all columns that must be known are finite; and where states are measured
-    in time, at least one of them is: a missing value of a state costs that value.
-
-    Raises:
-        DataError: there are too few rows, a weight is negative or no number, or a used column is not finite in a row
-            with weight although missing numbers are not to be dropped.
+    in time, at least one of them is: a missing value of a state costs that value. Raises DataError where there are too
+    few rows, a weight is negative or no number, or a used column is not finite in a row with weight although missing
+    numbers are not to be dropped.
     """
     _check_count(table, table.rows)
     weighted, unused = _weighted_rows(table, roles.weights)

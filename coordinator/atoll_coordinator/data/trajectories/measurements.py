@@ -95,9 +95,8 @@ class Measurements:
 def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measurements:
     """Select the rows that are used and check what was measured; `config` names columns as `table` does.
 
-    Raises:
-        UsageError: trajectories to hold out are not told apart by the column that is named.
-        DataError: the measurements cannot be used as they are; the message says where and what to do.
+    Raises UsageError where the column named does not tell the trajectories to hold out apart, DataError where the
+    measurements cannot be used as they are: the message says where and what to do.
     """
     rows, warnings = select_usable_rows(table, roles, config)
     numbers = np.zeros(table.rows) if roles.trajectory is None else table.column(roles.trajectory)

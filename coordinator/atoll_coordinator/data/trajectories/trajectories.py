@@ -113,14 +113,9 @@ def name_groups(
 def select_held_out(holdout: int | str | None, trajectory: str | None, values: Sequence[float]) -> tuple[bool, ...]:
     """Return for each trajectory whether it is held out: kept from every choice, so that equations can be judged by it.
 
-    Args:
-        holdout: how many of the last trajectories, or ``COLUMN=VALUE``.
-        trajectory: the trajectory column, if there is one.
-        values: of that column, one for each trajectory.
-
-    Raises:
-        UsageError: the trajectories are not told apart by that column.
-        DataError: there are too few trajectories, or none with that value.
+    `holdout` is how many of the last trajectories, or ``COLUMN=VALUE``; `values` has that of the column `trajectory`
+    for each. Raises UsageError where they are not told apart by COLUMN, DataError where there are too few, or none with
+    that value.
     """
     count = len(values)
     if isinstance(holdout, str):
