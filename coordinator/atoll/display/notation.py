@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from atoll.export.text import latex_lines
+from atoll.model.parameters import unit_text
 from atoll_core.expression.text.export import left_side_to_mathml, to_mathml
 from atoll_core.expression.text.parsing import from_infix
 
@@ -77,8 +78,7 @@ def constant_cells(constant: "Parameter") -> tuple[str, ...]:
     """Return what is shown of a constant, under `CONSTANT_HEADS`."""
     between = "?" if constant.interval is None else _between(constant.value, *constant.interval)
     error = "?" if constant.stderr is None else f"{constant.stderr:.2g}"
-    unit = f" {constant.unit}" if constant.unit not in (None, "1") else ""
-    return constant.name, f"{constant.value:.6g}{unit}", error, between, constant.variable
+    return constant.name, f"{constant.value:.6g}{unit_text(constant.unit)}", error, between, constant.variable
 
 
 def _between(value: float, low: float, high: float) -> str:

@@ -1,7 +1,7 @@
 """The equations of a model as people read them."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,6 +15,11 @@ DIGITS: Final = 6
 
 _COMPOUND: Final = re.compile(r"[\s*/^.·⋅×⁻¹²³]|\d")
 """What a unit of several factors or with a power has."""
+
+
+def rounded(expression: str, names: Sequence[str]) -> str:
+    """Return an expression over these names with its constants rounded to `DIGITS`."""
+    return to_infix(from_infix(expression, names), names, digits=DIGITS)
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,7 @@ def _equation(result: Result, equation: equations.Equation) -> Equation:
     return Equation(
         equation.variable,
         equation.lhs,
-        to_infix(from_infix(exact, result.names), result.names, digits=DIGITS),
+        rounded(exact, result.names),
         exact,
         _unit(equation.variable, equation.lhs, result.units, time),
         equation.verdict,

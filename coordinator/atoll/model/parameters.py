@@ -130,6 +130,11 @@ def r2_text(value: float | None) -> str:
     return "1" if value == 1.0 else f"{math.floor(value * 1e4) / 1e4:.4f}" if value > -10.0 else f"{value:.2g}"
 
 
+def unit_text(unit: str | None) -> str:
+    """Return a unit as it stands behind a number; "" of a pure number and where units do not tell."""
+    return f" {unit}" if unit not in (None, "1") else ""
+
+
 def interval_text(bounds: Sequence[float | None] | None) -> str:
     """Return ``1.99956 to 2.00019``, with digits that tell the ends apart; ``-`` where an end is not known."""
     low, high = bounds or (None, None)

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Final
 
-from atoll.text.tables import percent, plus_minus
-from atoll_coordinator.result.findings import Density, PathEnsemble, Process
+from atoll.text.tables import number_text, percent, plus_minus
+from atoll_coordinator.result.findings import Density, PathEnsemble
 from atoll_coordinator.result.result import Result
 
 _EULER_MARUYAMA: Final = "rows are the steps of Euler and Maruyama's method rather than samples of a process in time"
@@ -16,46 +16,35 @@ def process_lines(result: Result) -> list[str]:
     process = result.process
     if process is None:
         return []
-    lines = [*_discretisation_line(process), *_noise_lines(process)]
+    lines = []
+    if process.discretisation == "Euler-Maruyama":
+        lines.append(f"{_EULER_MARUYAMA} ({number_text(process.discretisation_nats)} nats shorter so)")
+    for state, noise in process.measurement_noise.items():
+        lines.append(f"errors of measurement of {state}: {plus_minus(noise.sd or 0.0, noise.std_error or 0.0)}")
     if process.ensemble is not None:
         lines.append(_ensemble_line(process.ensemble))
     if process.stationary is None:
         reason = "not sought: there are inputs" if result.columns.inputs else "none that simulations settle into"
-        return [*lines, f"stationary density: {reason}"]
-    return [*lines, *(line for state, density in process.stationary.items() for line in _density_lines(state, density))]
-
-
-def _discretisation_line(process: Process) -> list[str]:
-    if process.discretisation != "Euler-Maruyama":
-        return []
-    return [f"{_EULER_MARUYAMA} ({_short(process.discretisation_nats)} nats shorter so)"]
-
-
-def _noise_lines(process: Process) -> list[str]:
-    return [
-        f"errors of measurement of {state}: {plus_minus(noise.sd or 0.0, noise.std_error or 0.0)}"
-        for state, noise in process.measurement_noise.items()
-    ]
+        lines.append(f"stationary density: {reason}")
+    for state, density in (process.stationary or {}).items():
+        lines += _density_lines(state, density)
+    return lines
 
 
 def _ensemble_line(ensemble: PathEnsemble) -> str:
     ranges = [
-        f"{state} from {_short(ensemble.lower[state][-1])} to {_short(ensemble.upper[state][-1])}"
+        f"{state} from {number_text(ensemble.lower[state][-1])} to {number_text(ensemble.upper[state][-1])}"
         for state in ensemble.mean
     ]
     start = f"{ensemble.finite_paths} paths from the beginning of trajectory {ensemble.trajectory}"
-    return f"ensemble: {start}; at t = {_short(ensemble.times[-1], 6)} 90 % have {', '.join(ranges)}"
+    return f"ensemble: {start}; at t = {number_text(ensemble.times[-1], 6)} 90 % have {', '.join(ranges)}"
 
 
 def _density_lines(state: str, density: Density) -> list[str]:
-    sizes = f"{_short(density.mean)} ± {_short(density.sd)}"
+    sizes = f"{number_text(density.mean)} ± {number_text(density.sd)}"
     overlap = f"overlaps the measured one by {percent(density.overlap)}"
-    bars = f"    {_short(density.edges[0])} {_bars(density.density)} {_short(density.edges[-1])}"
+    bars = f"    {number_text(density.edges[0])} {_bars(density.density)} {number_text(density.edges[-1])}"
     return [f"stationary density of {state}: {sizes}, {overlap}", bars]
-
-
-def _short(value: float | None, digits: int = 3) -> str:
-    return "?" if value is None else f"{value:.{digits}g}"
 
 
 def _bars(values: Sequence[float | None]) -> str:

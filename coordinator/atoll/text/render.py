@@ -8,9 +8,11 @@ from typing import Final
 import numpy as np
 
 from atoll.export.text import as_csv, as_latex, as_sympy
+from atoll.model.equations import DIGITS, rounded
 from atoll.model.parameters import constant_names
 from atoll.text import tables
 from atoll.text.process import process_lines
+from atoll.text.tables import number_text
 from atoll_coordinator.result.equations import Equation, Member
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
@@ -18,8 +20,6 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
 FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
-DIGITS: Final = 6
-"""Significant digits of the constants that people are shown."""
 
 _NUMBER: Final = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")
 _ENDS: Final = {
@@ -98,14 +98,9 @@ def render_text(result: Result, *, fronts: bool = False) -> str:
     blocks += _shared_lines(result)
     blocks += process_lines(result)
     blocks += [f"warning: {warning}" for warning in result.warnings]
-    evaluations, seconds = result.point_evaluations, result.search_seconds
-    blocks.append(f"{_count(evaluations or 0)} point evaluations in {_number(seconds)} s of search, seed {result.seed}")
+    cost = f"{_count(result.point_evaluations or 0)} point evaluations in {number_text(result.search_seconds)} s"
+    blocks.append(f"{cost} of search, seed {result.seed}")
     return "\n".join(blocks)
-
-
-def display(expression: str, names: Sequence[str]) -> str:
-    """Return an expression of a result with its constants rounded to `DIGITS`."""
-    return to_infix(from_infix(expression, names), names, digits=DIGITS)
 
 
 def _picked(equation: Equation, number: int, is_of_group: bool) -> Equation:
@@ -139,25 +134,25 @@ def _shared_lines(result: Result) -> list[str]:
             variable = next(iter(multiples))
             rate = abs((shared.factors[variable] or 0.0) / multiples[variable])
             times = ", ".join(f"{multiples[name]:+.6g} in {sides[name]}" for name in multiples)
-            flux = display(f"{rate!r}*({shared.term})", names)
+            flux = rounded(f"{rate!r}*({shared.term})", names)
             lines.append(f"flux: {flux}, {times}")
         elif shared.has_function:
             within = ", ".join(sides[variable] for variable in shared.factors)
-            lines.append(f"shared: {display(shared.term, names)} in {within}")
+            lines.append(f"shared: {rounded(shared.term, names)} in {within}")
     return lines
 
 
 def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[str], with_tables: bool) -> str:
     if equation.expression is None:
         return f"{equation.lhs} = ?\n    nothing found yet"
-    lines = [f"{equation.lhs} = {display(equation.expression, names)}"]
+    lines = [f"{equation.lhs} = {rounded(equation.expression, names)}"]
     constants = None if with_tables else tables.constants_line(equation.constants)
     if with_tables or constants:
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
     lines += ["    its constants are of all groups together"] if equation.is_of_all_groups else []
     lines += tables.units_line(equation.units)
-    texts = [display(group.expression or "", names) for group in equation.groups]
+    texts = [rounded(group.expression or "", names) for group in equation.groups]
     lines += tables.groups_table(equation, texts, called)
     if equation.verdict is not None:
         lines.append(f"    {equation.verdict}: {equation.reason}")
@@ -167,7 +162,7 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
         lines += tables.constants_table(equation.constants)
         lines += tables.together_line(equation.simple_together)
     if with_tables or equation.verdict != "exact":
-        contenders = tables.contenders_table(equation.candidates, lambda text: display(text, names), most)
+        contenders = tables.contenders_table(equation.candidates, lambda text: rounded(text, names), most)
         lines += contenders
         lines += ["    constants of contenders are of all groups together"] if contenders and texts else []
     if with_tables:
@@ -179,20 +174,20 @@ def _written_out(equation: Equation, names: Sequence[str]) -> list[str]:
     """Return the expression with its constants where they are, if the display has other numbers, such as 1/4 for 4."""
     text = equation.expression or ""
     program = from_infix(text, names)
-    rounded = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))
-    seen = {float(number) for number in _NUMBER.findall(display(text, names))}
+    as_shown = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))
+    seen = {float(number) for number in _NUMBER.findall(rounded(text, names))}
     values = [constant.value for constant in equation.constants if constant.value is not None]
     known = {abs(float(f"{value:.{DIGITS}g}")) for value in values}
-    return [] if known <= seen | {1.0} else [f"    written out: {to_infix(rounded, names)}"]
+    return [] if known <= seen | {1.0} else [f"    written out: {to_infix(as_shown, names)}"]
 
 
 def _standing(equation: Equation) -> str:
     if equation.why == "known":
-        return f"known: error {_number(equation.normalized_error)} of the target's deviation"
+        return f"known: error {number_text(equation.normalized_error)} of the target's deviation"
     outcome = "converged: " if equation.converged else "not converged: "
     if equation.converged and equation.verdict == "no model":  # the derivative is met, the measurements not
         outcome = ""
-    text = f"{outcome}error {_number(equation.normalized_error)} of the target's deviation"
+    text = f"{outcome}error {number_text(equation.normalized_error)} of the target's deviation"
     text += f", size {equation.complexity}, epoch {equation.epoch}"
     if not equation.converged and equation.why not in (None, "target"):  # "target": another member met it
         text += f"; {_ENDS.get(equation.why, equation.why)}"
@@ -205,10 +200,11 @@ def _front_lines(front: Sequence[Member], names: Sequence[str]) -> list[str]:
     lines = [f"    {'pick':>4}   {'size':>4} {'error':>10}{beside} {'R2':>9}  expression"]
     for number, member in enumerate(front):
         mark = "*" if member.selected else " "
-        unseen = f" {_number(_unseen(member)):>10}" if is_held_out else ""
-        figures = f"{member.complexity:>4} {_number(member.normalized_error):>10}{unseen}"
-        figures += f" {_rounded(member.r2):>9}"
-        lines.append(f"    {number:>4} {mark} {figures}  {display(member.expression, names)}")
+        unseen = f" {number_text(_unseen(member)):>10}" if is_held_out else ""
+        figures = f"{member.complexity:>4} {number_text(member.normalized_error):>10}{unseen}"
+        r2 = None if member.r2 is None else round(member.r2, 6)
+        figures += f" {number_text(r2, 6):>9}"
+        lines.append(f"    {number:>4} {mark} {figures}  {rounded(member.expression, names)}")
     return lines
 
 
@@ -216,14 +212,6 @@ def _unseen(member: Member) -> float | None:
     """Return the error on held-out rows, over the deviation of the target on the rows of the search."""
     unseen, error, normalized = member.holdout_error, member.error, member.normalized_error
     return unseen * normalized / error if unseen is not None and error and normalized else None
-
-
-def _number(value: float | None, digits: int = 3) -> str:
-    return "?" if value is None else f"{value:.{digits}g}"
-
-
-def _rounded(value: float | None) -> str:
-    return "?" if value is None else f"{round(value, 6):.6g}"
 
 
 def _count(value: int) -> str:

@@ -7,9 +7,9 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from atoll.model.parameters import constant_names, interval_text, r2_text
-from atoll_coordinator.result.equations import Candidate, Constant, Equation, GroupEquation, SimpleTogether, Units
-from atoll_coordinator.result.findings import Errors, ExcludedRows, Noise, Place, Quantisation
+from atoll.model.parameters import constant_names, interval_text, r2_text, unit_text
+from atoll_coordinator.result.equations import Candidate, Constant, Equation, SimpleTogether, Units
+from atoll_coordinator.result.findings import Errors, ExcludedRows, Noise, Place
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 
@@ -24,7 +24,12 @@ _PLACES: Final = {
     "outlier": "outliers",
     "missing": "missing",
 }
-
+_ROUNDINGS: Final = {
+    "decimals": "values rounded to multiples of {:.3g}",
+    "digits": "values rounded to significant digits, to {:.3g} where they are largest",
+    "single precision": "values in single precision, in steps of {:.3g} where they are largest",
+    "steps": "values in steps of {:.3g}, as of an encoder",
+}
 _EXACT_SHARE: Final = 1e-6
 """Standard errors below this share of their constants are those of rounding, and not worth a line."""
 
@@ -44,6 +49,11 @@ def percent(share: float | None) -> str:
     return "?" if share is None else f"{100.0 * share:.2g} %" if share < 0.995 else f"{100.0 * share:.0f} %"
 
 
+def number_text(value: float | None, digits: int = 3) -> str:
+    """Return a number with so many significant digits; ``?`` for None."""
+    return "?" if value is None else f"{value:.{digits}g}"
+
+
 # ------------------------------------------------------------------------------------------------- constants
 
 
@@ -58,75 +68,68 @@ def plus_minus(value: float, error: float) -> str:
     return f"{value:.{max(decimals + size, 0)}e} ± {error:.1e}"
 
 
-def _has_errors(constant: Constant) -> bool:
-    """Tell whether the error of a constant is known; where it is infinite, it is null, and nothing is determined."""
-    return constant.std_error is not None or not _is_told(constant) or bool(constant.at_bound)
-
-
-def _is_told(constant: Constant) -> bool:
-    return constant.identifiable
+def _with_errors(constants: Sequence[Constant]) -> list[Constant]:
+    """Return those whose errors are known; where one is infinite, it is null, and nothing is determined."""
+    return [each for each in constants if each.std_error is not None or not each.identifiable or each.at_bound]
 
 
 def constants_line(constants: Sequence[Constant]) -> str | None:
     """Return all constants with their standard errors in a line; None when these are not known, or are rounding."""
-    known = [constant for constant in constants if _has_errors(constant)]
-    if all(_is_exact(constant) for constant in known):
+    known = _with_errors(constants)
+    if all(map(_is_exact, known)):
         return None
-    return "constants: " + ", ".join(_constant_text(constant) for constant in known)
+    return "constants: " + ", ".join(map(_constant_text, known))
 
 
 def _is_exact(constant: Constant) -> bool:
     is_small = (constant.std_error or 0.0) <= _EXACT_SHARE * abs(constant.value or 0.0)
-    return is_small and _is_told(constant) and not constant.at_bound
+    return is_small and constant.identifiable and not constant.at_bound
 
 
 def _constant_text(constant: Constant) -> str:
-    return _number_text(constant) + _unit_text(constant)
-
-
-def _unit_text(constant: Constant) -> str:
-    unit = constant.unit
-    return f" {unit}" if unit not in (None, "1") else ""
-
-
-def _remark(constant: Constant) -> str:
+    shown, fitted = number_text(constant.value, 6), _fitted(constant)
+    notes = [] if constant.identifiable else ["not determined"]
     if constant.at_bound:
-        return "on its bound"
-    return _simple_text(constant) if _is_told(constant) else "not determined by the data"
+        notes = ["at its bound", interval_text(constant.interval)]
+    elif constant.std_error is not None:
+        begins_alike = fitted.startswith(f"{shown} ")
+        shown, notes = (fitted, notes) if begins_alike else (shown, [fitted, *notes])
+    return shown + (f" ({', '.join(notes)})" if notes else "") + unit_text(constant.unit)
 
 
-def _shown(constant: Constant) -> str:
-    return "?" if constant.value is None else f"{constant.value:.6g}"
-
-
-def _number_text(constant: Constant) -> str:
-    text = plus_minus(constant.estimate, constant.std_error or 0.0)
-    shown = _shown(constant)
-    remark = "" if _is_told(constant) else "not determined"
-    if constant.at_bound:
-        return f"{shown} (at its bound, {interval_text(constant.interval)})"
-    if constant.std_error is None:
-        return f"{shown} ({remark})" if remark else shown
-    if text.startswith(f"{shown} "):
-        return f"{text} ({remark})" if remark else text
-    return f"{shown} ({', '.join([text, remark] if remark else [text])})"
+def _fitted(constant: Constant) -> str:
+    return plus_minus(constant.estimate, constant.std_error or 0.0)
 
 
 def constants_table(constants: Sequence[Constant]) -> list[str]:
     """Return a line for each constant whose standard error is known, or infinite, with a head; nothing for none."""
-    known = [constant for constant in constants if _has_errors(constant)]
+    known = _with_errors(constants)
     has_intervals = any(constant.interval is not None for constant in known)
     heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
     rows = [
         (
-            _shown(constant) + _unit_text(constant),
-            plus_minus(constant.estimate, constant.std_error or 0.0),
+            number_text(constant.value, 6) + unit_text(constant.unit),
+            _fitted(constant),
             *((interval_text(constant.interval),) if has_intervals else ()),
             _remark(constant),
         )
         for constant in known
     ]
     return columns(heads, rows, "    ") if rows else []
+
+
+def _remark(constant: Constant) -> str:
+    """Return the odds of the simple number that is shown, or how far the nearest one is; or why there is none."""
+    simple = constant.simple
+    if constant.at_bound:
+        return "on its bound"
+    if not constant.identifiable:
+        return "not determined by the data"
+    if simple is None or simple.odds is None:
+        return ""
+    if simple.value is None or simple.value == constant.value:
+        return f"odds {simple.odds:.2g} against other numbers"
+    return f"{simple.value:.6g} is {simple.standard_errors or 0.0:.1f} standard errors off, odds {simple.odds:.2g}"
 
 
 def together_line(together: SimpleTogether | None) -> list[str]:
@@ -154,23 +157,12 @@ def groups_table(equation: Equation, texts: Sequence[str], names: Sequence[str])
     own = [place for place, constant in enumerate(equation.constants) if constant.shared is False]
     if not equation.groups or not own:
         return []
-    heads = ("group", *(f"{names[place]} = {_shown(equation.constants[place])}" for place in own), "")
-    pairs = zip(equation.groups, texts, strict=True)
-    return columns(heads, [_group_row(group, own, text) for group, text in pairs], "    ")
-
-
-def _group_row(group: GroupEquation, places: Sequence[int], text: str) -> tuple[str, ...]:
-    return (group.group, *(_constant_text(group.constants[place]) for place in places), text)
-
-
-def _simple_text(constant: Constant) -> str:
-    """Return the odds of the simple number that is shown, or how far the nearest one is from the estimate."""
-    simple = constant.simple
-    if simple is None or simple.odds is None:
-        return ""
-    if simple.value is None or simple.value == constant.value:
-        return f"odds {simple.odds:.2g} against other numbers"
-    return f"{simple.value:.6g} is {simple.standard_errors or 0.0:.1f} standard errors off, odds {simple.odds:.2g}"
+    heads = ("group", *(f"{names[place]} = {number_text(equation.constants[place].value, 6)}" for place in own), "")
+    rows = [
+        (group.group, *(_constant_text(group.constants[place]) for place in own), text)
+        for group, text in zip(equation.groups, texts, strict=True)
+    ]
+    return columns(heads, rows, "    ")
 
 
 # ------------------------------------------------------------------------------------------------ contenders
@@ -187,8 +179,7 @@ def contenders_table(
         return []
     shown = candidates if most is None else candidates[: most + 1]
     is_held_out = any(candidate.held_out_r2 is not None for candidate in shown)
-    is_crossed = any(candidate.cross_validated for candidate in shown)
-    unseen = "cross-validated" if is_crossed else "held out"
+    unseen = "cross-validated" if any(candidate.cross_validated for candidate in shown) else "held out"
     heads = ("contender", "nats", "R2", *((unseen,) if is_held_out else ()), "size", "origin", "expression")
     rows = [
         (
@@ -211,13 +202,12 @@ def contenders_table(
 
 def summary(result: Result) -> list[str]:
     """Return the noise in a line and the simulations in another; nothing for what is exact or not known."""
-    noisy = {state: noise for state, noise in result.noise.items() if noise.method != "interpolation"}
-    lines = []
-    if noisy:
-        parts = ", ".join(f"{state} {percent(noise.relative)}" for state, noise in noisy.items())
-        lines.append(f"noise: {parts} of the deviation")
-    texts = {state: _error_text(noise.errors) for state, noise in result.noise.items()}
-    lines += [f"errors of {state}{text.replace(';', ':', 1)}" for state, text in texts.items() if text]
+    noisy = [
+        f"{state} {percent(noise.relative)}" for state, noise in result.noise.items() if noise.method != "interpolation"
+    ]
+    lines = [f"noise: {', '.join(noisy)} of the deviation"] if noisy else []
+    errors = {state: "; ".join(_error_texts(noise.errors)) for state, noise in result.noise.items()}
+    lines += [f"errors of {state}: {text}" for state, text in errors.items() if text]
     if any(equation.verdict != "exact" for equation in result.equations):
         lines += _simulation_line(result.simulated)
     return lines
@@ -242,69 +232,54 @@ def noise_lines(result: Result) -> list[str]:
     return [f"noise of {state}: {_noise_text(noise)}" for state, noise in result.noise.items()]
 
 
-_ROUNDINGS: Final = {
-    "decimals": "values rounded to multiples of {:.3g}",
-    "digits": "values rounded to significant digits, to {:.3g} where they are largest",
-    "single precision": "values in single precision, in steps of {:.3g} where they are largest",
-    "steps": "values in steps of {:.3g}, as of an encoder",
-}
-
-
-def _error_text(errors: Errors | None) -> str:
-    """Return in words how errors differ from independent ones of one size, nothing where they do not."""
+def _error_texts(errors: Errors | None) -> list[str]:
+    """Return in words how errors differ from independent ones of one size."""
     if errors is None:
-        return ""
-    parts = []
+        return []
+    texts = []
     if errors.proportional:
-        parts.append(f"{percent(errors.proportional)} of their variance grows with the value squared")
+        texts.append(f"{percent(errors.proportional)} of their variance grows with the value squared")
     if errors.add_up:
         size = f"{errors.sd or 0.0:.2g} within {errors.piece} rows"
-        parts.append(f"errors add up along trajectories, as those of a solver do: {size}")
+        texts.append(f"errors add up along trajectories, as those of a solver do: {size}")
     elif errors.correlated:
         rows = max(2, round(errors.correlation_rows or 0.0))
-        what = "errors" if errors.correlated == 1.0 else f"{percent(errors.correlated)} of the errors' variance"
-        verb = "go" if what == "errors" else "goes"
-        parts.append(f"{what} of neighbouring rows {verb} together over about {rows} rows")
-    return "".join(f"; {part}" for part in parts)
+        share = f"{percent(errors.correlated)} of the errors' variance of neighbouring rows goes"
+        what = "errors of neighbouring rows go" if errors.correlated == 1.0 else share
+        texts.append(f"{what} together over about {rows} rows")
+    return texts
 
 
 def _noise_text(noise: Noise) -> str:
-    rounding = noise.quantisation
+    relative, rounding = f"{percent(noise.relative)} of its deviation", noise.quantisation
     if noise.method == "interpolation":
-        text = "none to speak of" if rounding is None else f"{percent(noise.relative)} of its deviation at most"
-        text += "; interpolated"
+        texts = ["none to speak of" if rounding is None else f"{relative} at most", "interpolated"]
     else:
-        size = "?" if noise.sd is None else f"{noise.sd:.3g}"
-        text = f"{size}, {percent(noise.relative)} of its deviation; {noise.method}"
-        text += f" of degree {noise.degree} over {noise.span} rows"
-        text += _residual_text(noise)
-    text += _error_text(noise.errors)
+        smoothed = f"{noise.method} of degree {noise.degree} over {noise.span} rows"
+        texts = [f"{number_text(noise.sd)}, {relative}", smoothed, *_residual_texts(noise)]
+    texts += _error_texts(noise.errors)
     if rounding is not None:
-        text += _rounding_text(rounding)
+        words = _ROUNDINGS.get(rounding.kind or "", "values rounded in steps of {:.3g}")
+        texts.append(words.format(rounding.step or 0.0))
     if noise.doubtful_rows:
-        text += f"; derivatives doubtful on {noise.doubtful_rows} rows"
-    many = "1 outlier" if noise.outliers == 1 else f"{noise.outliers} outliers"
-    text = f"{text}; {many}" if noise.outliers else text
+        texts.append(f"derivatives doubtful on {noise.doubtful_rows} rows")
+    if noise.outliers:
+        texts.append("1 outlier" if noise.outliers == 1 else f"{noise.outliers} outliers")
     reasons = _reasons(noise.doubtful)
-    return f"{text}; not used: {reasons}" if reasons else text
+    return "; ".join([*texts, f"not used: {reasons}"] if reasons else texts)
 
 
-def _rounding_text(rounding: Quantisation) -> str:
-    words = _ROUNDINGS.get(rounding.kind or "", "values rounded in steps of {:.3g}")
-    return f"; {words.format(rounding.step or 0.0)}"
-
-
-def _residual_text(noise: Noise) -> str:
-    """Return how far measurements lie from the smoothed curve at most; nothing where that is not known."""
+def _residual_texts(noise: Noise) -> list[str]:
+    """Return how far measurements lie from the smoothed curve at most, where that is known."""
     largest = noise.largest_residual
     if largest is None or largest.value is None:
-        return ""
+        return []
     where = f"t = {largest.time or 0.0:.6g} of trajectory {largest.trajectory}"
-    return f"; residuals {noise.residual_rms or 0.0:.3g}, the largest {largest.value:.3g} at {where}"
+    return [f"residuals {noise.residual_rms or 0.0:.3g}, the largest {largest.value:.3g} at {where}"]
 
 
 def _reasons(doubtful: Sequence[ExcludedRows]) -> str:
-    """Return how many rows are not used for each reason, such as ``8 rows near ends, 3 outliers``."""
+    """Return how many rows are not used for each reason, such as ``8 near ends, 3 outliers``."""
     counts = {reason: sum(len(rows.times) for rows in doubtful if rows.reason == reason) for reason in _PLACES}
     return ", ".join(f"{count} {_PLACES[reason]}" for reason, count in counts.items() if count)
 
@@ -320,9 +295,9 @@ def simulation_table(result: Result) -> list[str]:
         (part.name, *(r2_text(part.r2[state]) for state in states), "held out" if part.held_out else "")
         for part in shown
     ]
+    rest = [f"    the {MOST_LINES} worst of {len(trajectories)}"] if len(shown) < len(trajectories) else []
     head = "R2 of simulations from fitted initial values"
-    rest = [f"the {MOST_LINES} worst of {len(trajectories)}"] if len(shown) < len(trajectories) else []
-    return [head, *columns(("trajectory", *states, ""), rows, "    "), *(f"    {line}" for line in rest)]
+    return [head, *columns(("trajectory", *states, ""), rows, "    "), *rest]
 
 
 def _worst(trajectory: Simulated) -> float:
@@ -336,7 +311,7 @@ def correlation_lines(result: Result) -> list[str]:
 
     def named(place: Place) -> str:
         variable, number = place.variable, place.constant or 0
-        name, value = names[variable][number], _shown(constants[variable][number])
+        name, value = names[variable][number], number_text(constants[variable][number].value, 6)
         return f"{value} of {variable}" + (f" ({name})" if name != value else "")
 
     pairs = sorted(result.correlations, key=lambda pair: -abs(pair.value or 0.0))
