@@ -65,11 +65,12 @@ class Chart:
         self._add("area", style, *zip(*forth, *back, strict=True)) if rows else None
 
     def add_cells(self, x: Numbers, y: Numbers, style: str) -> None:
-        """Add rectangles, each from a corner to the opposite one: two numbers of `x` and `y` for each."""
+        """Add rectangles, each from a corner to the opposite one: two numbers of `x` and `y` for each, all known."""
         self._add("cells", style, x, y)
 
     def _add(self, kind: str, style: str, x: Numbers, y: Numbers) -> None:
-        self._layers.append(_Layer(kind, style, _known(x, self.x), _known(y, self.y)))
+        places = (tuple(_on(axis, value) for value in values) for axis, values in ((self.x, x), (self.y, y)))
+        self._layers.append(_Layer(kind, style, *places))
 
     def svg(self) -> Element:
         """Return the picture."""
@@ -134,29 +135,21 @@ def _on(axis: Axis, value: Number) -> float:
     return math.log10(value) if value > 0.0 else math.nan
 
 
-def _known(values: Numbers, axis: Axis) -> tuple[float, ...]:
-    return tuple(_on(axis, value) for value in values)
-
-
 def _drawn(layer: _Layer, across: _Scale, up: _Scale) -> Element:
     places = [
         (round(across(x), 1), round(up(y), 1)) if math.isfinite(x) and math.isfinite(y) else None
         for x, y in zip(layer.x, layer.y, strict=True)
     ]
+    known = [place for place in places if place]
     if layer.kind == "points":
-        dots = (element("circle", cx=place[0], cy=place[1], r=3) for place in places if place)
+        dots = (element("circle", cx=x, cy=y, r=3) for x, y in known)
         return element("g", *dots, class_=f"points {layer.style}")
     if layer.kind == "cells":
-        path = "".join(_rectangle(*pair) for pair in zip(places[::2], places[1::2], strict=True))
+        corners = zip(known[::2], known[1::2], strict=True)
+        path = "".join(f"M{left},{bottom}H{right}V{top}H{left}Z" for (left, bottom), (right, top) in corners)
         return element("path", class_=f"area {layer.style}", d=path)
     ending = "Z" if layer.kind == "area" else ""
     return element("path", class_=f"{layer.kind} {layer.style}", d=_path(places) + ending)
-
-
-def _rectangle(corner: tuple[float, float] | None, opposite: tuple[float, float] | None) -> str:
-    if corner is None or opposite is None:
-        return ""
-    return f"M{corner[0]},{corner[1]}H{opposite[0]}V{opposite[1]}H{corner[0]}Z"
 
 
 def _path(places: Iterable[tuple[float, float] | None]) -> str:

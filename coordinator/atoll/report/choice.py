@@ -4,9 +4,10 @@ from typing import TYPE_CHECKING
 
 from atoll.display.series import front
 from atoll.experiments.suggestion import equations_text
+from atoll.model.equations import rounded
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
-from atoll.report.markup import Child, Element, element, figure, number, paragraph, r2_cell, section, table
+from atoll.report.markup import Child, Element, element, figure, number, paragraph, pictures, r2_cell, section, table
 from atoll_coordinator.result.equations import Equation
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def choice(findings: Findings) -> list[Element]:
             "ring marks the one that the equation is made of, if it comes from the front; the line is how uncertain "
             "the target itself is."
         )
-        sections.append(section("front", "Accuracy and complexity", text, element("div", *fronts, class_="pictures")))
+        sections.append(section("front", "Accuracy and complexity", text, pictures(fronts)))
     return sections
 
 
@@ -78,7 +79,7 @@ def _front(equation: Equation, findings: Findings) -> Element:
     drawn.add_points(*front(equation.front, is_selected=True), "chosen c1")
     rows = [
         [str(member.complexity), number(member.normalized_error, 3), "yes" if member.selected else "",
-         element("code", findings.rounded(member.expression))]
+         element("code", rounded(member.expression, findings.result.names))]
         for member in equation.front
     ]  # fmt: skip
     numbers = table(f"front of {equation.lhs}", ["complexity", "error", "chosen", "expression"], rows)
@@ -90,7 +91,7 @@ def _candidates(equation: Equation, findings: Findings) -> list[Element]:
         return []
     rows: list[list[Child]] = [
         [
-            element("code", findings.rounded(candidate.expression)),
+            element("code", rounded(candidate.expression, findings.result.names)),
             "shown" if candidate.selected else number(candidate.nats, 3),
             r2_cell(candidate.r2),
             r2_cell(candidate.held_out_r2) + (" (left out in turn)" if candidate.cross_validated else ""),

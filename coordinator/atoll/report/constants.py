@@ -7,7 +7,7 @@ from atoll.model.groups import differing_groups
 from atoll.model.parameters import constant_names, interval_text
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
-from atoll.report.markup import Element, element, figure, number, paragraph, section, table
+from atoll.report.markup import Child, Element, element, figure, number, paragraph, pictures, section, table
 from atoll_coordinator.result.equations import Equation, Estimate, SimpleNumber
 from atoll_coordinator.result.findings import Correlation
 
@@ -21,32 +21,15 @@ def constants(findings: Findings) -> list[Element]:
     rows = [row for equation in findings.result.equations for row in _rows(equation, names[equation.variable])]
     if not rows:
         return []
-    heads = [
-        "equation",
-        "constant",
-        "shown",
-        "fitted",
-        "standard error",
-        "95 % interval",
-        "simple number near it",
-        "determined",
-    ]
+    heads = ["equation", "constant", "shown", "fitted", "standard error", "95 % interval", "simple number near it"]
     equations = findings.result.equations
     notes = [paragraph(text) for equation in equations for text in _together(equation, names[equation.variable])]
     notes += [paragraph(_correlation(pair, names)) for pair in findings.result.correlations]
     profiles = [] if findings.identifiability is None else _profiles(findings.identifiability)
     if count_constants(findings.result) > MOST_PROFILES:
         profiles.append(paragraph("coordinator analyse --identifiability says what the data determine of so many."))
-    return [
-        section(
-            "constants",
-            "Constants",
-            table("Constants", heads, rows, is_stacked=True),
-            *_groups(findings, names),
-            *notes,
-            *profiles,
-        )
-    ]
+    listed = table("Constants", [*heads, "determined"], rows, is_stacked=True)
+    return [section("constants", "Constants", listed, *_groups(findings, names), *notes, *profiles)]
 
 
 def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Element]:
@@ -54,26 +37,22 @@ def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Elem
     if not differing_groups(findings.result):
         return []
     heads = ["equation", "constant", "group", "value", "standard error", "95 % interval"]
-    equations = findings.result.equations
-    rows = [row for equation in equations for row in _rows_of_groups(equation, names[equation.variable])]
-    return [table("Constants that differ between groups; those above are means", heads, rows)]
-
-
-def _rows_of_groups(equation: Equation, names: Sequence[str]) -> list[list[str | Element]]:
-    return [
+    rows: list[list[Child]] = [
         [
             equation.lhs,
-            element("span", names[place]),
+            element("span", names[equation.variable][place]),
             element("span", group.group),
             number(constant.value, 6),
             number(constant.std_error, 2),
             interval_text(constant.interval) if constant.interval else "",
         ]
+        for equation in findings.result.equations
         for place, mean in enumerate(equation.constants)
         if not mean.shared
         for group in equation.groups
         for constant in group.constants[place : place + 1]
     ]
+    return [table("Constants that differ between groups; those above are means", heads, rows)]
 
 
 def _profiles(identifiability: "Identifiability") -> list[Element]:
@@ -84,13 +63,8 @@ def _profiles(identifiability: "Identifiability") -> list[Element]:
     )
     listed = [element("li", f"{constant.name} = {constant.sentence}") for constant in identifiability.constants]
     listed += [element("li", direction.words) for direction in identifiability.sloppy]
-    pictures = [_profile(constant, identifiability.quantile**2) for constant in identifiability.constants]
-    return [
-        element("h3", "What the data determine"),
-        text,
-        element("ul", *listed),
-        element("div", *pictures, class_="pictures"),
-    ]
+    drawn = [_profile(constant, identifiability.quantile**2) for constant in identifiability.constants]
+    return [element("h3", "What the data determine"), text, element("ul", *listed), pictures(drawn)]
 
 
 def _profile(constant: "ProfiledConstant", most: float) -> Element:
@@ -103,7 +77,7 @@ def _profile(constant: "ProfiledConstant", most: float) -> Element:
     return figure(drawn.svg(), constant.name, table(f"profile of {constant.name}", ["value", "deviance"], rows))
 
 
-def _rows(equation: Equation, names: Sequence[str]) -> list[list[str | Element]]:
+def _rows(equation: Equation, names: Sequence[str]) -> list[list[Child]]:
     listed: list[tuple[str, Estimate]] = [*zip(names, equation.constants, strict=True)]
     listed += [(f"1 of {factor.of}", factor) for factor in equation.implied]
     return [

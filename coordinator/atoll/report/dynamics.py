@@ -9,7 +9,7 @@ from atoll.analysis.sentences import Listing, describe
 from atoll.model.groups import differing_groups
 from atoll.report.chart import COLORS, Axis, Chart
 from atoll.report.findings import Findings
-from atoll.report.markup import Element, element, figure, legend, paragraph, section, table
+from atoll.report.markup import Element, figure, legend, paragraph, pictures, section, table
 from atoll.report.trajectories import chosen
 
 if TYPE_CHECKING:
@@ -21,28 +21,25 @@ def dynamics(findings: Findings) -> list[Element]:
     if findings.model is not None and findings.model.is_regression:
         return []
     analysis = findings.analysis
-    if analysis is None and (groups := differing_groups(findings.result)):
-        text = f"Constants differ between the groups {', '.join(groups)}; coordinator report --group NAME analyses one."
-        return [section("dynamics", "Dynamics", paragraph(text))]
     if analysis is None:
-        return [section("dynamics", "Dynamics", paragraph(f"The model is not analysed: {findings.unanalysed}."))]
-    drawn = [_part(part) for part in describe(analysis)]
-    picture = [element("div", _phase_plane(findings, analysis), class_="pictures")] if analysis.nullclines else []
-    first = 1 if analysis.caveat else 0
+        groups = ", ".join(differing_groups(findings.result))
+        told_apart = f"Constants differ between the groups {groups}; coordinator report --group NAME analyses one."
+        why = told_apart if groups else f"The model is not analysed: {findings.unanalysed}."
+        return [section("dynamics", "Dynamics", paragraph(why))]
+    parts = [_part(part) for part in describe(analysis)]
+    if analysis.nullclines:
+        parts.insert(1 if analysis.caveat else 0, pictures([_phase_plane(findings, analysis)]))
     bounded = paragraph("A bounded search proves nothing of what it did not meet.")
-    return [section("dynamics", "Dynamics", *drawn[:first], *picture, *drawn[first:], bounded)]
+    return [section("dynamics", "Dynamics", *parts, bounded)]
 
 
 def _part(part: str | Listing) -> Element:
     """Return a sentence as a paragraph, and a listing as a table; of nothing its title alone."""
+    text = part.title if isinstance(part, Listing) else part
+    text = text[:1].upper() + text[1:]
     if isinstance(part, Listing) and part.rows:
-        return table(_capitalised(part.title), part.heads, [row.cells for row in part.rows])
-    text = _capitalised(part.title if isinstance(part, Listing) else part)
+        return table(text, part.heads, [row.cells for row in part.rows])
     return paragraph(text if text.endswith(".") else f"{text}.")
-
-
-def _capitalised(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def _phase_plane(findings: Findings, analysis: "Analysis") -> Element:
@@ -72,7 +69,8 @@ def _phase_plane(findings: Findings, analysis: "Analysis") -> Element:
     ]
     if analysis.cycles.cycles:
         marks.append(("line cycle", "limit cycle"))
-    marks += [(f"line c{index}", f"trajectory {part.name}") for index, part in enumerate(chosen(findings.trajectories))]
+    parts = chosen(findings.result.simulated)
+    marks += [(f"line c{index}", f"trajectory {part.name}") for index, part in enumerate(parts)]
     return figure(
         drawn.svg(),
         "Phase plane" + ("; shades tell which attractor is reached" if len(analysis.basins.attractors) > 1 else ""),
@@ -126,11 +124,11 @@ def _add_arrows(drawn: Chart, analysis: "Analysis") -> None:
 
 
 def _add_trajectories(drawn: Chart, findings: Findings) -> None:
-    columns = findings.system.states
+    columns = findings.result.columns.states
     if len(columns) != 2:
         return
     first, second = columns
-    for index, part in enumerate(chosen(findings.trajectories)):
+    for index, part in enumerate(chosen(findings.result.simulated)):
         if part.measured:
             drawn.add_points(part.measured[first], part.measured[second], f"small c{index}")
         values = part.values or {}

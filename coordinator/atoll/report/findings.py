@@ -5,15 +5,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from atoll.display.series import label
-from atoll.model.equations import DIGITS
 from atoll.model.model import Model
-from atoll.report.chart import Axis
-from atoll_coordinator.result.findings import System
-from atoll_coordinator.result.listed_trajectories import Simulated
+from atoll.report.chart import Axis, Chart
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import DataError, UsageError
-from atoll_core.expression.text.infix import to_infix
-from atoll_core.expression.text.parsing import from_infix
 
 if TYPE_CHECKING:
     from atoll.analysis.analysis import Analysis
@@ -50,33 +45,12 @@ class Findings:
             return cls(result, None, None, str(error))
         if model.is_regression:
             return cls(result, model, None, "the model has no time")
-        has_profiles = count_constants(result) <= MOST_PROFILES
-        identifiability = _found(model.identifiability) if has_profiles else None
+        identifiability = _found(model.identifiability) if count_constants(result) <= MOST_PROFILES else None
         suggestions = _found(model.suggest)
         try:
             return cls(result, model, model.analyse(), "", identifiability, suggestions)
         except UsageError as error:
             return cls(result, model, None, str(error), identifiability, suggestions)
-
-    @property
-    def system(self) -> System:
-        """What the columns are, as far as the result says."""
-        return self.result.columns
-
-    @property
-    def time(self) -> str:
-        """The name of the time column."""
-        return self.result.time
-
-    @property
-    def trajectories(self) -> tuple[Simulated, ...]:
-        """The simulated trajectories; empty where nothing was simulated."""
-        return self.result.simulated
-
-    def rounded(self, expression: str) -> str:
-        """Return an expression with its constants in a few digits."""
-        names = self.result.names
-        return to_infix(from_infix(expression, names), names, digits=DIGITS)
 
     def labelled(self, column: str) -> str:
         """Return a column name with its unit."""
@@ -85,6 +59,10 @@ class Findings:
     def axis(self, column: str) -> Axis:
         """Return the axis of a column, labelled with its unit."""
         return Axis(self.labelled(column))
+
+    def over_time(self, title: str, column: str) -> Chart:
+        """Return an empty chart of a column over time, both labelled with their units."""
+        return Chart(title, self.axis(self.result.time), self.axis(column))
 
 
 def count_constants(result: Result) -> int:

@@ -1,11 +1,9 @@
 """Measured beside fitted values of y = f(X)."""
 
-from collections.abc import Sequence
-
 from atoll.display.series import residuals
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
-from atoll.report.markup import Element, element, figure, number, section, table
+from atoll.report.markup import Element, figure, number, pictures, section, table
 from atoll.report.trajectories import ROWS
 
 
@@ -14,7 +12,7 @@ def fitted_values(findings: Findings) -> list[Element]:
     known = findings.result.regression
     if known is None:
         return []
-    target, variables = str(findings.system.target), known.variables
+    target, variables = str(findings.result.columns.target), known.variables
     fitted, measured = known.fitted, known.measured
     if len(variables) == 1:
         ((name, values),) = variables.items()
@@ -25,24 +23,16 @@ def fitted_values(findings: Findings) -> list[Element]:
     else:
         fit = Chart(f"{target} fitted over measured", Axis("measured"), Axis("fitted"))
         fit.add_points(measured, fitted, "c0")
-        ends = _ends(measured)
+        known_values = [value for value in measured if value is not None]
+        ends = [min(known_values), max(known_values)] if known_values else []
         fit.add_line(ends, ends, "rule")
     left = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured less fitted"))
     left.add_points(fitted, residuals(measured, fitted), "c0")
-    rows = zip(*variables.values(), measured, fitted, strict=True)
-    some = list(rows)[:: max(1, len(measured) // ROWS)]
-    numbers = table(
-        f"{target}, measured and fitted",
-        [*variables, "measured", "fitted"],
-        [[number(value, 6) for value in row] for row in some],
-    )
-    pictures = element(
-        "div", figure(fit.svg(), f"{target}: dots measured, line fitted", numbers),
-        figure(left.svg(), "what the model leaves", None), class_="pictures",
-    )  # fmt: skip
-    return [section("fit", "Measured and fitted", pictures)]
-
-
-def _ends(values: Sequence[float | None]) -> list[float]:
-    known = [value for value in values if value is not None]
-    return [min(known), max(known)] if known else []
+    rows = list(zip(*variables.values(), measured, fitted, strict=True))
+    some = [[number(value, 6) for value in row] for row in rows[:: max(1, len(rows) // ROWS)]]
+    numbers = table(f"{target}, measured and fitted", [*variables, "measured", "fitted"], some)
+    drawn = [
+        figure(fit.svg(), f"{target}: dots measured, line fitted", numbers),
+        figure(left.svg(), "what the model leaves", None),
+    ]
+    return [section("fit", "Measured and fitted", pictures(drawn))]

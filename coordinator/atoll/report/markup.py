@@ -1,6 +1,7 @@
 """Elements of HTML, SVG and MathML. Texts and attributes are escaped when a page is written, whatever they hold."""
 
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import Final
 from xml.etree import ElementTree
 
@@ -9,30 +10,20 @@ from atoll.model.parameters import r2_text
 Element = ElementTree.Element
 Child = Element | str
 
-MATHML: Final = "{http://www.w3.org/1998/Math/MathML}"
+_MATHML: Final = "{http://www.w3.org/1998/Math/MathML}"
 
 
 def element(tag: str, *children: Child, **attributes: str | float) -> Element:
     """Return an element; ``class_`` stands for the attribute ``class``, and ``stroke_width`` for ``stroke-width``."""
     made = Element(tag, {name.rstrip("_").replace("_", "-"): str(value) for name, value in attributes.items()})
-    extend(made, children)
-    return made
-
-
-def extend(parent: Element, children: Iterable[Child]) -> None:
-    """Add children behind those that are there."""
     for child in children:
-        if isinstance(child, str):
-            _add_text(parent, child)
+        if not isinstance(child, str):
+            made.append(child)
+        elif len(made):
+            made[-1].tail = (made[-1].tail or "") + child
         else:
-            parent.append(child)
-
-
-def _add_text(parent: Element, text: str) -> None:
-    if len(parent):
-        parent[-1].tail = (parent[-1].tail or "") + text
-    else:
-        parent.text = (parent.text or "") + text
+            made.text = (made.text or "") + child
+    return made
 
 
 def section(identifier: str, title: str, *children: Child) -> Element:
@@ -40,17 +31,15 @@ def section(identifier: str, title: str, *children: Child) -> Element:
     return element("section", element("h2", title), *children, id=identifier)
 
 
-def paragraph(*children: Child, **attributes: str) -> Element:
+def paragraph(*children: Child) -> Element:
     """Return a paragraph."""
-    return element("p", *children, **attributes)
+    return element("p", *children)
 
 
 def facts(pairs: Iterable[tuple[str, Child]]) -> Element:
     """Return a list of terms and what is said of each."""
-    listed = element("dl")
-    for term, description in pairs:
-        extend(listed, (element("dt", term), element("dd", description)))
-    return listed
+    listed = [(element("dt", term), element("dd", description)) for term, description in pairs]
+    return element("dl", *chain.from_iterable(listed))
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Child]], *, is_stacked: bool = False) -> Element:
@@ -83,20 +72,22 @@ def figure(picture: Element, caption: str, numbers: Element | None, *legend: Ele
     return element("figure", picture, *legend, element("figcaption", caption), *behind)
 
 
+def pictures(figures: Iterable[Element]) -> Element:
+    """Return figures beside each other."""
+    return element("div", *figures, class_="pictures")
+
+
 def legend(names: Iterable[tuple[str, str]]) -> Element:
     """Return a legend: the class of a mark, and what it stands for."""
-    return element(
-        "ul",
-        *(element("li", element("span", class_=f"swatch {kind}"), name) for kind, name in names),
-        class_="legend",
-    )
+    marks = (element("li", element("span", class_=f"swatch {kind}"), name) for kind, name in names)
+    return element("ul", *marks, class_="legend")
 
 
 def parse_mathml(text: str) -> Element:
     """Return MathML as elements without the prefix of a namespace, as HTML has them."""
     root = ElementTree.fromstring(text)
     for part in root.iter():
-        part.tag = part.tag.removeprefix(MATHML)
+        part.tag = part.tag.removeprefix(_MATHML)
     return root
 
 

@@ -23,37 +23,29 @@ def overview(findings: Findings) -> Element:
     equations = [_equation(equation, findings) for equation in result.equations]
     warnings = [element("li", text) for text in result.warnings]
     noted = (element("h3", "Warnings"), element("ul", *warnings)) if warnings else ()
-    remark = remark_on_groups(result)
-    remarks = [remark] if remark else []
-    if result.process:
-        remarks.append("Of a state x, d[x]/dt is the variance that noise adds in a unit of time.")
-    verdicts = dict.fromkeys(equation.verdict for equation in result.equations if equation.verdict is not None)
-    meanings = element(
-        "small",
-        " ".join(f"{verdict.capitalize()}: {MEANINGS[verdict]}." for verdict in verdicts if verdict in MEANINGS),
-    )
-    paragraphs = [paragraph(meanings), *map(paragraph, remarks)]
-    return section("found", "Found", *equations, *paragraphs, facts(_facts(findings)), *noted)
+    of_noise = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time." if result.process else ""
+    remarks = map(paragraph, filter(None, [remark_on_groups(result), of_noise]))
+    verdicts = dict.fromkeys(equation.verdict or "" for equation in result.equations)
+    meanings = [f"{verdict.capitalize()}: {MEANINGS[verdict]}." for verdict in verdicts if verdict in MEANINGS]
+    explained = paragraph(element("small", " ".join(meanings)))
+    return section("found", "Found", *equations, explained, *remarks, facts(_facts(findings)), *noted)
 
 
 def _equation(equation: Equation, findings: Findings) -> Element:
-    verdict, reason = equation.verdict, equation.reason
-    parts = []
-    if equation.expression is not None:
-        names = findings.result.names
-        formula = parse_mathml(equation_mathml(equation.lhs, equation.variable, equation.expression, names))
-        parts.append(scrolling(f"equation {equation.lhs}", formula))
+    lhs, verdict = equation.lhs, equation.verdict
+    if equation.expression is None:
+        parts = [paragraph(f"{lhs}: no equation")]
     else:
-        parts.append(paragraph(f"{equation.lhs}: no equation"))
+        formula = equation_mathml(lhs, equation.variable, equation.expression, findings.result.names)
+        parts = [scrolling(f"equation {lhs}", parse_mathml(formula))]
     if verdict is not None:
         badge = element("strong", verdict, class_=f"verdict {verdict.replace(' ', '-')}")
-        parts.append(paragraph(badge, f" {reason or ''}"))
+        parts.append(paragraph(badge, f" {equation.reason or ''}"))
     return element("div", *parts, class_="equation")
 
 
 def _facts(findings: Findings) -> list[tuple[str, str]]:
-    result, system = findings.result, findings.system
-    data = result.data
+    result, system, data = findings.result, findings.result.columns, findings.result.data
     entries = [] if data is None else [("Data", f"{', '.join(data.files)}: {data.rows} rows")]
     if result.group is not None:
         entries.append(("Group", result.group))
@@ -66,15 +58,10 @@ def _facts(findings: Findings) -> list[tuple[str, str]]:
     if system.ranges:
         ranges = (f"{name} {number(low)} to {number(high)}" for name, (low, high) in system.ranges.items())
         entries.append(("Range searched", ", ".join(ranges)))
-    entries += _simulation(findings)
+    values = [value for part in result.simulated for value in part.r2.values() if value is not None]
+    if values:
+        on = f" on {len(result.simulated)} trajectories" if len(result.simulated) > 1 else ""
+        entries.append(("Simulation", f"R² at least {r2_text(min(values))}{on}"))
     if result.state not in (None, "done"):
         entries.append(("Job", f"{result.state}: {result.reason or 'ended early'}"))
     return entries
-
-
-def _simulation(findings: Findings) -> list[tuple[str, str]]:
-    values = [value for part in findings.trajectories for value in part.r2.values() if value is not None]
-    if not values:
-        return []
-    on = f" on {len(findings.trajectories)} trajectories" if len(findings.trajectories) > 1 else ""
-    return [("Simulation", f"R² at least {r2_text(min(values))}{on}")]

@@ -46,8 +46,9 @@ def build_page(result: Result) -> Element:
         *search(findings),
         origin(findings),
     ]
-    title = _title(findings)
-    links = (element("li", element("a", _heading(part), href=f"#{part.get('id')}")) for part in sections)
+    names = (result.data and result.data.files) or (f"job {result.job}",)
+    title = f"Equations of {', '.join(names)}"
+    links = (element("li", element("a", part[0].text or "", href=f"#{part.get('id')}")) for part in sections)
     contents = element("nav", element("ul", *links), aria_label="Contents")
     foot = element("footer", paragraph(f"Written by Atoll {VERSION}."))
     body = element("body", element("header", element("h1", title), contents), element("main", *sections), foot)
@@ -67,20 +68,8 @@ def _alone(picture: Element) -> str:
     """Return a picture with its own style, on white."""
     style = element("style", _style("pictures"))
     ground = element("rect", width="100%", height="100%", fill="#ffffff")
-    attributes = {**picture.attrib, "xmlns": "http://www.w3.org/2000/svg"}
-    made = element("svg", style, ground, *picture)
-    made.attrib.update(attributes)
+    made = element("svg", style, ground, *picture, **picture.attrib, xmlns="http://www.w3.org/2000/svg")
     return to_text(made) + "\n"
-
-
-def _title(findings: Findings) -> str:
-    data = findings.result.data
-    names = (data.files if data is not None else ()) or (f"job {findings.result.job}",)
-    return f"Equations of {', '.join(names)}"
-
-
-def _heading(part: Element) -> str:
-    return part[0].text or ""
 
 
 def _head(title: str) -> Element:

@@ -5,7 +5,7 @@ from typing import Final
 
 from atoll.report.chart import COLORS, Axis, Chart
 from atoll.report.findings import Findings
-from atoll.report.markup import Element, element, figure, number, paragraph, section, table
+from atoll.report.markup import Element, figure, number, paragraph, pictures, section, table
 from atoll_coordinator.result.equations import Equation
 
 ENDS: Final = {
@@ -29,17 +29,10 @@ def search(findings: Findings) -> list[Element]:
         for equation in equations
     ]  # fmt: skip
     heads = ["equation", "the search ended because", "epochs", "point evaluations", "seconds", "shown comes from"]
-    pictures = [_convergence(equation) for equation in equations if equation.convergence]
+    drawn = [_convergence(equation) for equation in equations if equation.convergence]
     text = paragraph("The best error of each island over generations, relative to the target's deviation.")
-    return [
-        section(
-            "search",
-            "Search",
-            table("Searches", heads, rows),
-            *((text,) if pictures else ()),
-            element("div", *pictures, class_="pictures"),
-        )
-    ]
+    explained = [text] if drawn else []
+    return [section("search", "Search", table("Searches", heads, rows), *explained, pictures(drawn))]
 
 
 def _convergence(equation: Equation) -> Element:
