@@ -1,4 +1,4 @@
-"""A model as people see it: ``notation`` writes it as text, LaTeX and MathML, ``notebook`` as HTML, ``plots`` draws it.
+"""A model as people see it: ``notation`` writes it as text, LaTeX, MathML and HTML, ``plots`` draws it.
 
 ``series`` are the numbers of its pictures, which a report draws as well.
 """

@@ -1,10 +1,12 @@
-"""A model as people read it: text, LaTeX, MathML."""
+"""A model as people read it: text, LaTeX, sympy, MathML, HTML."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Final
 
 from atoll.export.text import latex_lines
 from atoll.model.parameters import unit_text
+from atoll.terminal.output import table
 from atoll_core.expression.text.export import left_side_to_mathml, to_mathml
 from atoll_core.expression.text.parsing import from_infix
 
@@ -14,8 +16,8 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
     from atoll.model.parameters import Parameter
 
-_MATH = '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">'
-CONSTANT_HEADS = ("constant", "value", "standard error", "95 % interval", "equation of")
+_MATH: Final = '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">'
+_HEADS: Final = ("constant", "value", "standard error", "95 % interval", "equation of")
 
 
 def summary(model: "Model") -> str:
@@ -26,11 +28,8 @@ def summary(model: "Model") -> str:
         if equation.verdict is not None:
             lines.append(f"    {equation.verdict}: {equation.reason}")
     lines += filter(None, [model.remark])
-    rows = [CONSTANT_HEADS, *map(constant_cells, model.params.values())]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(CONSTANT_HEADS))]
     if model.params:
-        lines.append("")
-    lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows if model.params]
+        lines += ["", table(_HEADS, map(_cells, model.params.values()))]
     result, data = model.result, model.result.data
     lines += ["", f"seed {result.seed}, digest {result.digest}"]
     if data is not None and data.digest:
@@ -57,8 +56,28 @@ def mathml(model: "Model") -> str:
     """Return the equations as the rows of a table in presentation MathML."""
     names = model.result.names
     parts = [_mathml_parts(equation.lhs, equation.variable, equation.expression, names) for equation in model.equations]
-    rows = ["<mtr>" + "".join(f"<mtd>{cell}</mtd>" for cell in cells) + "</mtr>" for cells in parts]
+    rows = (_row("mtr", "mtd", cells) for cells in parts)
     return f"{_MATH}<mtable>{''.join(rows)}</mtable></math>"
+
+
+def html(model: "Model") -> str:
+    """Return equations, verdicts and a table of constants for a notebook."""
+    parts = [mathml(model)]
+    if model.remark:
+        parts.append(f"<p>{escape(model.remark)}</p>")
+    for equation in model.equations:
+        if equation.verdict is not None:
+            head, reason = f"{equation.lhs}: {equation.verdict}", equation.reason or ""
+            parts.append(f"<p><b>{escape(head)}.</b> {escape(reason)}</p>")
+    if model.params:
+        rows = [_row("tr", "td", map(escape, _cells(constant))) for constant in model.params.values()]
+        parts.append(f"<table>{_row('tr', 'th', _HEADS)}{''.join(rows)}</table>")
+    return f"<div>{''.join(parts)}</div>"
+
+
+def _row(row: str, cell: str, contents: Iterable[str]) -> str:
+    """Return elements `cell` with these contents, which are markup, in an element `row`."""
+    return f"<{row}>{''.join(f'<{cell}>{content}</{cell}>' for content in contents)}</{row}>"
 
 
 def equation_mathml(lhs: str, variable: str, expression: str, names: Sequence[str]) -> str:
@@ -74,8 +93,8 @@ def _mathml_parts(lhs: str, variable: str, expression: str, names: Sequence[str]
     return side, "<mo>=</mo>", to_mathml(from_infix(expression, names), names)
 
 
-def constant_cells(constant: "Parameter") -> tuple[str, ...]:
-    """Return what is shown of a constant, under `CONSTANT_HEADS`."""
+def _cells(constant: "Parameter") -> tuple[str, ...]:
+    """Return what is shown of a constant, under `_HEADS`."""
     between = "?" if constant.interval is None else _between(constant.value, *constant.interval)
     error = "?" if constant.stderr is None else f"{constant.stderr:.2g}"
     return constant.name, f"{constant.value:.6g}{unit_text(constant.unit)}", error, between, constant.variable

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from atoll.model.arguments import number, numbers
 from atoll.model.rows import rows_of
-from atoll_coordinator.result.base import Curve
+from atoll_coordinator.result.base import Number
 from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
@@ -146,7 +146,7 @@ def times_of(model: "Model", t: npt.ArrayLike | float | None) -> FloatArray:
     return np.linspace(begin, float(times), ROWS)
 
 
-def values_of_curve(curve: Curve) -> FloatArray:
+def values_of_curve(curve: Sequence[Number]) -> FloatArray:
     """Return a curve as an array, NaN where it is not known."""
     return np.array(curve, dtype=np.float64)
 

@@ -173,7 +173,7 @@ class Shortcuts:
         return f"$\\displaystyle {self.latex()}$"
 
     def _repr_html_(self) -> str:
-        from atoll.display.notebook import html
+        from atoll.display.notation import html
 
         return html(self.itself)
 
