@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 PLAIN_INTERVAL_S: Final = 5.0
 _PASSING: Final = re.compile(r"\b[0-9]+ (s\b|of [0-9]+ compiled)")
+"""Numbers of seconds and of kernels, which make a sentence another one a second later."""
 _HEADS: Final = ("equation", "epoch", "error", "size", "best so far", "")
 
 
@@ -36,18 +37,14 @@ def is_screen() -> bool:
 
 def headline(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> str:
     """Return one line on the whole job: state, time, workers, speed, and what it waits for."""
-    parts = [f"job {view.job} {view.state}", duration(view.elapsed), _workers(view, workers)]
+    number = view.workers or sum(worker.state != "lost" for worker in workers)
+    parts = [f"job {view.job} {view.state}", duration(view.elapsed), "1 worker" if number == 1 else f"{number} workers"]
     if view.point_evaluations:
         parts.append(f"{count(view.point_evaluations)} point evaluations")
     if view.point_evaluations_per_second and view.state not in FINAL_STATES:
         parts.append(f"{count(view.point_evaluations_per_second)}/s")
     waits = waiting(view, workers, connect_hint)
     return ", ".join(parts) + (f"; {waits}" if waits else "")
-
-
-def _workers(view: JobView, workers: Sequence[WorkerView]) -> str:
-    number = view.workers or sum(worker.state != "lost" for worker in workers)
-    return "1 worker" if number == 1 else f"{number} workers"
 
 
 def waiting(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> str:
@@ -61,12 +58,6 @@ def waiting(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> 
         details = sorted(worker.detail for worker in alive if worker.detail)  # "compiling …" before "waiting …"
         return f"workers are getting ready: {details[0] if details else 'loading kernels'}"
     return view.reason or (view.stalls[0] if view.stalls else "")
-
-
-def compiling(workers: Sequence[WorkerView]) -> list[tuple[int, int]]:
-    """Return for each worker that compiles the kernels how many of how many are compiled."""
-    counts = [count_of(worker.detail) for worker in workers if worker.state == "compiling"]
-    return [count for count in counts if count is not None]
 
 
 def row(variable: VariableView) -> tuple[str, ...]:
@@ -101,11 +92,6 @@ def plain_lines(view: JobView, workers: Sequence[WorkerView], connect_hint: str)
     return lines
 
 
-def unmeasured(sentence: str) -> str:
-    """Return a sentence without its numbers of seconds and of kernels, so that it is the same a second later."""
-    return _PASSING.sub("", sentence)
-
-
 class PlainDisplay:
     """Plain lines: whenever the state of the job or of an equation changes, and every few seconds."""
 
@@ -124,7 +110,7 @@ class PlainDisplay:
     def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
         """Write the lines when there is something to say."""
         standings = tuple((variable.finished, variable.converged) for variable in view.variables)
-        state = (view.state, standings, unmeasured(waiting(view, workers, self._hint)))
+        state = (view.state, standings, _PASSING.sub("", waiting(view, workers, self._hint)))
         if state == self._shown and now < self._due:
             return
         self._shown, self._due = state, now + PLAIN_INTERVAL_S
@@ -199,7 +185,7 @@ class LiveDisplay:
             grid.add_column(head, justify="right" if head in ("epoch", "size") else "left", overflow="fold")
         for variable in view.variables:
             is_found = variable.verdict in ("exact", "good") if variable.verdict else variable.converged
-            style = "green" if is_found else ""
-            grid.add_row(*(Text(cell) for cell in row(variable)), style=style)
-        bar = [ProgressBar(total=counts[1], completed=counts[0], width=40) for counts in compiling(workers)]
-        return Group(Text(headline(view, workers, self._hint)), *bar, *([grid] if view.variables else []))
+            grid.add_row(*map(Text, row(variable)), style="green" if is_found else "")
+        compiled = [count_of(worker.detail) for worker in workers if worker.state == "compiling"]
+        bars = [ProgressBar(total=known[1], completed=known[0], width=40) for known in compiled if known is not None]
+        return Group(Text(headline(view, workers, self._hint)), *bars, *([grid] if view.variables else []))
