@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from atoll.experiments.measured import Measured, starts_of
-from atoll.model.programs import program_of
+from atoll.model.equations import program_of
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements

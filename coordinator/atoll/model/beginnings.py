@@ -28,42 +28,27 @@ Given = Mapping[str, float] | Sequence[float] | FloatArray
 """Numbers by name, or in the order of the states or inputs."""
 
 
-def _no_times() -> FloatArray:
-    return np.empty(0)
-
-
 @dataclass(frozen=True, eq=False)
 class Beginning:
     """The beginning of a trajectory: its `name`, its initial state by column, its `times` (N,); empty where unknown."""
 
     name: str | None = None
     start: Mapping[str, float] = field(default_factory=dict)
-    times: FloatArray = field(default_factory=_no_times)
+    times: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
 def beginning_of(model: "Model") -> Beginning:
     """Return that of the first simulated trajectory, of the ensemble of a process, else of the first measured one."""
-    return _first_simulated(model) or _first_of_ensemble(model) or _first_measured(model) or Beginning()
-
-
-def _first_simulated(model: "Model") -> Beginning | None:
-    for part in model.result.simulated:
+    result = model.result
+    for part in result.simulated:
         if part.start:
             return Beginning(part.name, _known(part.start), values_of_curve(part.times))
-    return None
-
-
-def _first_of_ensemble(model: "Model") -> Beginning | None:
-    process = model.result.process
-    if process is None or process.ensemble is None:
-        return None
-    ensemble = process.ensemble
-    start = {name: curve[0] if curve else None for name, curve in ensemble.mean.items()}
-    return Beginning(ensemble.trajectory, _known(start), values_of_curve(ensemble.times))
-
-
-def _first_measured(model: "Model") -> Beginning | None:
-    return next(filter(None, (measured_beginning(model, part) for part in model.result.recorded)), None)
+    if result.process is not None and result.process.ensemble is not None:
+        ensemble = result.process.ensemble
+        start = {name: curve[0] for name, curve in ensemble.mean.items() if curve}
+        return Beginning(ensemble.trajectory, _known(start), values_of_curve(ensemble.times))
+    measured = (measured_beginning(model, part) for part in result.recorded)
+    return next(filter(None, measured), Beginning())
 
 
 def measured_beginning(model: "Model", part: Recorded | Simulated) -> Beginning | None:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from atoll.model.arguments import number, numbers
 from atoll.model.rows import has, has_columns
-from atoll.model.simulation import Inputs, interpolated, together
+from atoll.model.simulation import Inputs, interpolated
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.hints import did_you_mean
@@ -53,7 +53,8 @@ def inputs_along(model: "Model", u: GivenInputs, times: FloatArray, recorded: Ma
         given = u
     elif u is not None:
         return interpolated(times, _rows(model, u, times))
-    return together([_input(model, name, given, times, recorded.get(name)) for name in model.inputs])
+    courses = [_input(model, name, given, times, recorded.get(name)) for name in model.inputs]
+    return lambda t: np.array([course(t) for course in courses], dtype=np.float64)
 
 
 def _rows(model: "Model", u: object, times: FloatArray) -> FloatArray:
@@ -70,8 +71,16 @@ def _input(
 ) -> Callable[[float], float]:
     column = model.result.columns_by_symbol[name]
     key = next((key for key in (name, column) if has(given, key)), None)
+    if key is None and column == model.time:
+        return lambda t: t
+    if key is None and recorded is not None:
+        return _curve(*recorded)
     if key is None:
-        return _measured_input(model, name, column, recorded)
+        raise UsageError(
+            f"the model has the input {name!r}, of which nothing is given",
+            python="name it in u",
+            command=f"give a number, such as --hold {name}=1, or a file with its column as --initial",
+        )
     value = given[key]
     if callable(value):
         return lambda t: number(value(t), f"what the function of the input {name!r} returns")
@@ -81,18 +90,6 @@ def _input(
     if values.shape != times.shape:
         raise UsageError(f"the input {name!r} has {values.size} values for {len(times)} times; give one for each")
     return _curve(times, values)
-
-
-def _measured_input(model: "Model", name: str, column: str, recorded: _Recorded | None) -> Callable[[float], float]:
-    if column == model.time:
-        return lambda t: t
-    if recorded is not None:
-        return _curve(*recorded)
-    raise UsageError(
-        f"the model has the input {name!r}, of which nothing is given",
-        python="name it in u",
-        command=f"give a number, such as --hold {name}=1, or a file with its column as --initial",
-    )
 
 
 def _curve(times: FloatArray, values: FloatArray) -> Callable[[float], float]:

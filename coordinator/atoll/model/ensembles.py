@@ -32,7 +32,7 @@ def ensemble_of(
     Between two times steps are no longer than those of the measurements; `inputs` are held in each at their value in
     its middle. `drawn` are the number of paths and their seed. Raises UsageError.
     """
-    simulator, longest = _simulator(model, *drawn), _step(model)
+    simulator, longest = _simulator(model, *drawn), process_of(model).step
     check_times(model.field, x0, times, drawn[0])
     count = float(step_counts(times, longest).sum())
     if count > MOST_STEPS:
@@ -54,27 +54,19 @@ def density_of_process(
     most = MOST_NUMBERS // ((STEPS + 1) * len(x0))
     if drawn[0] > most:
         raise UsageError(f"{drawn[0]} paths are more than {most}, those of which a density is taken; draw fewer")
-    paths = settled_paths(simulator, np.repeat(x0[:, None], drawn[0], axis=1), np.array(inputs), _step(model))
+    starts = np.repeat(x0[:, None], drawn[0], axis=1)
+    paths = settled_paths(simulator, starts, np.array(inputs), process_of(model).step)
     return None if paths is None else density_of(model.states, paths)
 
 
-def require_process(model: "Model") -> None:
-    """Raise UsageError where the model has no noise, or its result does not say in which steps it was measured."""
+def process_of(model: "Model") -> Process:
+    """Return the process; raises UsageError where the model has no noise, or its result does not say its steps."""
+    process = model.result.process
     if not model.components:
         raise UsageError("the model has no noise of its own, so it has no paths; --stochastic seeks such models")
-    _process(model)
-
-
-def _process(model: "Model") -> Process:
-    process = model.result.process
     if process is None:
         raise UsageError("this result has equations of noise but nothing as 'process'; give it as it was written")
     return process
-
-
-def _step(model: "Model") -> float:
-    """Return the median step of the measurements."""
-    return _process(model).step
 
 
 def _simulator(model: "Model", paths: int, seed: int, *, least: int = 1) -> Simulator:
@@ -85,7 +77,7 @@ def _simulator(model: "Model", paths: int, seed: int, *, least: int = 1) -> Simu
     names = (*model.states, *model.inputs)
     texts = {equation.variable: equation.exact for equation in model.equations}
     diffusion = {pair: from_infix(texts[name], names) for name, pair in model.components.items()}
-    drift, discretisation = model.field.programs, _process(model).discretisation
+    drift, discretisation = model.field.programs, process_of(model).discretisation
 
     def moments(points: FloatArray, lengths: FloatArray) -> StepMoments:
         return step_moments(drift, diffusion, points, lengths, discretisation)

@@ -7,6 +7,7 @@ from typing import Final
 
 from atoll_coordinator.result import equations
 from atoll_coordinator.result.result import Result
+from atoll_core.expression.program import Program
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
@@ -15,6 +16,13 @@ DIGITS: Final = 6
 
 _COMPOUND: Final = re.compile(r"[\s*/^.·⋅×⁻¹²³]|\d")
 """What a unit of several factors or with a power has."""
+
+
+def program_of(equation: equations.Equation, names: Sequence[str]) -> Program:
+    """Return a right-hand side over the variables of these names, as it was computed where that is known."""
+    if equation.program:
+        return Program.from_bytes(bytes.fromhex(equation.program), len(names))
+    return from_infix(equation.expression or "", names)
 
 
 def rounded(expression: str, names: Sequence[str]) -> str:
@@ -43,12 +51,8 @@ class Equation:
         return f"{self.lhs} = {self.expression}" + (f"  [{self.unit}]" if self.unit else "")
 
 
-def equations_of(result: Result) -> tuple[Equation, ...]:
-    """Return all equations; of a stochastic process those of the diffusion as well."""
-    return tuple(_equation(result, equation) for equation in result.equations)
-
-
-def _equation(result: Result, equation: equations.Equation) -> Equation:
+def equation_of(result: Result, equation: equations.Equation) -> Equation:
+    """Return an equation of a result as people read it."""
     exact = equation.expression or ""
     time = None if result.kind == "regression" else result.time
     return Equation(

@@ -5,19 +5,19 @@ Letters: D states, P constants of a vector field, K constants whose joint covari
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from itertools import count
 
 import numpy as np
 
-from atoll.model.programs import program_of
+from atoll.model.equations import program_of
 from atoll.model.vector_field import VectorField, is_acceleration
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.findings import Covariance
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import VARIABLE
-from atoll_core.expression.program import Program
-from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class JointErrors:
             return None
         rows = [row for row, place in enumerate(known.constants) if place.variable in result.symbols]
         variables = [known.constants[row].variable for row in rows]
-        programs = list(field.programs)
+        names, programs = (*field.states, *field.inputs), list(field.programs)
         sides: dict[str, int] = {}
         for variable in dict.fromkeys(variables):
             equation = next(equation for equation in result.equations if equation.variable == variable)
@@ -51,57 +51,32 @@ class JointErrors:
             if program is None:
                 return None
             sides[variable] = _place(field, equation, result.symbols[variable])
-            programs[sides[variable]] = _over(program, [_names(field).index(name) for name in result.names])
-        explicit = replace(field, programs=tuple(programs))
+            programs[sides[variable]] = _over(program, [names.index(name) for name in result.names])
+        ends = np.cumsum([0, *(len(constant_places(program)) for program in programs)])
+        following = [count(begin) for begin in ends.tolist()]  # parameters stand one after the other in each side
+        columns = tuple(next(following[sides[variable]]) for variable in variables)
         matrix = np.array(known.matrix, dtype=np.float64).reshape(len(known.constants), -1)
-        columns = _columns(explicit, [sides[variable] for variable in variables])
-        return cls(explicit, columns, matrix[np.ix_(rows, rows)])
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """The variable of the equation of each constant (K,)."""
-        return tuple(self.field.parameters[column].variable for column in self.columns)
+        return cls(replace(field, programs=tuple(programs)), columns, matrix[np.ix_(rows, rows)])
 
     def rates(self, x: FloatArray, u: FloatArray | None) -> FloatArray:
         """Return the derivatives (D, K) of the rates by the constants at a point."""
         return self.field.parameter_derivatives(x, u)[:, list(self.columns)]
 
 
-def _names(field: VectorField) -> tuple[str, ...]:
-    return (*field.states, *field.inputs)
-
-
 def _explicit(result: Result, equation: Equation, known: Covariance) -> Program | None:
-    """Return a right-hand side with the constants of the covariance, in its order; None without."""
+    """Return a right-hand side whose constants, in node order, are those of the covariance; None without."""
     if equation.program is None:
         return None
     origins = [place.constant for place in known.constants if place.variable == equation.variable]
-    explicit = _explicit_program(program_of(equation, result.names), origins)
-    return None if explicit is None else explicit.program
-
-
-def _explicit_program(program: Program, origins: Sequence[int | None]) -> ExplicitCoefficients | None:
-    """Return the program whose constants, in node order, are these of the covariance; None where there is none."""
+    program = program_of(equation, result.names)
     explicit = (make_coefficients_explicit(program), as_written(program))
-    return next((coefficients for coefficients in explicit if [*coefficients.origins] == [*origins]), None)
+    return next((coefficients.program for coefficients in explicit if [*coefficients.origins] == origins), None)
 
 
 def _over(program: Program, places: Sequence[int]) -> Program:
     """Return a program over other variables, those at these places; its constants stay in their order."""
     left = [places[index] if code == VARIABLE else index for code, index, _, _ in program.nodes()]
     return replace(program, left=np.array(left, dtype=np.int16))
-
-
-def _columns(field: VectorField, sides: Sequence[int]) -> tuple[int, ...]:
-    """Return which parameters the constants are that stand, one after the other, in these right-hand sides."""
-    counts = field.constant_counts
-    begins = np.concatenate([[0], np.cumsum(counts)]).tolist()
-    taken = [0] * len(counts)
-    columns = []
-    for side in sides:
-        columns.append(begins[side] + taken[side])
-        taken[side] += 1
-    return tuple(columns)
 
 
 def _place(field: VectorField, equation: Equation, symbol: str) -> int:

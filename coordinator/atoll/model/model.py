@@ -17,12 +17,12 @@ from atoll.model.arguments import by_name, number
 from atoll.model.beginnings import Given, recorded_inputs, start_of, times_of
 from atoll.model.candidates import candidate_results
 from atoll.model.driving import GivenInputs, inputs_along, require_inputs
-from atoll.model.ensembles import density_of_process, ensemble_of, require_process
-from atoll.model.equations import Equation, equations_of
+from atoll.model.ensembles import density_of_process, ensemble_of, process_of
+from atoll.model.equations import Equation, equation_of
 from atoll.model.files import write_text
 from atoll.model.groups import differing_groups, of_group, remark_on_groups
 from atoll.model.joint_errors import JointErrors
-from atoll.model.parameters import LEVEL, Parameter, parameters_of
+from atoll.model.parameters import LEVEL, Parameter, parameters_of, quantile
 from atoll.model.rows import Columns, has_columns, points_of
 from atoll.model.scoring import score
 from atoll.model.shortcuts import Shortcuts
@@ -107,7 +107,7 @@ class Model(Shortcuts):
     @cached_property
     def equations(self) -> tuple[Equation, ...]:
         """All equations; of a stochastic process those of the diffusion as well."""
-        return equations_of(self._result)
+        return tuple(equation_of(self._result, equation) for equation in self._result.equations)
 
     @cached_property
     def params(self) -> dict[str, Parameter]:
@@ -240,12 +240,13 @@ class Model(Shortcuts):
         model = self if group is None else self.of_group(group)
         model.require_one_group()
         if paths is not None:
-            require_process(model)
+            process_of(model)
         field, times, start = model.field, times_of(model, t), start_of(model, x0)
         inputs = inputs_along(model, u, times, recorded_inputs(model) if x0 is None else {})
         if paths is not None:
             return ensemble_of(model, start, times, inputs, (paths, seed))
-        bands = (model._errors, model._quantile) if has_bands and model._errors is not None else None
+        errors = model._errors if has_bands else None
+        bands = None if errors is None else (errors, quantile(LEVEL, model._degrees_of_freedom))
         simulation = replace(simulate(field, start, times, inputs, bands), time=model.time)
         if len(simulation.t) < len(times):
             warnings.warn(simulation.message, EarlyEndWarning, stacklevel=2)
@@ -272,7 +273,7 @@ class Model(Shortcuts):
         Raises:
             UsageError: the arguments do not fit, or the model has no noise of its own.
         """
-        require_process(self)
+        process_of(self)
         named = {name: number(value, f"the input {name!r}") for name, value in by_name(inputs, "inputs").items()}
         require_inputs(self, named)
         held = {self.result.symbols.get(name, name): value for name, value in named.items()}
@@ -334,14 +335,3 @@ class Model(Shortcuts):
     def _degrees_of_freedom(self) -> float | None:
         known = self._result.covariance or next((group.covariance for group in self._result.groups), None)
         return None if known is None else known.freedom
-
-    @cached_property
-    def _quantile(self) -> float:
-        """Standard errors on either side of a 95 % band."""
-        from scipy import special
-
-        return float(
-            special.stdtrit(self._degrees_of_freedom, 0.5 + LEVEL / 2.0)
-            if self._degrees_of_freedom
-            else special.ndtri(0.975)
-        )

@@ -45,11 +45,16 @@ class Parameter:
             return self.interval
         if self.stderr is None or self.interval is None:
             return None
-        from scipy import special
+        middle, half = 0.5 * (self.interval[0] + self.interval[1]), quantile(level, freedom) * self.stderr
+        return middle - half, middle + half
 
-        quantile = special.ndtri(0.5 + level / 2.0) if freedom is None else special.stdtrit(freedom, 0.5 + level / 2.0)
-        middle = 0.5 * (self.interval[0] + self.interval[1])
-        return middle - float(quantile) * self.stderr, middle + float(quantile) * self.stderr
+
+def quantile(level: float, freedom: float | None) -> float:
+    """Return how many standard errors lie on either side of an interval at `level`; see `Parameter.interval_at`."""
+    from scipy import special
+
+    below = 0.5 + level / 2.0
+    return float(special.stdtrit(freedom, below) if freedom else special.ndtri(below))
 
 
 def parameters_of(result: Result, equations: Sequence[Equation]) -> dict[str, Parameter]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from atoll.model.rows import Columns, column, has, has_columns, rows_of, stacked
-from atoll.model.simulation import EarlyEndWarning, Simulation
+from atoll.model.simulation import EarlyEndWarning
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.quoting import shown
@@ -39,23 +39,17 @@ def _of_dynamics(model: "Model", parts: Sequence[Columns]) -> float:
         raise UsageError(f"the data have none of the columns {names} in every part; give a measured state")
     simulated, measured = [], []
     for part in parts:
-        simulation = _simulated(model, part)
+        times, _, start = rows_of(model, part)
+        inputs = {name: column(part, columns[name]) for name in model.inputs}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", EarlyEndWarning)
+            simulation = model.simulate(start, times, inputs or None, has_bands=False)
         if simulation.status != "finished":
             return -np.inf
         simulated.append(stacked([simulation[name] for name in states]))
         measured.append(stacked([column(part, columns[name]) for name in states]))
     pairs = zip(np.concatenate(measured, axis=1), np.concatenate(simulated, axis=1), strict=True)
     return float(np.mean([_r2(rows, values) for rows, values in pairs]))
-
-
-def _simulated(model: "Model", part: Columns) -> Simulation:
-    """Return the simulation of measured rows from the first of them."""
-    columns = model.result.columns_by_symbol
-    times, _, start = rows_of(model, part)
-    inputs = {name: column(part, columns[name]) for name in model.inputs}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", EarlyEndWarning)
-        return model.simulate(start, times, inputs or None, has_bands=False)
 
 
 def _r2(measured: FloatArray, values: FloatArray) -> float:

@@ -8,7 +8,7 @@ import csv
 import io
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -79,12 +79,10 @@ class Simulation:
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the time, the states and, where they are known, the bounds of their bands, by column name."""
-        columns = {self.time: self.t}
-        columns |= {name: self.x[:, place] for place, name in enumerate(self.states)}
+        columns = {self.time: self.t, **dict(zip(self.states, self.x.T, strict=True))}
         if self.lower is not None and self.upper is not None:
-            for place, name in enumerate(self.states):
-                columns[f"{name}_lower"] = self.lower[:, place]
-                columns[f"{name}_upper"] = self.upper[:, place]
+            for name, lower, upper in zip(self.states, self.lower.T, self.upper.T, strict=True):
+                columns |= {f"{name}_lower": lower, f"{name}_upper": upper}
         return columns
 
     def to_csv(self) -> str:
@@ -93,12 +91,15 @@ class Simulation:
         writer = csv.writer(stream, lineterminator="\n")
         columns = self.columns()
         writer.writerow(columns)
-        writer.writerows(zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True))
+        writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
         return stream.getvalue()
 
     def as_dict(self) -> dict[str, object]:
         """Return everything as plain lists and texts, for JSON; numbers that are not finite are None."""
-        columns = {name: [_finite(value) for value in values.tolist()] for name, values in self.columns().items()}
+        columns = {
+            name: [value if math.isfinite(value) else None for value in values.tolist()]
+            for name, values in self.columns().items()
+        }
         return {"status": self.status, "message": self.message, "columns": columns}
 
 
@@ -388,12 +389,3 @@ def interpolated(times: FloatArray, values: FloatArray) -> Inputs:
     curve = PchipInterpolator(times, values, axis=0)
     first, last = float(times[0]), float(times[-1])
     return lambda t: np.asarray(curve(min(max(t, first), last)))
-
-
-def together(parts: Sequence[Callable[[float], float]]) -> Inputs:
-    """Return the inputs, one function of time for each."""
-    return lambda t: np.array([part(t) for part in parts], dtype=np.float64)
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -44,8 +44,10 @@ def start_of_file(model: Model, path: Path) -> Start:
         DataError: it cannot be read.
         UsageError: it has no column for a state.
     """
+    from atoll_coordinator.data.reading.files import read_table
+
     config, symbols = model.result.data_settings, model.result.symbols
-    table = _read(path, model, config)
+    table = read_table([path], DataConfig(time=config.get("time")), model.result.units)  # dates in the model's unit
     rows = _rows_of_first(table, str(config.get("trajectory") or TRAJECTORY_NAME))
     columns = {name: table.column(name)[:rows] for name in table.names}
     driving = [name for name in columns if symbols.get(name) in model.inputs and name != model.time]
@@ -72,13 +74,6 @@ def times_of(model: Model, start: Start, end: float | None, step: float | None) 
         limits = f"above 0 and give at most {MOST_NUMBERS} times"
         raise UsageError("%s must be %s, but %s was given", Field("step"), limits, f"{step:g}")
     return np.asarray(first + step * np.arange(math.floor((last - first) / step + _SLACK) + 1), dtype=np.float64)
-
-
-def _read(path: Path, model: Model, config: Mapping[str, object]) -> Table:
-    """Read a data file; dates are counted in the model's unit of time."""
-    from atoll_coordinator.data.reading.files import read_table
-
-    return read_table([path], DataConfig(time=config.get("time")), model.result.units)
 
 
 def _rows_of_first(table: Table, trajectory: str) -> int:

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from atoll.model.parameters import Parameter
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
@@ -21,7 +22,7 @@ from atoll_core.errors import UsageError
 from atoll_core.expression.compiled import function_of
 from atoll_core.expression.derivative import derivative, with_variables
 from atoll_core.expression.evaluation import NUMPY
-from atoll_core.expression.operators import CONSTANT, Functions
+from atoll_core.expression.operators import Functions
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.export import to_sympy
 from atoll_core.expression.text.parsing import from_infix
@@ -36,15 +37,6 @@ _OF_NUMBERS: Final = Functions(
     sign=lambda x: (x > 0.0) - (x < 0.0), base_log=lambda x, v: 0.0 if x == v == 0.0 else math.log(x),
 )  # fmt: skip
 _OF_ARRAYS: Final = NUMPY._replace(sin=np.sin, cos=np.cos, power=operator.pow)
-
-
-@dataclass(frozen=True)
-class FieldParameter:
-    """A constant of a model: `name` is c1, c2, … over all equations, `variable` the state of its equation."""
-
-    name: str
-    variable: str
-    value: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +54,7 @@ class VectorField:
     expressions: tuple[str, ...]
     sizes: tuple[float, ...] = ()
     programs: tuple[Program, ...] = field(default=(), repr=False)
-    parameters: tuple[FieldParameter, ...] = field(init=False, repr=False)
+    parameters: tuple[Parameter, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.states) <= MOST_STATES or len(self.expressions) != len(self.states):
@@ -77,7 +69,7 @@ class VectorField:
             for state, program in zip(self.states, programs, strict=True)
             for value in program.constants[constant_places(program)].tolist()
         ]
-        parameters = tuple(FieldParameter(f"c{number}", *known) for number, known in enumerate(constants, start=1))
+        parameters = tuple(Parameter(f"c{number}", *its) for number, its in enumerate(constants, start=1))
         object.__setattr__(self, "programs", programs)
         object.__setattr__(self, "parameters", parameters)
 
@@ -97,25 +89,16 @@ class VectorField:
         """
         symbols = result.symbols
         equations = [equation for equation in result.equations if equation.variable in symbols]
-        order = _order(result.equations)
+        is_second = _is_of_second_order(result.equations)
         missing = next((equation.lhs for equation in equations if not equation.expression), None)
         if missing is not None:
             raise UsageError(f"the result has no equation for {missing}; a model needs one for each state")
-        positions = {symbols[equation.variable]: equation.expression or "" for equation in equations}
-        if order == 1:
-            names = [name for name in symbols.values() if name not in positions]
-            return cls.of(positions, names, result.sizes(tuple(positions)))
-        velocities = {_velocity_of(equation.variable, symbols): symbols[equation.variable] for equation in equations}
-        moving = {name: velocity for velocity, name in velocities.items()}
-        accelerations = {moving[name]: text for name, text in positions.items()}
-        taken = {*moving, *accelerations}
-        names, states = [name for name in symbols.values() if name not in taken], {**moving, **accelerations}
-        return cls.of(states, names, result.sizes(tuple(states)))
-
-    @property
-    def constant_counts(self) -> tuple[int, ...]:
-        """How many of the parameters each right-hand side has (D,)."""
-        return tuple(int(np.count_nonzero(program.operators == np.int8(CONSTANT))) for program in self.programs)
+        sides = {symbols[equation.variable]: equation.expression or "" for equation in equations}
+        if is_second:
+            velocities = [_velocity_of(equation.variable, symbols) for equation in equations]
+            sides = dict(zip(sides, velocities, strict=True)) | dict(zip(velocities, sides.values(), strict=True))
+        inputs = [name for name in symbols.values() if name not in sides]
+        return cls.of(sides, inputs, result.sizes(tuple(sides)))
 
     @property
     def values_of_parameters(self) -> FloatArray:
@@ -130,53 +113,87 @@ class VectorField:
             u: inputs, (U,) for all points or (N, U); None where there are none.
             p: parameters (P,); None: those of the model.
         """
-        return self._evaluated(self._formulas.values, (len(self.states),), x, u, p)
+        return self._evaluated(self._rates, x, u, p)
 
     def jacobian(self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None) -> FloatArray:
         """Return d(dx_i/dt)/dx_j as (D, D), or (N, D, D) at N points; otherwise as `values`."""
-        size = len(self.states)
-        return self._evaluated(self._formulas.jacobian, (size, size), x, u, p)
+        return self._evaluated(self._by_states, x, u, p)
 
     def parameter_derivatives(
         self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None
     ) -> FloatArray:
         """Return d(dx_i/dt)/dp_k as (D, P), or (N, D, P) at N points; otherwise as `values`."""
-        return self._evaluated(self._formulas.by_parameters, (len(self.states), len(self.parameters)), x, u, p)
+        return self._evaluated(self._by_parameters, x, u, p)
 
     def input_derivatives(
         self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None
     ) -> FloatArray:
         """Return d(dx_i/dt)/du_k as (D, U), or (N, D, U) at N points; otherwise as `values`."""
-        return self._evaluated(self._formulas.by_inputs, (len(self.states), len(self.inputs)), x, u, p)
+        return self._evaluated(self._by_inputs, x, u, p)
 
     def term_of(self, index: int, p: FloatArray) -> str:
         """Return what a parameter (from 0) is the coefficient of, as infix text without its sign: x*y for c1*x*y.
 
         Other parameters in it have the values `p` (P,).
         """
-        return self._formulas.term_of(index, p.tolist())
+        import sympy
+
+        names, values = (*self.states, *self.inputs), p.tolist()
+        slope = derivative(self._sides[names.index(self.parameters[index].variable)], len(names) + index)
+        marks = [f"[{number}]" for number in range(len(values))]  # which no state is called
+        known = {
+            sympy.Symbol(mark): sympy.Integer(value) if value.is_integer() else sympy.Float(value)
+            for mark, value in zip(marks, values, strict=True)
+        }
+        term = to_sympy(slope, [*names, *marks]).xreplace(known)
+        return str(-term if term.could_extract_minus_sign() else term)
 
     @cached_property
-    def _formulas(self) -> "_Formulas":
-        return _Formulas(self)
+    def _sides(self) -> list[Program]:
+        """The right-hand sides with their parameters as variables behind states and inputs."""
+        sides: list[Program] = []
+        end = len(self.states) + len(self.inputs)
+        for program in self.programs:
+            sides.append(with_variables(program, end))
+            end += len(constant_places(program))
+        return sides
+
+    @cached_property
+    def _rates(self) -> "_Function":
+        return self._function(self._sides, (len(self.states),))
+
+    @cached_property
+    def _by_states(self) -> "_Function":
+        return self._slopes(0, len(self.states))
+
+    @cached_property
+    def _by_inputs(self) -> "_Function":
+        return self._slopes(len(self.states), len(self.inputs))
+
+    @cached_property
+    def _by_parameters(self) -> "_Function":
+        return self._slopes(len(self.states) + len(self.inputs), len(self.parameters))
+
+    def _slopes(self, begin: int, count: int) -> "_Function":
+        """Return the derivatives of all right-hand sides by so many variables from `begin` on."""
+        slopes = [derivative(side, variable) for side in self._sides for variable in range(begin, begin + count)]
+        return self._function(slopes, (len(self.states), count))
+
+    def _function(self, programs: Sequence[Program], shape: tuple[int, ...]) -> "_Function":
+        return _Function(programs, shape, len(self.states) + len(self.inputs) + len(self.parameters))
 
     def _evaluated(
-        self,
-        function: "_Function",
-        shape: tuple[int, ...],
-        x: npt.ArrayLike,
-        u: npt.ArrayLike | None,
-        p: npt.ArrayLike | None,
+        self, function: "_Function", x: npt.ArrayLike, u: npt.ArrayLike | None, p: npt.ArrayLike | None
     ) -> FloatArray:
         points = np.asarray(x, dtype=np.float64)
         inputs = np.asarray(() if u is None else u, dtype=np.float64)
         values = self.values_of_parameters if p is None else np.asarray(p, dtype=np.float64)
         self._check_shapes(points, inputs, values)
         if points.ndim == 1 and inputs.ndim == 1:
-            return function.at_point([*points.tolist(), *inputs.tolist(), *values.tolist()]).reshape(shape)
+            return function.at_point([*points.tolist(), *inputs.tolist(), *values.tolist()]).reshape(function.shape)
         rows = max(len(array) for array in (points, inputs) if array.ndim == 2)
         columns = [*points.T, *inputs.T]
-        return function.at_points(columns, values.tolist(), rows).reshape(rows, *shape)
+        return function.at_points(columns, values.tolist(), rows).reshape(rows, *function.shape)
 
     def _check_shapes(self, points: FloatArray, inputs: FloatArray, values: FloatArray) -> None:
         for what, array, count in (("state", points, len(self.states)), ("input", inputs, len(self.inputs))):
@@ -186,13 +203,13 @@ class VectorField:
             raise UsageError(f"parameters have the shape {values.shape}, expected ({len(self.parameters)},)")
 
 
-def _order(equations: Sequence[Equation]) -> int:
-    """Return the order of the derivatives that the equations begin with; raises UsageError where there are none."""
+def _is_of_second_order(equations: Sequence[Equation]) -> bool:
+    """Tell whether all equations are of second order; raises UsageError where one is not differential."""
     for equation in equations:
         side = equation.lhs
         if side == equation.variable or "/" not in side:
             raise UsageError(f"the equation of {side} is not differential; a model of dynamics needs d{side}/dt")
-    return 2 if equations and all(map(is_acceleration, equations)) else 1
+    return all(map(is_acceleration, equations))
 
 
 def is_acceleration(equation: Equation) -> bool:
@@ -211,56 +228,14 @@ def _velocity_of(variable: str, symbols: Mapping[str, str]) -> str:
     return symbols[name]
 
 
-class _Formulas:
-    """Compiled functions of a field, each made when it is first used; parameters are variables behind the inputs."""
-
-    def __init__(self, of: VectorField) -> None:
-        self._names = (*of.states, *of.inputs)
-        self._states, self._variables = len(of.states), len(of.states) + len(of.inputs)
-        self._parameters, self._programs, end = of.parameters, [], self._variables
-        for program in of.programs:
-            self._programs.append(with_variables(program, end))
-            end += len(constant_places(program))
-        self._all = end
-
-    @cached_property
-    def values(self) -> "_Function":
-        return _Function(self._programs, self._all)
-
-    @cached_property
-    def jacobian(self) -> "_Function":
-        return self._slopes(range(self._states))
-
-    @cached_property
-    def by_parameters(self) -> "_Function":
-        return self._slopes(range(self._variables, self._all))
-
-    @cached_property
-    def by_inputs(self) -> "_Function":
-        return self._slopes(range(self._states, self._variables))
-
-    def term_of(self, index: int, values: Sequence[float]) -> str:
-        import sympy
-
-        program = self._programs[self._names.index(self._parameters[index].variable)]
-        slope = derivative(program, self._variables + index)
-        marks = [f"[{number}]" for number in range(len(values))]  # which no state is called
-        known = {
-            sympy.Symbol(mark): sympy.Integer(value) if value.is_integer() else sympy.Float(value)
-            for mark, value in zip(marks, values, strict=True)
-        }
-        term = to_sympy(slope, [*self._names, *marks]).xreplace(known)
-        return str(-term if term.could_extract_minus_sign() else term)
-
-    def _slopes(self, variables: Sequence[int]) -> "_Function":
-        programs = [derivative(program, variable) for program in self._programs for variable in variables]
-        return _Function(programs, self._all)
-
-
 class _Function:
-    """Programs as two compiled functions: of plain numbers, which is fast at one point, and of arrays."""
+    """Programs as two functions, compiled when first used: of plain numbers, fast at one point, and of arrays.
 
-    def __init__(self, programs: Sequence[Program], variables: int) -> None:
+    `shape` is that in which callers want the values of all programs at a point.
+    """
+
+    def __init__(self, programs: Sequence[Program], shape: tuple[int, ...], variables: int) -> None:
+        self.shape = shape
         self._programs, self._variables = programs, variables
 
     @cached_property
