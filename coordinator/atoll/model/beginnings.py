@@ -78,7 +78,14 @@ def recorded_inputs(model: "Model") -> dict[str, tuple[FloatArray, FloatArray]]:
 
 def start_of(model: "Model", x0: Given | None) -> FloatArray:
     """Return the initial state (D,) that is given, else the one that was measured; raises UsageError."""
-    given = _measured_start(model) if x0 is None else x0
+    given = beginning_of(model).start if x0 is None else x0
+    if x0 is None and not given:
+        example = model.states[0]
+        raise UsageError(
+            "the result has no fitted initial state",
+            python=f"give one, such as x0={{{example!r}: 1.0}}",
+            command=f"give one, such as --initial {example}=1",
+        )
     if not isinstance(given, Mapping):
         values = numbers(given, "an initial state")
         if values.shape != (len(model.states),):
@@ -90,25 +97,15 @@ def start_of(model: "Model", x0: Given | None) -> FloatArray:
     return np.array([number(named[name], f"the initial value of {name!r}") for name in model.states])
 
 
-def _measured_start(model: "Model") -> Given:
-    beginning, symbols = beginning_of(model), model.result.symbols
-    if not beginning.start:
-        example = model.states[0]
-        raise UsageError(
-            "the result has no fitted initial state",
-            python=f"give one, such as x0={{{example!r}: 1.0}}",
-            command=f"give one, such as --initial {example}=1",
-        )
-    return {symbols.get(name, name): value for name, value in beginning.start.items()}
-
-
 def _require_states(model: "Model", named: Mapping[str, object]) -> None:
     unknown = next((name for name in named if name not in model.states), None)
     missing = next((name for name in model.states if name not in named), None)
-    if unknown is not None or missing is not None:
-        fault = f"names {unknown!r}" if unknown is not None else f"lacks {missing!r}"
-        hint = "" if unknown is None else did_you_mean(unknown, model.states)
-        raise UsageError(f"the initial state {fault}; the states are {', '.join(model.states)}{hint}")
+    known = f"the states are {', '.join(model.states)}"
+    if unknown is not None:
+        hint = did_you_mean(unknown, model.states)
+        raise UsageError(f"the initial state names {unknown!r}; {known}{hint}")
+    if missing is not None:
+        raise UsageError(f"the initial state lacks {missing!r}; {known}")
 
 
 def times_of(model: "Model", t: npt.ArrayLike | float | None) -> FloatArray:

@@ -19,29 +19,21 @@ def candidate_results(result: Result) -> tuple[Result, ...]:
 
 
 def _with(result: Result, place: int, other: Candidate) -> Result:
-    is_of_group = result.group is not None
-    equations = tuple(
-        _exchanged(equation, other, is_of_group) if index == place else _alone(equation)
-        for index, equation in enumerate(result.equations)
+    # constants of candidates, and of equations without their groups, are of all groups together
+    equations = [
+        equation.model_copy(update={"groups": (), "is_of_all_groups": bool(equation.groups)})
+        for equation in result.equations
+    ]
+    shown = result.equations[place]
+    equations[place] = Equation(  # nothing but this is known of it
+        variable=shown.variable,
+        lhs=shown.lhs,
+        **{name: getattr(other, name) for name in ("expression", "complexity", "origin", "nats")},
+        **{name: getattr(shown, name) for name in _OF_THE_SEARCH},
+        is_of_all_groups=result.group is not None or bool(shown.groups),
     )
     unknown = {"covariance": None, "groups": (), "correlations": (), "shared_terms": (), "chaos": None}
-    return result.model_copy(update={"equations": equations, **unknown})
-
-
-def _alone(equation: Equation) -> Equation:
-    """Return an equation without those of groups, whose constants are of all groups together then."""
-    return equation.model_copy(update={"groups": (), "is_of_all_groups": bool(equation.groups)})
-
-
-def _exchanged(equation: Equation, other: Candidate, is_of_group: bool) -> Equation:
-    """Return the equation that a candidate is, of which nothing else is known."""
-    return Equation(
-        variable=equation.variable,
-        lhs=equation.lhs,
-        **{name: getattr(other, name) for name in ("expression", "complexity", "origin", "nats")},
-        **{name: getattr(equation, name) for name in _OF_THE_SEARCH},
-        is_of_all_groups=is_of_group or bool(equation.groups),
-    )
+    return result.model_copy(update={"equations": tuple(equations), **unknown})
 
 
 _OF_THE_SEARCH = (

@@ -7,9 +7,8 @@ from atoll_coordinator.result.result import Result
 
 def differing_groups(result: Result) -> tuple[str, ...]:
     """Return the groups of trajectories of a result; none where no constant differs between them."""
-    if not any(_differs(equation) for equation in result.equations):
-        return ()
-    return tuple(group.group for group in result.groups)
+    is_different = any(map(_differs, result.equations))
+    return tuple(group.group for group in result.groups) if is_different else ()
 
 
 def _differs(equation: Equation) -> bool:
@@ -36,15 +35,15 @@ def remark_on_groups(result: Result) -> str:
 
 def of_group(result: Result, group: Group) -> Result:
     """Return a result with the constants and the trajectories of one `group` of its groups alone, named as `group`."""
-    alone = result.model_copy(
-        update={
-            "equations": tuple(_of_group(equation, group.group) for equation in result.equations),
-            "covariance": group.covariance,
-            "groups": (),
-            "group": group.group,
-            **_parts_of(result, group),
-        }
-    )
+    taken: dict[str, object] = {"covariance": group.covariance, "groups": (), "group": group.group}
+    taken["equations"] = tuple(_of_group(equation, group.group) for equation in result.equations)
+    if result.simulation is not None:
+        simulated = tuple(part for part in result.simulated if part.name in group.trajectories)
+        taken["simulation"] = result.simulation.model_copy(update={"trajectories": simulated})
+    if result.data is not None and result.data.trajectories is not None:
+        recorded = tuple(part for part in result.recorded if part.name in group.trajectories)
+        taken["data"] = result.data.model_copy(update={"trajectories": recorded})
+    alone = result.model_copy(update=taken)
     rows = _searched_rows(result)
     if not rows:
         return alone
@@ -61,26 +60,13 @@ def _of_group(equation: Equation, name: str) -> Equation:
     return equation.model_copy(update=taken)
 
 
-def _parts_of(result: Result, group: Group) -> dict[str, object]:
-    """Return simulations and measurements of the trajectories of a group alone, as far as there are any."""
-    parts: dict[str, object] = {}
-    if result.simulation is not None:
-        simulated = tuple(part for part in result.simulated if part.name in group.trajectories)
-        parts["simulation"] = result.simulation.model_copy(update={"trajectories": simulated})
-    if result.data is not None and result.data.trajectories is not None:
-        recorded = tuple(part for part in result.recorded if part.name in group.trajectories)
-        parts["data"] = result.data.model_copy(update={"trajectories": recorded})
-    return parts
-
-
 def _with_share(noise: Noise, share: float) -> Noise:
     """Return noise with as many independent rows as a share of the trajectories has, of those of all."""
     errors = noise.errors
     if errors is None or not errors.independent_rows:
         return noise
-    return noise.model_copy(
-        update={"errors": errors.model_copy(update={"independent_rows": errors.independent_rows * share})}
-    )
+    fewer = errors.model_copy(update={"independent_rows": errors.independent_rows * share})
+    return noise.model_copy(update={"errors": fewer})
 
 
 def _searched_rows(result: Result) -> int:
