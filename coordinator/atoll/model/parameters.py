@@ -100,13 +100,10 @@ def _numbers(equation: Equation | GroupEquation, names: Sequence[str]) -> list[N
     program = from_infix(equation.expression, names)
     numbers: list[Number] = []
     for value in program.constants[constant_places(program)].tolist():
-        place = next((place for place, constant in enumerate(left) if _is_as_large(constant, value)), None)
-        numbers.append((value, None if place is None else left.pop(place)))
+        constant = next((each for each in left if each.value is not None and abs(each.value) == abs(value)), None)
+        left = [each for each in left if each is not constant]
+        numbers.append((value, constant))
     return numbers
-
-
-def _is_as_large(constant: Constant, value: float) -> bool:
-    return constant.value is not None and abs(constant.value) == abs(value)
 
 
 def _parameter(name: str, variable: str, value: float, constant: Constant | None) -> Parameter:

@@ -21,7 +21,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
 if TYPE_CHECKING:
-    from scipy.integrate import OdeSolver
+    pass
 
 Status = Literal["finished", "blow-up", "stiff", "undefined"]
 """How a simulation ended: at the last time; where a state grows beyond all bounds in finite time; where all evaluations
@@ -158,27 +158,27 @@ class _SpentError(Exception):
     """All evaluations are used up."""
 
 
+@dataclass
 class _Task:
-    """The rates as a solver wants them: counted, and bounded."""
+    """The rates as a solver wants them: with a `count` of evaluations, of which there are at most so many."""
 
-    def __init__(self, field: VectorField, inputs: Inputs | None, most: int) -> None:
-        self.field = field
-        self._inputs = inputs
-        self._most = most
-        self._count = 0
+    field: VectorField
+    inputs: Inputs | None
+    most: int
+    count: int = 0
 
     @property
     def is_spent(self) -> bool:
         """Whether all evaluations are used up."""
-        return self._count > self._most
+        return self.count > self.most
 
     def inputs_at(self, t: float) -> FloatArray | None:
         """Return the inputs at a time; None where there are none."""
-        return None if self._inputs is None else np.asarray(self._inputs(t), dtype=np.float64)
+        return None if self.inputs is None else np.asarray(self.inputs(t), dtype=np.float64)
 
     def rates(self, t: float, x: FloatArray) -> FloatArray:
         """Return dx/dt."""
-        self._count += 1
+        self.count += 1
         if self.is_spent:
             raise _SpentError
         return self.field.values(x, self.inputs_at(t))
@@ -186,10 +186,6 @@ class _Task:
     def jacobian(self, t: float, x: FloatArray) -> FloatArray:
         """Return d(dx/dt)/dx, 0 where it has no finite value: the solver's steps end there by the rates."""
         return np.nan_to_num(self.field.jacobian(x, self.inputs_at(t)))
-
-    def begin_again(self) -> None:
-        """Forget the evaluations."""
-        self._count = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +216,7 @@ def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> _Course:
     smaller = sizes if course.is_spent else _smaller_sizes(task, course, t)
     if (smaller == sizes).all():
         return course
-    task.begin_again()
+    task.count = 0
     finer = _attempt(task, x0, t, smaller)
     return finer if finer.is_whole else replace(course, is_rough=course.is_whole)
 
@@ -270,7 +266,9 @@ def _attempt(task: _Task, x0: FloatArray, t: FloatArray, sizes: FloatArray) -> _
             lowest = np.minimum(lowest, np.abs(last))
             if np.abs(last).max() > _LARGEST:
                 break
-            _take_rows(rows, t, solver)
+            if len(rows) < len(t) and t[len(rows)] <= solver.t:  # the last step has passed some of the times
+                dense, end = solver.dense_output(), int(np.searchsorted(t, solver.t, side="right"))
+                rows += [np.asarray(dense(at)) for at in t[len(rows) : end].tolist()]
     return _Course(np.array(rows), reached, last, sizes, lowest, len(rows) == len(t), task.is_spent)
 
 
@@ -290,14 +288,6 @@ def _sizes(task: _Task, x0: FloatArray, t: FloatArray) -> FloatArray:
             x = x + step * np.nan_to_num(task.field.values(x, task.inputs_at(float(t[0]))))
         sizes = np.where((sizes == 0.0) & np.isfinite(x), np.abs(x), sizes)
     return _positive(sizes)
-
-
-def _take_rows(rows: list[FloatArray], t: FloatArray, solver: "OdeSolver") -> None:
-    """Add the states at the times that the last step of a solver has passed."""
-    if len(rows) < len(t) and t[len(rows)] <= solver.t:
-        dense = solver.dense_output()
-        end = int(np.searchsorted(t, solver.t, side="right"))
-        rows += [np.asarray(dense(at)) for at in t[len(rows) : end].tolist()]
 
 
 def _ending(task: _Task, course: _Course, sizes: FloatArray, span: float) -> Status:
@@ -348,7 +338,7 @@ def _standard_errors(task: _Task, errors: JointErrors, course: _Course, t: Float
 
     from scipy.integrate import solve_ivp
 
-    task.begin_again()
+    task.count = 0
     start = np.concatenate([x0, np.zeros(size * number)])
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):

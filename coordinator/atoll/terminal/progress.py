@@ -9,7 +9,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Self
 
 from atoll.client.follower import Display
 from atoll.terminal.output import clipped, count, duration, error_text, note, shortened
@@ -92,7 +92,17 @@ def plain_lines(view: JobView, workers: Sequence[WorkerView], connect_hint: str)
     return lines
 
 
-class PlainDisplay:
+class _LineDisplay:
+    """Writes lines, so that there is nothing to begin and nothing to end."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+class PlainDisplay(_LineDisplay):
     """Plain lines: whenever the state of the job or of an equation changes, and every few seconds."""
 
     def __init__(self, connect_hint: str, write: Callable[[str], None] = note) -> None:
@@ -100,12 +110,6 @@ class PlainDisplay:
         self._write = write
         self._shown: tuple[object, ...] = ()
         self._due = 0.0
-
-    def __enter__(self) -> "PlainDisplay":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
         """Write the lines when there is something to say."""
@@ -122,18 +126,12 @@ class PlainDisplay:
         self._write(sentence)
 
 
-class JsonDisplay:
+class JsonDisplay(_LineDisplay):
     """One JSON object a line for every state that differs from the one before; sentences go to stderr."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write
         self._shown: JobView | None = None
-
-    def __enter__(self) -> "JsonDisplay":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
         """Write the view, unless only time has passed."""
