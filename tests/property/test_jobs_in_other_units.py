@@ -18,8 +18,8 @@ from atoll.experiments.space import Request
 from atoll.experiments.suggestions import suggest
 from atoll.model.model import Model
 from atoll.report.findings import Findings
+from atoll.report.fit import trajectories
 from atoll.report.markup import to_text
-from atoll.report.trajectories import trajectories
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result

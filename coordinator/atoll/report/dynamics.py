@@ -9,8 +9,8 @@ from atoll.analysis.sentences import Listing, describe
 from atoll.model.groups import differing_groups
 from atoll.report.chart import COLORS, Axis, Chart
 from atoll.report.findings import Findings
+from atoll.report.fit import chosen
 from atoll.report.markup import Element, figure, legend, paragraph, pictures, section, table
-from atoll.report.trajectories import chosen
 
 if TYPE_CHECKING:
     from atoll.analysis.analysis import Analysis

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
+from atoll.report.fit import ROWS
 from atoll.report.markup import Element, facts, figure, number, paragraph, pictures, section, table
-from atoll.report.trajectories import ROWS
 from atoll_coordinator.result.findings import Density, PathEnsemble
 
 

@@ -14,11 +14,11 @@ from atoll.report.choice import choice
 from atoll.report.constants import constants
 from atoll.report.dynamics import dynamics as section_of_dynamics
 from atoll.report.findings import MOST_PROFILES, Findings
+from atoll.report.fit import trajectories
 from atoll.report.markup import Element, table, to_text
 from atoll.report.origin import origin
 from atoll.report.overview import overview
 from atoll.report.page import as_html
-from atoll.report.trajectories import trajectories
 from atoll_coordinator.result.result import Result
 from tests.unit.library.report.results import dynamics, process, regression
 
