@@ -19,9 +19,9 @@ from atoll.export.describing import describe, inputs_beside_time
 from atoll.export.description import Description, State
 from atoll.export.formats import refuse_tables, require_holds
 from atoll.export.language import Wording
+from atoll.model.arguments import Columns, inputs_of, rows_of
 from atoll.model.beginnings import measured_beginning, values_of_curve
 from atoll.model.parameters import Parameter
-from atoll.model.rows import Columns, inputs_of, rows_of
 from atoll_coordinator.result.findings import Errors, Noise
 from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
 from atoll_core.data.dataset import FloatArray

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.arguments import number, numbers
-from atoll.model.rows import rows_of
+from atoll.model.arguments import number, numbers, rows_of
 from atoll_coordinator.result.base import Number
 from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
 from atoll_core.data.dataset import FloatArray

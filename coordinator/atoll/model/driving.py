@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.arguments import number, numbers
-from atoll.model.rows import has, has_columns
+from atoll.model.arguments import has, has_columns, number, numbers
 from atoll.model.simulation import Inputs, interpolated
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
@@ -71,11 +70,11 @@ def _input(
 ) -> Callable[[float], float]:
     column = model.result.columns_by_symbol[name]
     key = next((key for key in (name, column) if has(given, key)), None)
-    if key is None and column == model.time:
-        return lambda t: t
-    if key is None and recorded is not None:
-        return _curve(*recorded)
     if key is None:
+        if column == model.time:
+            return lambda t: t
+        if recorded is not None:
+            return _curve(*recorded)
         raise UsageError(
             f"the model has the input {name!r}, of which nothing is given",
             python="name it in u",

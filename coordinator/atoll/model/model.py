@@ -13,7 +13,7 @@ from typing import Literal, overload
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.arguments import by_name, number
+from atoll.model.arguments import Columns, by_name, has_columns, number, points_of
 from atoll.model.beginnings import Given, recorded_inputs, start_of, times_of
 from atoll.model.candidates import candidate_results
 from atoll.model.driving import GivenInputs, inputs_along, require_inputs
@@ -23,7 +23,6 @@ from atoll.model.files import write_text
 from atoll.model.groups import differing_groups, of_group, remark_on_groups
 from atoll.model.joint_errors import JointErrors
 from atoll.model.parameters import LEVEL, Parameter, parameters_of, quantile
-from atoll.model.rows import Columns, has_columns, points_of
 from atoll.model.scoring import score
 from atoll.model.shortcuts import Shortcuts
 from atoll.model.simulation import EarlyEndWarning, Simulation, simulate

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from atoll.model.rows import Columns, column, has, has_columns, rows_of, stacked
+from atoll.model.arguments import Columns, column, has, has_columns, rows_of, stacked
 from atoll.model.simulation import EarlyEndWarning
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError

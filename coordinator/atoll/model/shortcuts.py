@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from atoll.experiments.determination import Identifiability, ProfiledConstant
     from atoll.experiments.suggestion import Cost, Suggestions
     from atoll.export.describing import HeldInputs, Times
+    from atoll.model.arguments import Columns
     from atoll.model.beginnings import Given
     from atoll.model.model import Model
-    from atoll.model.rows import Columns
 
 
 class Shortcuts:

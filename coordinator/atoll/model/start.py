@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from atoll.model.arguments import rows_of
 from atoll.model.beginnings import ROWS, beginning_of
 from atoll.model.model import Model
-from atoll.model.rows import rows_of
 from atoll.model.simulation import MOST_NUMBERS
 from atoll_coordinator.data.roles.column_options import TRAJECTORY_NAME
 from atoll_core.config import DataConfig
