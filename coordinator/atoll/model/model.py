@@ -111,7 +111,7 @@ class Model(Shortcuts):
     @cached_property
     def params(self) -> dict[str, Parameter]:
         """The constants by name: c1, c2, … as they stand in the equations, one after the other."""
-        return parameters_of(self._result, self._result.equations)
+        return parameters_of(self._result)
 
     def conf_int(
         self, level: float = LEVEL, method: Literal["stderr", "profile"] = "stderr"

@@ -57,15 +57,15 @@ def quantile(level: float, freedom: float | None) -> float:
     return float(special.stdtrit(freedom, below) if freedom else special.ndtri(below))
 
 
-def parameters_of(result: Result, equations: Sequence[Equation]) -> dict[str, Parameter]:
-    """Return the constants of these equations of a result by name, in the order of a `VectorField` of them.
+def parameters_of(result: Result) -> dict[str, Parameter]:
+    """Return the constants of all equations by name, in the order of a `VectorField` of them.
 
     Where groups of trajectories differ in a constant, it has a value for each: ``c1[strain 2]``.
     """
     label = result.data_settings.get("group") or "trajectory"
     parameters: list[Parameter] = []
     count = 0
-    for equation in equations:
+    for equation in result.equations:
         by_group = [(f"[{label} {group.group}]", _numbers(group, result.names)) for group in equation.groups]
         for place, (value, constant) in enumerate(_numbers(equation, result.names)):
             count += 1

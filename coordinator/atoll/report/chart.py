@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Final
 
 from atoll.report.markup import Element, element
@@ -78,19 +79,18 @@ class Chart:
             _Scale(self._bounds(self.x, [layer.x for layer in self._layers]), _LEFT, WIDTH - _RIGHT),
             _Scale(self._bounds(self.y, [layer.y for layer in self._layers]), HEIGHT - _BOTTOM, _TOP),
         )
-        made = element("svg", role="img", aria_label=self.title, viewBox=f"0 0 {WIDTH} {HEIGHT}")
-        made.extend(self._axes(*scales))
-        inside = element("svg", x=_LEFT, y=_TOP, width=WIDTH - _LEFT - _RIGHT, height=HEIGHT - _TOP - _BOTTOM)
-        inside.set("viewBox", f"{_LEFT} {_TOP} {WIDTH - _LEFT - _RIGHT} {HEIGHT - _TOP - _BOTTOM}")
-        inside.extend(_drawn(layer, *scales) for layer in self._layers)
-        made.append(inside)
-        return made
+        width, height = WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM
+        drawn = (_drawn(layer, *scales) for layer in self._layers)
+        box = f"{_LEFT} {_TOP} {width} {height}"
+        inside = element("svg", *drawn, x=_LEFT, y=_TOP, width=width, height=height, viewBox=box)
+        whole = {"role": "img", "aria_label": self.title, "viewBox": f"0 0 {WIDTH} {HEIGHT}"}
+        return element("svg", *self._axes(*scales), inside, **whole)
 
     def _bounds(self, axis: Axis, values: Iterable[Sequence[float]]) -> tuple[float, float]:
         if axis.bounds is not None:
             low, high = (_on(axis, bound) for bound in axis.bounds)
             return low, high
-        known = [value for layer_values in values for value in layer_values if math.isfinite(value)] or [0.0, 1.0]
+        known = [value for value in chain.from_iterable(values) if math.isfinite(value)] or [0.0, 1.0]
         low, high = min(known), max(known)
         beyond = _BEYOND * (high - low) or abs(high) or 1.0
         return low - beyond, high + beyond
