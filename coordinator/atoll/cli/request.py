@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from atoll.cli.ending import ending, exit_code
 from atoll.cli.exit_codes import DONE
-from atoll.cli.options.job_id import job_id
+from atoll.cli.options.values import job_id
 from atoll.client.client import Client
 from atoll.client.configure import configure
 from atoll.client.options import OPTIONS, Repeated

@@ -1,6 +1,6 @@
 """From words to options.
 
-``parser`` builds the argument parser of all commands, those of a job from their table in `atoll.client.options`;
-``service`` the part for ``serve``, ``router`` and ``doctor``. Both import the standard library only. ``job_id`` checks
-ids, ``values`` reads numbers and intervals of other verbs. What both programs share is in `atoll_core.command_line`.
+``parser`` makes the parser of all commands from ``arguments``, a table of verbs, and the options of a job in
+`atoll.client.options`: of the standard library only. ``values`` reads what argparse leaves as text. What both programs
+share is in `atoll_core.command_line`.
 """

@@ -1,9 +1,20 @@
-"""Values of options of verbs on saved results: numbers, intervals, and values by name. Raises UsageError."""
+"""Values of options: a job's id, numbers, intervals, and values by name. Raises UsageError."""
 
 import math
+import uuid
 from collections.abc import Sequence
 
 from atoll_core.errors import UsageError
+from atoll_core.wire.topics import is_id
+
+
+def job_id(text: str | None) -> str:
+    """Return the id that ``--id`` gives, or a new one."""
+    if text is None:
+        return uuid.uuid4().hex[:8]
+    if not is_id(text):
+        raise UsageError(f"--id must be 1 to 64 letters, digits, _ or -, but {text!r} was given")
+    return text
 
 
 def finite_number(text: str, option: str) -> float:

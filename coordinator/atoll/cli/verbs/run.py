@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
-from atoll.cli.options.job_id import job_id
+from atoll.cli.options.values import job_id
 from atoll.cli.result_files import refuse_existing_result
 from atoll.client.local_workers import LocalWorkers
 from atoll_coordinator.service.background.child_main import load_preparation

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from atoll.cli.options.job_id import job_id
 from atoll.cli.options.parser import parse
+from atoll.cli.options.values import job_id
 from atoll.cli.request import config_of as configure
 from atoll.client.options import epochs, names, seconds
 from atoll_core.config import PRESETS, JobConfig
