@@ -5,44 +5,23 @@ finding, too.
 """
 
 import argparse
-from collections.abc import Callable, Iterable, Sequence
-from typing import Final
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 
-from atoll.cli.doctor.address import check_address
-from atoll.cli.doctor.finding import Finding, as_text, as_tree
+from atoll.cli.doctor import machine, network
+from atoll.cli.doctor.finding import Finding, as_text, as_tree, fine, problem
 from atoll.cli.exit_codes import DONE, FAILED
 from atoll.terminal.output import as_json, say
+from atoll_core.errors import DataError, UsageError
 
 Check = Callable[[argparse.Namespace], Iterable[Finding]]
-
-QUICK: Final[Sequence[Check]] = (check_address,)
-"""What is looked at with ``--quick``; light, since it may be asked twice a minute."""
 
 
 def doctor(options: argparse.Namespace) -> int:
     """Examine and print; return 1 when there is a problem, else 0."""
-    findings = examine(options, QUICK if options.quick else all_checks())
+    findings = examine(options, [network.check_address] if options.quick else CHECKS)
     say(as_json(as_tree(findings)) if options.json else as_text(findings))
     return FAILED if any(finding.grade == "problem" for finding in findings) else DONE
-
-
-def all_checks() -> Sequence[Check]:
-    """Return everything that is looked at, in this order."""
-    from atoll.cli.doctor import machine, network
-    from atoll.cli.doctor.data import check_data
-
-    return (
-        machine.check_versions,
-        machine.check_cores,
-        machine.check_memory,
-        machine.check_open_files,
-        machine.check_kernels,
-        machine.check_state,
-        network.check_certificates,
-        network.check_listen,
-        network.check_coordinator,
-        check_data,
-    )
 
 
 def examine(options: argparse.Namespace, checks: Sequence[Check]) -> list[Finding]:
@@ -57,3 +36,43 @@ def _found(check: Check, options: argparse.Namespace) -> list[Finding]:
         name = check.__name__.removeprefix("check_")
         fact = f"could not be examined ({type(error).__name__}: {error})"
         return [Finding(name, "problem", fact, "report this; the other findings hold")]
+
+
+def check_data(options: argparse.Namespace) -> Iterator[Finding]:
+    """Read DATA with the data options that were given, as ``submit`` does; nothing is smoothed."""
+    if not options.data:
+        return
+    from atoll.cli.options.parser import parse
+    from atoll.cli.request import request_of
+    from atoll_coordinator.data.reading.files import read_table
+    from atoll_coordinator.data.roles.roles import assign_roles
+    from atoll_coordinator.data.table_summary import describe
+    from atoll_coordinator.data.trajectories.measurements import take_measurements
+
+    given = {name: value for name, value in vars(options).items() if name != "verb"}
+    try:
+        request = request_of(argparse.Namespace(**{**vars(parse(["submit", *options.data])), **given}))
+        table = read_table([Path(name) for name in options.data], request.config.data)
+        text = describe(table, request.config)
+        remarks = take_measurements(table, *assign_roles(table, request.config.data)).warnings
+    except (DataError, UsageError) as error:
+        yield problem("data", error)
+        return
+    yield fine("data", text)
+    for remark in remarks:
+        yield Finding("data", "warning", remark, "check that this is what you mean")
+
+
+CHECKS: Sequence[Check] = (
+    machine.check_versions,
+    machine.check_cores,
+    machine.check_memory,
+    machine.check_open_files,
+    machine.check_kernels,
+    machine.check_state,
+    network.check_certificates,
+    network.check_listen,
+    network.check_coordinator,
+    check_data,
+)
+"""Everything that is looked at, in this order."""

@@ -32,6 +32,11 @@ def problem(subject: str, error: AtollError) -> Finding:
     return Finding(subject, "problem", fact, advice)
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a count of things, such as ``1 problem`` and ``2 processes``."""
+    return f"{count} {noun}" + ("" if count == 1 else "es" if noun.endswith("s") else "s")
+
+
 def as_text(findings: Sequence[Finding]) -> str:
     """Return one line for each finding, the advice on a line of its own, and a summary."""
     width = max(len(finding.subject) for finding in findings)
@@ -43,7 +48,7 @@ def as_text(findings: Sequence[Finding]) -> str:
         lines += [indent + line for line in rest]
         lines += [f"{indent}-> {finding.advice}"] if finding.advice else []
     problems, warnings = (sum(finding.grade == grade for finding in findings) for grade in ("problem", "warning"))
-    return "\n".join([*lines, f"{_counted(problems, 'problem')}, {_counted(warnings, 'warning')}"])
+    return "\n".join([*lines, f"{counted(problems, 'problem')}, {counted(warnings, 'warning')}"])
 
 
 def as_tree(findings: Sequence[Finding]) -> dict[str, object]:
@@ -52,7 +57,3 @@ def as_tree(findings: Sequence[Finding]) -> dict[str, object]:
         "fine": all(finding.grade != "problem" for finding in findings),
         "findings": [asdict(finding) for finding in findings],
     }
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" + ("" if count == 1 else "s")

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from atoll.cli.doctor.finding import Finding, Grade, fine
+from atoll.cli.doctor.finding import Finding, counted, fine
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.machine.cores import usable_cores
 
@@ -41,7 +41,7 @@ def check_versions(options: argparse.Namespace) -> Iterator[Finding]:
 def check_cores(options: argparse.Namespace) -> Iterator[Finding]:
     """How many workers this machine has room for."""
     cores, reason = usable_cores(os.environ)
-    yield fine("cores", f"{cores} worker process{'' if cores == 1 else 'es'} by default: {reason}")
+    yield fine("cores", f"{counted(cores, 'worker process')} by default: {reason}")
 
 
 def check_memory(options: argparse.Namespace) -> Iterator[Finding]:
@@ -51,12 +51,11 @@ def check_memory(options: argparse.Namespace) -> Iterator[Finding]:
         yield fine("memory", "not known on this system")
         return
     cores, _ = usable_cores(os.environ)
-    fact = f"{free / GB:.1f} GB available for {cores} worker process{'' if cores == 1 else 'es'}"
+    fact = f"{free / GB:.1f} GB available for {counted(cores, 'worker process')}"
     if free >= cores * WORKER_BYTES:
         yield fine("memory", fact)
     else:
-        number = max(1, int(free // WORKER_BYTES))
-        advice = f"start fewer: island-worker --processes {number}"
+        advice = f"start fewer: island-worker --processes {max(1, free // WORKER_BYTES)}"
         yield Finding("memory", "warning" if free >= WORKER_BYTES else "problem", fact, advice)
 
 
@@ -90,10 +89,8 @@ def check_open_files(options: argparse.Namespace) -> Iterator[Finding]:
 def check_kernels(options: argparse.Namespace) -> Iterator[Finding]:
     """Whether a worker here would compile first, and whether it could."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
-        advice = "unset it for real work"
-        yield Finding(
-            "kernels", "warning", "NUMBA_DISABLE_JIT is set: everything is interpreted, a thousand times slower", advice
-        )
+        fact = "NUMBA_DISABLE_JIT is set: everything is interpreted, a thousand times slower"
+        yield Finding("kernels", "warning", fact, "unset it for real work")
         return
     from atoll_core.compilation.cache import cache_directory, is_compiled
 
@@ -113,25 +110,24 @@ def check_state(options: argparse.Namespace) -> Iterator[Finding]:
     """Whether a job store can be kept in the state folder (the current one unless it is named)."""
     wanted = Path(options.state or ".").absolute()
     place = _existing(wanted)
-    if not place.is_dir():
-        yield Finding("state folder", "problem", f"{place} is a file", "name another folder with --state")
-        return
-    if not os.access(place, os.W_OK | os.X_OK):
-        yield Finding("state folder", "problem", f"{place} cannot be written", "name another folder with --state")
+    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+        fact = f"{place} cannot be written" if place.is_dir() else f"{place} is a file"
+        yield Finding("state folder", "problem", fact, "name another folder with --state")
         return
     free = shutil.disk_usage(place).free
     fact = f"{wanted}: {free / GB:.1f} GB free"
-    if free < SOME_ROOM:
-        grade: Grade = "problem" if free < LITTLE_ROOM else "warning"
-        yield Finding("state folder", grade, fact, "make room, or name a folder on another disk with --state")
-    else:
+    if free >= SOME_ROOM:
         yield fine("state folder", fact)
+    else:
+        advice = "make room, or name a folder on another disk with --state"
+        yield Finding("state folder", "problem" if free < LITTLE_ROOM else "warning", fact, advice)
     kind = file_system(place)
     if kind is not None and kind.startswith(_NETWORKED):
+        fact = f"{place} is on a network file system ({kind})"
         advice = (
             "keep the store on a disk of the coordinator's machine: SQLite relies on locks that many such systems lack"
         )
-        yield Finding("state folder", "warning", f"{place} is on a network file system ({kind})", advice)
+        yield Finding("state folder", "warning", fact, advice)
 
 
 def file_system(place: Path, mounts: Path = _MOUNTS) -> str | None:

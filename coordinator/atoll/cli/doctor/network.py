@@ -1,20 +1,27 @@
-"""What ``coordinator doctor`` looks at in the network: a port to listen on, a coordinator, its workers, its clock."""
+"""What ``coordinator doctor`` looks at in the network: a port to listen on, a coordinator, its workers, its clock.
+
+Light to import, because whether an address accepts connections may be asked twice a minute.
+"""
 
 import argparse
 import os
 import time
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from atoll.cli.doctor.address import LIMIT_S, check_address
-from atoll.cli.doctor.finding import Finding, fine, problem
+from atoll.cli.doctor.finding import Finding, counted, fine, problem
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, UsageError
-from atoll_core.wire.addresses import Destination, bindable, destination, parse_address
-from atoll_core.wire.messages.handshake import Welcome
-from atoll_core.wire.messages.views import WorkerView
+from atoll_core.wire.addresses import Destination, bindable, destination, parse_address, why_unreachable
 from atoll_core.wire.security.credentials import Credentials, credentials_of
+
+if TYPE_CHECKING:
+    from atoll_core.wire.messages.handshake import Welcome
+    from atoll_core.wire.messages.views import WorkerView
+
+LIMIT_S: Final = 3.0
+"""How long a coordinator may take to answer."""
 
 CLOCK_S: Final = 5.0
 """Clocks that differ by more make logs of several machines hard to read, and certificates invalid too early."""
@@ -23,6 +30,32 @@ SILENT_S: Final = 5.0
 
 EXPIRY_S: Final = 30 * 86400.0
 """A certificate that expires sooner is pointed out."""
+
+
+def check_address(options: argparse.Namespace) -> Iterator[Finding]:
+    """Whether the coordinator's address accepts connections, and nothing more."""
+    text = options.connect or os.environ.get("ATOLL_CONNECT")
+    if not text:
+        yield Finding("address", "problem", "none was named", "give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+        return
+    try:
+        address = parse_address(text)
+    except UsageError as error:
+        yield Finding("address", "problem", str(error), "write it as `coordinator serve` printed it")
+        return
+    reason = why_unreachable(address, LIMIT_S)
+    if reason is None:
+        yield fine("address", f"{address} accepts connections")
+    else:
+        yield Finding("address", "problem", f"{address} cannot be reached: {reason}", _advice(reason))
+
+
+def _advice(reason: str) -> str:
+    if "not known" in reason:
+        return "check the name, or use the machine's number"
+    if "refused" in reason:
+        return "start `coordinator serve` there, on an address that others reach (not 127.0.0.1), or check the port"
+    return "check that the machine is on and that no firewall keeps this port closed"
 
 
 def check_listen(options: argparse.Namespace) -> Iterator[Finding]:
@@ -98,7 +131,7 @@ def _greeted(address: Destination) -> Iterator[Finding]:
     yield from worker_findings(workers, str(address))
 
 
-def version_findings(welcome: Welcome) -> Iterator[Finding]:
+def version_findings(welcome: "Welcome") -> Iterator[Finding]:
     """Say whether a worker of this installation would be taken; a client, which greeted, was."""
     versions = (welcome.version, welcome.protocol, welcome.engine)
     if versions != (VERSION, PROTOCOL_VERSION, ENGINE_REVISION):
@@ -123,14 +156,13 @@ def clock_findings(clock: str, now: datetime) -> Iterator[Finding]:
     yield Finding("clock", "warning", fact, "let both follow a time server: logs and certificates go by the clock")
 
 
-def worker_findings(workers: Sequence[WorkerView], address: str) -> Iterator[Finding]:
+def worker_findings(workers: "Sequence[WorkerView]", address: str) -> Iterator[Finding]:
     """Say which workers are there and which ones one should look after."""
     here = [worker for worker in workers if worker.state != "lost"]
     if not here:
         yield Finding("workers", "warning", "none is there", f"start one: island-worker --connect {address}")
         return
-    hosts = len({worker.host for worker in here})
-    yield fine("workers", f"{len(here)} on {hosts} machine{'' if hosts == 1 else 's'}")
+    yield fine("workers", f"{len(here)} on {counted(len({worker.host for worker in here}), 'machine')}")
     silent = [worker for worker in here if worker.silent > SILENT_S]
     if silent:
         fact = ", ".join(

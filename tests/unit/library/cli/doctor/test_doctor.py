@@ -13,7 +13,7 @@ import pytest
 from atoll.cli.doctor import doctor
 from atoll.cli.doctor import machine as doctor_machine
 from atoll.cli.doctor import network as doctor_network
-from atoll.cli.doctor.data import check_data
+from atoll.cli.doctor.doctor import check_data
 from atoll.cli.doctor.finding import Finding, as_text, as_tree, fine
 from atoll.cli.options import parser as arguments
 from atoll_coordinator.service.service_loop import Service
