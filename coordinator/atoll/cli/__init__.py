@@ -8,6 +8,6 @@ for each command, ``doctor`` those that examine a machine. ``request`` is a job 
 
 `main.main` -> `options.parser.parse` -> `verbs.submit.submit` -> `request.Request` -> `atoll.client.client.Client`
 -> (bus) -> `atoll_coordinator.service.requests`. Of a run on this machine: `verbs.run` -> `LocalWorkers` (started
-first) -> `LocalRun` -> `LocalCoordinator`, then `Request.submit` and `Follower`. Each verb's module is imported when it
-is called, since ``--help`` must be instant.
+first) -> `run_locally` -> `LocalCoordinator`, then `Request.submit` and `Follower`. Each verb's module is imported when
+it is called, since ``--help`` must be instant.
 """

@@ -1,7 +1,9 @@
 """A listener for others to connect to: the addresses at which they reach it, and who can do what there."""
 
+import argparse
 import contextlib
 import ipaddress
+import os
 import socket
 import struct
 import sys
@@ -9,22 +11,26 @@ from pathlib import Path
 from typing import Final
 
 from atoll_core.errors import UsageError
-from atoll_core.wire.addresses import Address, Destination
+from atoll_core.logs import configure
+from atoll_core.wire.addresses import Address, Destination, destination
+from atoll_core.wire.security.credentials import credentials_of
 from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
 
 _EVERYWHERE: Final = ("0.0.0.0", "::")
 _SIOCGIFADDR: Final = 0x8915
 
 
-def role_bindings_of(file: str | None, at: Destination) -> RoleBindings | None:
-    """Return who may do what; None without a file. Raises UsageError."""
-    if file is None:
-        return None
-    if at.credentials is None:
+def read_options(options: argparse.Namespace, router: str | None = None) -> tuple[Destination, RoleBindings | None]:
+    """Return where to listen, or the `router` to join, and who may do what; begin to log. Raises UsageError."""
+    credentials = credentials_of(vars(options), os.environ, "serve" if router is None else "connect")
+    wanted = destination(options.listen if router is None else router, credentials)
+    if options.roster is not None and credentials is None:
         raise UsageError(
             "--roster gives roles to the names in certificates, so it needs --tls-ca, --tls-cert and --tls-key"
         )
-    return read_role_bindings(Path(file))
+    role_bindings = None if options.roster is None else read_role_bindings(Path(options.roster))
+    configure(options.log_format, options.log_level)
+    return wanted, role_bindings
 
 
 def warnings_of(at: Destination, role_bindings: RoleBindings | None) -> list[str]:

@@ -9,7 +9,6 @@ from typing import Final
 
 from pydantic import JsonValue
 
-from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.result import Result
 from atoll_core.command_line import duration
 
@@ -20,6 +19,11 @@ _NOT_STOCHASTIC: Final = ("order", "target", "derivatives", "only", "robust", "w
 """Settings that exclude ``--stochastic``."""
 
 _MORE_OPERATORS: Final = "+,-,*,/,sin,cos,exp,sqrt,tanh"
+_LONGER: Final = "the search ended before it had converged"
+_NOT_REFINED: Final = "the time was over before the equations were fitted to trajectories and compared"
+
+_Proposal = tuple[list[str], str]
+"""The words of a command, and what it is for."""
 
 
 def next_step(result: Result, folder: Path, words: Sequence[str]) -> str | None:
@@ -31,21 +35,19 @@ def next_step(result: Result, folder: Path, words: Sequence[str]) -> str | None:
         words: of the command line that gave it, without the program.
     """
     if result.state == "cancelled" and result.refining == "not refined":
-        return _command(_elsewhere(words), _CANCELLED)
-    if result.state != "done" or not result.equations:
+        why = "it was interrupted before the equations were fitted to trajectories and compared"
+        proposal = _elsewhere(words), why
+    elif result.state != "done" or not result.equations:
         return None
-    for propose in (_again_with_option, _again_for_longer, _again_with_operators):
-        proposal = propose(result, words)
-        if proposal is not None:
-            return _command(*proposal)
-    return _command(*_with_result(result, str(folder)))
-
-
-def _command(words: Sequence[str], purpose: str) -> str:
-    return f"{shlex.join(['coordinator', *words])}  # {purpose}"
-
-
-_Proposal = tuple[list[str], str]
+    else:
+        proposal = (
+            _again_with_option(result, words)
+            or _again_for_longer(result, words)
+            or _again_with_operators(result, words)
+            or _with_result(result, str(folder))
+        )
+    command, purpose = proposal
+    return f"{shlex.join(['coordinator', *command])}  # {purpose}"
 
 
 def _again_with_option(result: Result, words: Sequence[str]) -> _Proposal | None:
@@ -64,7 +66,7 @@ def _again_with_option(result: Result, words: Sequence[str]) -> _Proposal | None
 
 def _again_for_longer(result: Result, words: Sequence[str]) -> _Proposal | None:
     """Propose twice the budget where it ended the search of an equation that is not good, or refining it."""
-    ends = {equation.why for equation in _poor(result)}
+    ends = {equation.why for equation in result.equations if equation.verdict not in ("exact", "good")}
     budget = result.settings("budget")
     is_cut = bool(ends) and result.refining in ("not refined", "max-time")
     if ("max-time" in ends or is_cut) and budget.get("max_time") is not None:
@@ -75,11 +77,6 @@ def _again_for_longer(result: Result, words: Sequence[str]) -> _Proposal | None:
         epochs = f"{2.0 * _number(budget['max_epochs']):.0f}"
         return [*_without(_elsewhere(words), "--max-epochs"), "--max-epochs", epochs], _LONGER
     return None
-
-
-_LONGER: Final = "the search ended before it had converged"
-_CANCELLED: Final = "it was interrupted before the equations were fitted to trajectories and compared"
-_NOT_REFINED: Final = "the time was over before the equations were fitted to trajectories and compared"
 
 
 def _again_with_operators(result: Result, words: Sequence[str]) -> _Proposal | None:
@@ -101,8 +98,7 @@ def _with_result(result: Result, folder: str) -> _Proposal:
     is_told = result.simulated or result.recorded  # of a job that was cut nothing may tell an initial state
     if is_driven and is_told:
         return ["simulate", folder, "-o", f"{folder}/simulation.csv"], "the model along what was measured"
-    loose = any(not constant.identifiable for equation in result.equations for constant in equation.constants)
-    if loose:
+    if any(not constant.identifiable for equation in result.equations for constant in equation.constants):
         return ["analyse", folder, "--identifiability"], "which constants the data determine"
     if any(equation.verdict == "doubtful" and equation.candidates for equation in result.equations):
         return ["suggest", folder], "the experiment that would decide between the candidates"
@@ -119,10 +115,6 @@ def _seconds(words: Sequence[str]) -> float | None:
 def _number(setting: JsonValue) -> float:
     """Return a setting that is a number, 0 of any other: of a file that was edited by hand."""
     return float(setting) if isinstance(setting, int | float) else 0.0
-
-
-def _poor(result: Result) -> list[Equation]:
-    return [equation for equation in result.equations if equation.verdict not in ("exact", "good")]
 
 
 def _elsewhere(words: Sequence[str]) -> list[str]:

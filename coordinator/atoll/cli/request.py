@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from atoll.cli.ending import ending, exit_code
 from atoll.cli.exit_codes import DONE
 from atoll.cli.options.values import job_id
 from atoll.client.client import Client
@@ -43,11 +42,6 @@ class Request:
     files: tuple[Path, ...]
     json: bool
     priority: int = 0
-
-    @property
-    def target_error(self) -> float | None:
-        """The normalized error that the user named, if any."""
-        return self.config.budget.target_error
 
     def read(self) -> "Table":
         """Read the files and say on stderr what they hold; raises DataError."""
@@ -97,13 +91,6 @@ class Request:
         from atoll.text.render import render_text
 
         say(as_json(result.as_dict()) if self.json else render_text(result))
-
-    def finish(self, view: JobView) -> int:
-        """Say what an unwanted end means; return the exit code."""
-        sentence = ending(view, self.target_error)
-        if sentence:
-            note(f"coordinator: {sentence}")
-        return exit_code(view, self.target_error)
 
 
 def request_of(options: argparse.Namespace) -> Request:

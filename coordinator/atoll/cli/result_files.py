@@ -7,6 +7,7 @@ from atoll.terminal.output import as_json, note
 from atoll_core.errors import UsageError
 
 if TYPE_CHECKING:
+    from atoll.report.markup import Element
     from atoll_coordinator.result.result import Result
 
 REPORT: Final = "report.html"
@@ -22,10 +23,9 @@ def refuse_existing_result(folder: Path) -> None:
 
 
 def write_result(folder: Path, result: "Result") -> Path:
-    """Write ``result.json`` into `folder`, whole or not at all; never over an existing one. Return its path.
+    """Write ``result.json`` into `folder`, whole or not at all, and return its path.
 
-    Raises:
-        UsageError: there is a result already, or the folder cannot be written.
+    Raises UsageError when there is a result already, or the folder cannot be written.
     """
     refuse_existing_result(folder)
     path, draft = folder / "result.json", folder / ".result.json.part"
@@ -40,13 +40,15 @@ def write_result(folder: Path, result: "Result") -> Path:
     return path
 
 
-def write_report(path: Path, result: "Result") -> None:
-    """Write a result as a page, and say where; raises UsageError when it cannot be written."""
+def write_report(path: Path, result: "Result") -> "Element":
+    """Write a result as a page, say where, and return the page; raises UsageError when it cannot be written."""
     from atoll.model.files import write_text
-    from atoll.report.page import as_html
+    from atoll.report.page import as_text, build_page
 
-    write_text(path, as_html(result))
+    page = build_page(result)
+    write_text(path, as_text(page))
     note(f"report in {path}")
+    return page
 
 
 def _publish(draft: Path, path: Path) -> None:

@@ -1,7 +1,7 @@
 """Following a job to its end: ask, show, wait. What shows it is passed in."""
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from atoll.client.client import Client
@@ -29,38 +29,22 @@ class Display(Protocol):
         """Show a sentence that stays."""
 
 
-@dataclass
-class Timeline:
-    """Seconds spent in each phase of a job, as seen while following it."""
-
-    phases: dict[str, float] = field(default_factory=dict)
-    _last: float | None = None
-
-    def mark(self, phase: str, now: float) -> None:
-        """Count the time since the last mark for `phase`."""
-        if self._last is not None:
-            self.phases[phase] = self.phases.get(phase, 0.0) + now - self._last
-        self._last = now
-
-
 class Follower:
     """Follows one job through a client. Before every question `check` returns sentences to show, or raises."""
 
     def __init__(self, client: Client, job: str, display: Display, check: Callable[[], Sequence[str]] = tuple) -> None:
-        self.timeline = Timeline()
+        self.job = job
+        self.phases: dict[str, float] = defaultdict(float)
+        """Seconds spent in each phase of the job, as seen while following it."""
         self._client = client
-        self._job = job
         self._display = display
         self._check = check
+        self._seen_at: float | None = None
         self._silent_since: float | None = None
         self._warned: set[str] = set()
 
     def follow(self) -> JobView:
-        """Return the final state of the job.
-
-        Raises:
-            UnreachableError: the coordinator did not answer for `PATIENCE_S` seconds.
-        """
+        """Return the final state of the job; raises UnreachableError after a silence of `PATIENCE_S` seconds."""
         interval = _FIRST_INTERVAL_S
         while True:
             for sentence in self._check():
@@ -73,14 +57,19 @@ class Follower:
 
     def _ask(self) -> JobView | None:
         try:
-            view, workers = self._client.status(self._job), self._client.workers()
+            view, workers = self._client.status(self.job), self._client.workers()
         except UnreachableError as error:
             self._tolerate_silence(error)
             return None
         self._silent_since = None
-        self._warn(view)
+        for warning in view.warnings:
+            if warning not in self._warned:
+                self._warned.add(warning)
+                self._display.print_note(f"note: {warning}")
         now = self._client.now()
-        self.timeline.mark(phase(view, workers), now)
+        if self._seen_at is not None:
+            self.phases[phase(view, workers)] += now - self._seen_at
+        self._seen_at = now
         self._display.show(view, workers, now)
         return view
 
@@ -91,13 +80,7 @@ class Follower:
             self._silent_since = now
             self._display.print_note(f"the coordinator does not answer; waiting another {PATIENCE_S:.0f} s for it")
         elif now - self._silent_since > PATIENCE_S:
-            raise UnreachableError(f"{error}; the job may go on there: coordinator status {self._job}") from error
-
-    def _warn(self, view: JobView) -> None:
-        for warning in view.warnings:
-            if warning not in self._warned:
-                self._warned.add(warning)
-                self._display.print_note(f"note: {warning}")
+            raise UnreachableError(f"{error}; the job may go on there: coordinator status {self.job}") from error
 
 
 def phase(view: JobView, workers: Sequence[WorkerView]) -> str:

@@ -4,20 +4,14 @@ import argparse
 from collections.abc import Sequence
 from typing import Final
 
-from atoll.cli.ending import NOTHING_FOUND, ending, exit_code, has_found
+from atoll.cli.ending import NOTHING_FOUND, finish, has_found
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.cli.worker_table import coordinator_lines, worker_table
 from atoll.client.client import Client, connected
-from atoll.client.follower import Display, Follower
-from atoll.terminal.output import as_json, clipped, count, duration, note, say, table
-from atoll.terminal.progress import (
-    JsonDisplay,
-    LiveDisplay,
-    PlainDisplay,
-    is_screen,
-    plain_lines,
-)
+from atoll.client.follower import Follower
+from atoll.terminal.output import as_json, clipped, count, duration, say, table
+from atoll.terminal.progress import JsonDisplay, LiveDisplay, PlainDisplay, is_screen, plain_lines
 from atoll_core.config import Frozen
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
@@ -56,18 +50,11 @@ def _follow(options: argparse.Namespace, address: Destination) -> int:
     """Show a job, the only one under way unless it is named, whenever it changes; return its exit code."""
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
         job = _only_open_job(client) if options.job is None else client.resolve(options.job)
-        with _display(options, f"island-worker --connect {address}") as display:
+        hint = f"island-worker --connect {address}"
+        lines = LiveDisplay(hint) if is_screen() else PlainDisplay(hint, say)
+        with JsonDisplay(say) if options.json else lines as display:
             view = Follower(client, job, display).follow()
-    sentence = ending(view, view.target_error)
-    if sentence:
-        note(f"coordinator: {sentence}")
-    return exit_code(view, view.target_error)
-
-
-def _display(options: argparse.Namespace, hint: str) -> Display:
-    if options.json:
-        return JsonDisplay(say)
-    return LiveDisplay(hint) if is_screen() else PlainDisplay(hint, say)
+    return finish(view)
 
 
 def workers(options: argparse.Namespace) -> int:

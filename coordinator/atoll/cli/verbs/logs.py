@@ -22,7 +22,9 @@ def logs(options: argparse.Namespace) -> int:
         job = client.resolve(options.job) if options.job is not None else None
         events = client.events(job, 0, options.lines)
         if not options.follow:
-            say(as_json([event.model_dump(mode="json") for event in events]) if options.json else _text(events, job))
+            nothing = f"nothing is noted of job {job}" if job is not None else "nothing is noted yet"
+            text = "\n".join(line(event) for event in events) or nothing
+            say(as_json([event.model_dump(mode="json") for event in events]) if options.json else text)
             return DONE
         _show(events, options.json)
         return _follow(client, job, events[-1].number if events else 0, options.json)
@@ -32,7 +34,7 @@ def _follow(client: Client, job: str | None, last: int, as_objects: bool) -> int
     """Show what comes, until the job has ended and all of it has been shown."""
     while True:
         is_over = job is not None and client.status(job).state in FINAL_STATES
-        while events := client.events(job, last, _PAGE) if last else client.events(job, 0, _PAGE):
+        while events := client.events(job, last, _PAGE):
             last = events[-1].number
             _show(events, as_objects)
         if is_over:
@@ -44,11 +46,6 @@ def _show(events: Iterable[EventView], as_objects: bool) -> None:
     """Print events one by one; as JSON, one object a line."""
     for event in events:
         say(json.dumps(event.model_dump(mode="json"), ensure_ascii=False) if as_objects else line(event))
-
-
-def _text(events: Iterable[EventView], job: str | None) -> str:
-    nothing = f"nothing is noted of job {job}" if job is not None else "nothing is noted yet"
-    return "\n".join(line(event) for event in events) or nothing
 
 
 def line(event: EventView) -> str:

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.result_files import REPORT
+from atoll.cli.result_files import REPORT, write_report
 from atoll.model.files import write_text
 from atoll.model.model import Model
-from atoll.report.page import as_text, build_page, pictures
+from atoll.report.page import pictures
 from atoll.terminal.output import note
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError, UsageError
@@ -53,14 +53,10 @@ def _page(path: Path) -> Path:
 def _write(path: Path, options: argparse.Namespace) -> None:
     output = _page(path) if options.output is None else Path(options.output)
     result = Result.load(path)
-    page = build_page(result if options.group is None else Model(result).of_group(options.group).result)
-    write_text(output, as_text(page))
-    note(f"report in {output}")
-    if options.pictures is not None:
-        _write_pictures(Path(options.pictures), pictures(page))
-
-
-def _write_pictures(folder: Path, drawn: dict[str, str]) -> None:
+    page = write_report(output, result if options.group is None else Model(result).of_group(options.group).result)
+    if options.pictures is None:
+        return
+    folder, drawn = Path(options.pictures), pictures(page)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -6,22 +6,20 @@ coordinator (`serve --router`), so that connections stay while that one is resta
 
 import argparse
 import logging
-import os
 import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.listener import addresses_of, role_bindings_of, warnings_of
+from atoll.cli.listener import addresses_of, read_options, warnings_of
 from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, UnreachableError
-from atoll_core.logs import configure, fields
+from atoll_core.logs import fields
 from atoll_core.signals import stopping
 from atoll_core.wire.addresses import Destination, destination, parse_address
 from atoll_core.wire.connect_file import announced
-from atoll_core.wire.security.credentials import credentials_of
 from atoll_core.wire.security.role_bindings import RoleBindings
 
 if TYPE_CHECKING:
@@ -39,11 +37,9 @@ _REMIND_S: Final = 60.0
 
 def router(options: argparse.Namespace) -> int:
     """Pass messages on until SIGTERM or Ctrl-C; return 0."""
-    credentials = credentials_of(vars(options), os.environ, "serve")
-    wanted = destination(options.listen, credentials)
+    wanted, role_bindings = read_options(options)
+    credentials = wanted.credentials
     upstream = [str(destination(address, credentials)) for address in options.connect]
-    role_bindings = role_bindings_of(options.roster, wanted)
-    configure(options.log_format, options.log_level)
     from atoll_core.wire.bus.zenoh_bus import open_router
 
     stop = threading.Event()
@@ -51,7 +47,7 @@ def router(options: argparse.Namespace) -> int:
         here = Destination(parse_address(bus.endpoint), credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
             say(greeting(here, upstream, role_bindings))
-            _CoordinatorCheck(bus, credentials.name if credentials is not None else "client").run(stop)
+            _log_coordinator(bus, credentials.name if credentials is not None else "client", stop)
     note("coordinator router: stopped")
     return DONE
 
@@ -73,29 +69,19 @@ def greeting(here: Destination, upstream: list[str], role_bindings: RoleBindings
     return "\n".join([*lines, *warnings_of(here, role_bindings)])
 
 
-class _CoordinatorCheck:
-    """Logs when a coordinator is there, and when it is not: a router without one is of no use."""
-
-    def __init__(self, bus: "ZenohBus", principal: str) -> None:
-        self._bus = bus
-        self._principal = principal
-        self._cluster: str | None = None
-        self._reminded_at = -_REMIND_S
-
-    def run(self, stop: threading.Event) -> None:
-        while not stop.is_set():
-            self._check()
-            stop.wait(CHECK_INTERVAL_S)
-
-    def _check(self) -> None:
-        cluster = coordinator_behind(self._bus, self._principal)
-        now = time.monotonic()
-        if cluster is not None and cluster != self._cluster:
+def _log_coordinator(bus: "ZenohBus", principal: str, stop: threading.Event) -> None:
+    """Log when a coordinator is there, and when it is not, until `stop` is set: a router without one is of no use."""
+    known: str | None = None
+    reminded_at = -_REMIND_S
+    while not stop.is_set():
+        cluster, now = coordinator_behind(bus, principal), time.monotonic()
+        if cluster is not None and cluster != known:
             _LOG.info("coordinator found", extra=fields(realm=cluster))
-        elif cluster is None and (self._cluster is not None or now - self._reminded_at >= _REMIND_S):
+        elif cluster is None and (known is not None or now - reminded_at >= _REMIND_S):
             _LOG.warning("no coordinator answers behind this router yet")
-            self._reminded_at = now
-        self._cluster = cluster
+            reminded_at = now
+        known = cluster
+        stop.wait(CHECK_INTERVAL_S)
 
 
 def coordinator_behind(bus: "Bus", principal: str = "client") -> str | None:

@@ -59,9 +59,9 @@ def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
         contextlib.closing(ProcessPool()) as pool,
     ):
         pool.preload(load_preparation)
-        from atoll.cli.local_run import LocalRun
+        from atoll.cli.local_run import run_locally
 
-        return LocalRun(options, folder, str(address), workers, pool, started).run()
+        return run_locally(options, folder, str(address), workers, pool, started)
 
 
 @contextlib.contextmanager

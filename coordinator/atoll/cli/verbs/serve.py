@@ -2,21 +2,18 @@
 
 import argparse
 import contextlib
-import os
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.listener import addresses_of, role_bindings_of, warnings_of
+from atoll.cli.listener import addresses_of, read_options, warnings_of
 from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, StoreError, UnreachableError, UsageError
-from atoll_core.logs import configure
 from atoll_core.signals import stopping
-from atoll_core.wire.addresses import Destination, destination, parse_address
+from atoll_core.wire.addresses import Destination, parse_address
 from atoll_core.wire.connect_file import announced
-from atoll_core.wire.security.credentials import credentials_of
 from atoll_core.wire.security.role_bindings import RoleBindings
 
 if TYPE_CHECKING:
@@ -31,10 +28,7 @@ ANOTHER_LIMIT_S: Final = 0.5
 
 def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0."""
-    credentials = credentials_of(vars(options), os.environ, "connect" if options.router is not None else "serve")
-    wanted = destination(options.router or options.listen, credentials)
-    role_bindings = role_bindings_of(options.roster, wanted)
-    configure(options.log_format, options.log_level)
+    wanted, role_bindings = read_options(options, options.router)
     from atoll_coordinator.service.background.child_main import load_preparation
     from atoll_coordinator.service.background.process_pool import ProcessPool
 

@@ -2,7 +2,9 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from atoll.cli.ending import finish
 from atoll.cli.exit_codes import DONE, INTERRUPTED
 from atoll.cli.request import CONNECT_LIMIT_S, Request, address_of, request_of
 from atoll.cli.result_files import REPORT, refuse_existing_result, write_report, write_result
@@ -12,8 +14,10 @@ from atoll.terminal.output import note, say
 from atoll.terminal.progress import open_display, waiting
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
-from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
+
+if TYPE_CHECKING:
+    from atoll_coordinator.result.result import Result
 
 
 def submit(options: argparse.Namespace) -> int:
@@ -30,50 +34,42 @@ def submit(options: argparse.Namespace) -> int:
     if folder is not None:
         refuse_existing_result(folder)
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
+        look = f"coordinator status {request.job} --connect {address}"
+        hint = f"island-worker --connect {address}"
         try:
             view = request.submit(client, request.read())
         except KeyboardInterrupt:
-            note(f"interrupted before job {request.job} was known to be taken in: {_look(request, address)}")
+            note(f"interrupted before job {request.job} was known to be taken in: {look}")
             return INTERRUPTED
         if options.no_wait:
-            _say_what_it_waits_for(view, client, address)
+            _say_what_it_waits_for(view, client, hint)
             say(request.job)
             return DONE
-        return _follow_to_result(request, client, address, folder, has_report=options.report)
+        try:
+            with open_display(hint) as display:
+                display.print_note(f"job {request.job} submitted; Ctrl-C detaches and leaves it running")
+                view = Follower(client, request.job, display).follow()
+        except KeyboardInterrupt:
+            note(f"detached; the job goes on: {look}")
+            return INTERRUPTED
+        result = request.result(client, view)
+        if result is not None:
+            _deliver(request, result, folder, has_report=options.report)
+        return finish(view)
 
 
-def _look(request: Request, address: Destination) -> str:
-    """Return the command that tells how the job is getting on."""
-    return f"coordinator status {request.job} --connect {address}"
-
-
-def _say_what_it_waits_for(view: JobView, client: Client, address: Destination) -> None:
+def _say_what_it_waits_for(view: JobView, client: Client, hint: str) -> None:
     """Tell somebody who leaves now what keeps the job from being searched at once, if anything does."""
     if view.state in FINAL_STATES:
         note(f"job {view.job} is known, and has ended: {view.state}")
-    elif waits := waiting(view, client.workers(), f"island-worker --connect {address}"):
+    elif waits := waiting(view, client.workers(), hint):
         note(f"job {view.job} {view.state}; {waits}")
 
 
-def _follow_to_result(
-    request: Request, client: Client, address: Destination, folder: Path | None, *, has_report: bool
-) -> int:
-    try:
-        view = _follow(request, client, address)
-    except KeyboardInterrupt:
-        note(f"detached; the job goes on: {_look(request, address)}")
-        return INTERRUPTED
-    result = request.result(client, view)
-    if result is not None:
-        if folder is not None:
-            note(f"result in {write_result(folder, result)}")
-        request.show(result)
-        if has_report and folder is not None:
-            write_report(folder / REPORT, result)
-    return request.finish(view)
-
-
-def _follow(request: Request, client: Client, address: Destination) -> JobView:
-    with open_display(f"island-worker --connect {address}") as display:
-        display.print_note(f"job {request.job} submitted; Ctrl-C detaches and leaves it running")
-        return Follower(client, request.job, display).follow()
+def _deliver(request: Request, result: "Result", folder: Path | None, *, has_report: bool) -> None:
+    """Print a result, and write it and its page into a folder if one was named."""
+    if folder is not None:
+        note(f"result in {write_result(folder, result)}")
+    request.show(result)
+    if folder is not None and has_report:
+        write_report(folder / REPORT, result)

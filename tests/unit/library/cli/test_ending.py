@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll.cli.ending import ending, exit_code
+from atoll.cli.ending import ending
 from atoll_core.wire.messages.views import VariableView
 from tests.views import job_view
 
@@ -30,9 +30,8 @@ FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=3, expression="2.0*x"),)
 def test_the_end_of_a_job_decides_the_exit_code(
     changes: dict[str, object], target: float | None, code: int, words: str | None
 ) -> None:
-    view = job_view(**changes)
-    assert exit_code(view, target) == code
-    sentence = ending(view, target)
+    found, sentence = ending(job_view(target_error=target, **changes))
+    assert found == code
     assert (sentence is None) == (words is None)
     assert words is None or words in (sentence or "")
 
@@ -41,8 +40,6 @@ def test_a_known_equation_misses_no_target() -> None:
     known = VariableView(variable="y", lhs="dy/dt", epoch=0, finished=True, why="known", normalized_error=0.5)
     found = VariableView(variable="x", lhs="dx/dt", epoch=1, finished=True, why="target", converged=True)
     missed = found.model_copy(update={"converged": False, "why": "max-epochs"})
-    view = job_view(state="done", variables=(known, found))
-    assert (exit_code(view, 1e-6), ending(view, 1e-6)) == (0, None)
-    view = job_view(state="done", variables=(known, missed))
-    assert exit_code(view, 1e-6) == 4
-    assert ending(view, 1e-6) == "--target-error 1e-06 was not met within the budget by dx/dt"
+    assert ending(job_view(state="done", target_error=1e-6, variables=(known, found))) == (0, None)
+    sentence = "--target-error 1e-06 was not met within the budget by dx/dt"
+    assert ending(job_view(state="done", target_error=1e-6, variables=(known, missed))) == (4, sentence)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from atoll.client.follower import PATIENCE_S, Follower, Timeline, phase
+from atoll.client.follower import PATIENCE_S, Follower, phase
 from atoll_core.errors import UnreachableError
 from atoll_core.wire.messages.views import JobView, VariableView, WorkerView
 from tests.views import job_view
@@ -103,10 +103,12 @@ def test_what_the_check_returns_is_printed_and_what_it_raises_ends_the_following
 
 
 def test_time_is_counted_for_the_phase_that_was_seen() -> None:
-    timeline = Timeline()
-    for name, now in (("starting", 0.0), ("compiling", 1.0), ("compiling", 3.0), ("searching", 3.5)):
-        timeline.mark(name, now)
-    assert timeline.phases == {"compiling": 3.0, "searching": 0.5}
+    refining = job_view(state="refining")
+    client = ScriptedClient(job_view(), job_view(), refining, refining, job_view(state="done", variables=FOUND))
+    client.pause = lambda _: setattr(client, "_now", client.now() + 1.0)  # type: ignore[method-assign]
+    follower = Follower(client, "j1", Recorder())  # type: ignore[arg-type]
+    follower.follow()
+    assert follower.phases == {"searching": 2.0, "refining": 2.0}
 
 
 READY: dict[str, object] = {"state": "ready"}
