@@ -1,9 +1,8 @@
 """`discover` and `submit`: from data to a model, by a service on this machine or elsewhere."""
 
-import contextlib
 import os
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, Self
 
@@ -16,7 +15,7 @@ from atoll.client.configure import configure
 from atoll.client.follower import Display, Follower
 from atoll.client.options import OPTIONS
 from atoll.model.model import Model
-from atoll.terminal.progress import is_screen, open_display
+from atoll.terminal.progress import PlainDisplay, is_screen, open_display
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError, RefusedError, UsageError
 from atoll_core.hints import did_you_mean
@@ -28,7 +27,6 @@ from atoll_core.wire.security.credentials import credentials_of
 CONNECT_LIMIT_S: Final = 20.0
 _TLS: Final = ("ca", "cert", "key")
 _INSTEAD: Final = {"report": "write the page of the model that comes back with model.report(path)"}
-_PRIORITIES: Final = range(-10, 11)
 
 
 class Job:
@@ -46,9 +44,7 @@ class Job:
             return client.status(self.id)
 
     def wait(self, timeout: float | None = None, *, progress: bool | None = None) -> Self:
-        """Wait until it has ended, showing its progress.
-
-        A Ctrl-C ends the job and keeps its best equations.
+        """Wait until it has ended, showing its progress; a Ctrl-C ends the job and keeps its best equations.
 
         Args:
             timeout: seconds after which TimeoutError is raised; the job goes on.
@@ -86,7 +82,8 @@ class Job:
         with connected(self._address, CONNECT_LIMIT_S) as client:
             view = client.status(self.id)
             if view.state == "failed":
-                raise _failure(view)
+                kind = DataError if view.fault == "data" else AtollError
+                raise kind(in_python(f"job {self.id} failed: {view.reason}"))
             try:
                 return Model(client.result(self.id))
             except UsageError as error:
@@ -143,7 +140,7 @@ def submit(
     **options: object,
 ) -> Job:
     """Submit `data` as a job and return it at once; arguments are those of `discover`."""
-    if isinstance(priority, bool) or not isinstance(priority, int) or priority not in _PRIORITIES:
+    if isinstance(priority, bool) or not isinstance(priority, int) or priority not in range(-10, 11):
         raise UsageError(f"priority must be a whole number from -10 to 10, but {shown(priority)} was given")
     config = config_of(options)
     with python_words():
@@ -182,34 +179,7 @@ def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers:
     return destination(connect, credentials_of(files, os.environ, "connect"))
 
 
-def _failure(view: JobView) -> AtollError:
-    kind = DataError if view.fault == "data" else AtollError
-    return kind(in_python(f"job {view.job} failed: {view.reason}"))
-
-
-@contextlib.contextmanager
-def _display(progress: bool | None) -> Iterator[Display]:
-    with _opened(progress) as display:
-        yield display
-
-
-def _opened(progress: bool | None) -> Display:
+def _display(progress: bool | None) -> Display:
     if progress is False or (progress is None and not is_screen() and not is_notebook()):
-        return _Silence()
+        return PlainDisplay("", write=lambda line: None)
     return NotebookDisplay() if is_notebook() else open_display("")
-
-
-class _Silence:
-    """Shows nothing."""
-
-    def __enter__(self) -> "_Silence":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def show(self, view: object, workers: object, now: float) -> None:
-        """Take notice."""
-
-    def print_note(self, sentence: str) -> None:
-        """Take notice."""

@@ -4,7 +4,7 @@ Letters: N rows, D states, U inputs.
 """
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Self, cast
 
 import numpy as np
@@ -70,29 +70,22 @@ class Discoverer:
             DataError: arrays do not fit together, or cannot be used.
             UsageError: an option is wrong.
         """
-        states = _parts(x)
-        number = _rows(states[0]).shape[1]
-        controls = None if u is None else _parts(u)
-        names, inputs = _names(states[0], None if controls is None else controls[0], feature_names)
+        names, inputs = _names(_parts(x)[0], None if u is None else _parts(u)[0], feature_names)
+        dots = [f"{name}_dot" for name in names]
         trajectories = []
-        for index, part in enumerate(states):
-            rows = _rows(part)
-            columns = {_TIME: _times(_of(t, index, len(states)), len(rows))}
-            columns |= dict(zip(names, _matching(rows, len(rows), number, "x"), strict=True))
+        for states, times, controls, slopes in _trajectories(x, t, u, x_dot):
+            columns = {_TIME: times} | _columns(states, names, len(times), "x")
             if controls is not None:
-                columns |= dict(
-                    zip(inputs, _matching(_rows(controls[index]), len(rows), len(inputs), "u"), strict=True)
-                )
-            if x_dot is not None:
-                slopes = _rows(_parts(x_dot)[index])
-                columns |= dict(zip(_dots(names), _matching(slopes, len(rows), number, "x_dot"), strict=True))
+                columns |= _columns(controls, inputs, len(times), "u")
+            if slopes is not None:
+                columns |= _columns(slopes, dots, len(times), "x_dot")
             trajectories.append(columns)
         roles: dict[str, object] = {"time": _TIME, "states": names, "inputs": inputs or None}
         if x_dot is not None:
-            roles["derivatives"] = _dots(names)
+            roles["derivatives"] = dots
         options: dict[str, Any] = {**roles, **self._options}  # `discover` looks at each itself
         self.model_ = discover(trajectories, **options)
-        self.n_features_in_ = number
+        self.n_features_in_ = len(names)
         self.feature_names_in_ = np.array([*names, *inputs], dtype=object)
         return self
 
@@ -131,14 +124,11 @@ class Discoverer:
 
         `group`: whose constants are taken, with ``per_trajectory=True`` the number of a trajectory from 1.
         """
+        model = self._of(group)
         if isinstance(x, (list, tuple)) and np.ndim(x[0]) == 2:
-            inputs = cast(Sequence[npt.ArrayLike], u)
-            return [self._rates(part, None if u is None else inputs[index], group) for index, part in enumerate(x)]
-        return self._rates(x, u, group)
-
-    def _rates(self, x: npt.ArrayLike, u: npt.ArrayLike | None, group: object) -> FloatArray:
-        """Return the derivatives (N, D) along one trajectory."""
-        return self._of(group).predict(_rows(x), None if u is None else _rows(u))
+            inputs = [None] * len(x) if u is None else cast(Sequence[npt.ArrayLike], u)
+            return [model.predict(_rows(part), _rows_if_any(inputs[index])) for index, part in enumerate(x)]
+        return model.predict(_rows(x), _rows_if_any(u))
 
     def simulate(
         self, x0: npt.ArrayLike, t: npt.ArrayLike, u: GivenInputs = None, *, group: object = None
@@ -167,12 +157,9 @@ class Discoverer:
         `group` is as of `predict`.
         """
         measured, predicted = [], []
-        for index, part in enumerate(_parts(x)):
-            rows = _rows(part)
-            times = _times(_of(t, index, len(_parts(x))), len(rows))
-            slopes = np.gradient(rows, times, axis=0) if x_dot is None else _rows(_parts(x_dot)[index])
-            measured.append(slopes)
-            predicted.append(self._rates(rows, None if u is None else _parts(u)[index], group))
+        for states, times, controls, slopes in _trajectories(x, t, u, x_dot):
+            measured.append(np.gradient(states, times, axis=0) if slopes is None else slopes)
+            predicted.append(self._of(group).predict(states, controls))
         all_measured, all_predicted = np.concatenate(measured), np.concatenate(predicted)
         left = ((all_measured - all_predicted) ** 2).sum(axis=0)
         spread = ((all_measured - all_measured.mean(axis=0)) ** 2).sum(axis=0)
@@ -199,9 +186,17 @@ def _parts(x: npt.ArrayLike) -> list[npt.ArrayLike]:
     )
 
 
-def _of(t: npt.ArrayLike, index: int, count: int) -> npt.ArrayLike:
-    """Return the times of one trajectory: from a list of as many, or what holds for all."""
-    return t[index] if isinstance(t, (list, tuple)) and len(t) == count and np.ndim(t[0]) == 1 else t
+def _trajectories(
+    x: npt.ArrayLike, t: npt.ArrayLike, u: npt.ArrayLike | None, x_dot: npt.ArrayLike | None
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]]:
+    """Yield states (N, D), times (N,), inputs (N, U) and derivatives (N, D) of each trajectory."""
+    parts = _parts(x)
+    has_own_times = isinstance(t, (list, tuple)) and len(t) == len(parts) and np.ndim(t[0]) == 1
+    for index, part in enumerate(parts):
+        states = _rows(part)
+        times = _times(cast(Sequence[npt.ArrayLike], t)[index] if has_own_times else t, len(states))
+        controls, slopes = (None if given is None else _rows(_parts(given)[index]) for given in (u, x_dot))
+        yield states, times, controls, slopes
 
 
 def _rows(part: npt.ArrayLike) -> FloatArray:
@@ -214,6 +209,10 @@ def _rows(part: npt.ArrayLike) -> FloatArray:
     return rows
 
 
+def _rows_if_any(part: npt.ArrayLike | None) -> FloatArray | None:
+    return None if part is None else _rows(part)
+
+
 def _times(t: npt.ArrayLike, rows: int) -> FloatArray:
     times = numbers(t, "times")
     if times.ndim == 0:
@@ -223,10 +222,10 @@ def _times(t: npt.ArrayLike, rows: int) -> FloatArray:
     return times
 
 
-def _matching(values: FloatArray, rows: int, columns: int, name: str) -> list[FloatArray]:
-    if values.shape != (rows, columns):
-        raise DataError(f"{name} has the shape {values.shape}, but ({rows}, {columns}) is expected")
-    return [*values.T]
+def _columns(values: FloatArray, names: Sequence[str], rows: int, what: str) -> dict[str, FloatArray]:
+    if values.shape != (rows, len(names)):
+        raise DataError(f"{what} has the shape {values.shape}, but ({rows}, {len(names)}) is expected")
+    return dict(zip(names, values.T, strict=True))
 
 
 def _names(x: npt.ArrayLike, u: npt.ArrayLike | None, given: Sequence[str] | None) -> tuple[list[str], list[str]]:
@@ -242,7 +241,3 @@ def _names(x: npt.ArrayLike, u: npt.ArrayLike | None, given: Sequence[str] | Non
 def _own(part: npt.ArrayLike | None, letter: str, count: int) -> list[str]:
     columns = getattr(part, "columns", None)
     return [f"{letter}{index}" for index in range(count)] if columns is None else [str(column) for column in columns]
-
-
-def _dots(names: Sequence[str]) -> list[str]:
-    return [f"{name}_dot" for name in names]

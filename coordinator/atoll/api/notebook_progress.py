@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from atoll.client.follower import Display
 from atoll.terminal.output import note
 from atoll.terminal.progress import plain_lines
 from atoll_core.wire.messages.views import JobView, WorkerView
@@ -15,8 +16,8 @@ def is_notebook() -> bool:
     return "ipykernel" in sys.modules
 
 
-class NotebookDisplay:
-    """The lines of the plain display, in their place. A context manager, like all displays."""
+class NotebookDisplay(Display):
+    """The lines of the plain display, in their place."""
 
     def __init__(self) -> None:
         import IPython.display
@@ -25,12 +26,6 @@ class NotebookDisplay:
         self._html = ipython.HTML
         self._handle = ipython.display(ipython.HTML(""), display_id=True)
         self._shown: list[str] = []
-
-    def __enter__(self) -> "NotebookDisplay":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
         """Write the lines anew when they have changed."""

@@ -7,14 +7,14 @@ import atexit
 import contextlib
 import json
 import os
-import queue
+import selectors
 import subprocess
 import sys
 import threading
 from numbers import Integral
 from typing import Final
 
-from atoll.client.local_workers import plain_environment
+from atoll.client.local_workers import start_apart
 from atoll.client.options import MOST_WORKERS
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.machine.cores import usable_cores
@@ -32,13 +32,7 @@ class LocalService:
         self.workers = workers
         self.owner = os.getpid()
         command = [sys.executable, "-P", "-m", "atoll.api.host", str(workers), str(self.owner)]
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=plain_environment(),
-            start_new_session=True,  # a Ctrl-C on the terminal is ours alone to handle
-        )
+        self._process = start_apart(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         try:
             self.endpoint = self._heard()
         except BaseException:
@@ -76,18 +70,14 @@ class LocalService:
 
     def _heard(self) -> str:
         """Return where it listens."""
-        lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         pipe = self._process.stdout
         assert pipe is not None
-        reader = threading.Thread(target=lambda: lines.put(pipe.readline()), name="reading an address", daemon=True)
-        reader.start()
-        try:
-            line = lines.get(timeout=_START_LIMIT_S)
-        except queue.Empty:
-            self._process.kill()
-            raise UnreachableError(f"the local service did not start within {_START_LIMIT_S:.0f} s") from None
-        finally:
-            reader.join(1.0)
+        with selectors.DefaultSelector() as selector:
+            selector.register(pipe, selectors.EVENT_READ)
+            if not selector.select(_START_LIMIT_S):
+                self._process.kill()
+                raise UnreachableError(f"the local service did not start within {_START_LIMIT_S:.0f} s")
+        line = pipe.readline()  # whole, since it is written at once
         said = json.loads(line) if line.strip() else {"error": "the local service ended as it began; see stderr"}
         if "endpoint" not in said:
             raise AtollError(said["error"])

@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from pydantic import BaseModel, ValidationError
 
@@ -31,27 +31,18 @@ def configure(values: Mapping[str, object], job_file: object = None) -> JobConfi
             given |= OPTIONS[name].decide(value)
     preset = given.get("preset", settings.get("preset", "default"))
     base = next((config.model_dump() for name, config in PRESETS.items() if name == preset), {})
-    merged = _overlay(_overlay(base, settings), _nested(given))
-    merged["preset"] = preset
+    nested: dict[str, Any] = {}
+    for dotted, value in given.items():
+        group, _, key = dotted.rpartition(".")
+        place = nested.setdefault(group, {}) if group else nested
+        place[key] = value
+    merged = _overlay(_overlay(base, settings), nested)
     try:
-        config = JobConfig.model_validate(merged)
+        config = JobConfig.model_validate(merged | {"preset": preset})
     except ValidationError as error:
         raise _refusal(error, given, job_file) from error
     _check(config)
     return config
-
-
-def _nested(values: Mapping[str, object]) -> dict[str, object]:
-    nested: dict[str, object] = {}
-    for dotted, value in values.items():
-        *groups, key = dotted.split(".")
-        place = nested
-        for group in groups:
-            below = place.setdefault(group, {})
-            assert isinstance(below, dict)
-            place = below
-        place[key] = value
-    return nested
 
 
 def _overlay(base: Mapping[str, object], top: Mapping[str, object]) -> dict[str, object]:
@@ -111,7 +102,6 @@ def _check(config: JobConfig) -> None:
         _check_operators(operators)
     _check_modes(config.data)
     _check_columns(config.data)
-    _check_angles(config.data)
 
 
 def _check_operators(operators: Sequence[str]) -> None:
@@ -150,7 +140,7 @@ def _contradiction(one: Field, other: Field, reason: str) -> UsageError:
 
 
 def _check_columns(data: DataConfig) -> None:
-    """Refuse a column in two roles."""
+    """Refuse a column in two roles, and an angle that is named twice, perhaps in two units."""
     roles = {
         "states": data.states or (),
         "inputs": data.inputs,
@@ -170,11 +160,7 @@ def _check_columns(data: DataConfig) -> None:
                 "%r is named by both %s and %s; a column has one role", column, Field(first[column]), Field(role)
             )
         first[column] = role
-
-
-def _check_angles(data: DataConfig) -> None:
-    """Refuse an angle that is named twice, perhaps in two units."""
-    columns = [angle.column for angle in data.angles]
-    for column in columns:
-        if columns.count(column) > 1:
-            raise UsageError("%s names %r twice; name every angle once", Field("angle"), column)
+    angles = [angle.column for angle in data.angles]
+    twice = next((column for column in angles if angles.count(column) > 1), None)
+    if twice is not None:
+        raise UsageError("%s names %r twice; name every angle once", Field("angle"), twice)

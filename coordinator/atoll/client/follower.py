@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import Final, Protocol, Self
 
 from atoll.client.client import Client
 from atoll_core.errors import UnreachableError
@@ -18,9 +18,11 @@ _LAST_INTERVAL_S: Final = 0.3
 class Display(Protocol):
     """Shows a job's progress; a context manager."""
 
-    def __enter__(self) -> "Display": ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *_: object) -> None: ...
+    def __exit__(self, *_: object) -> None:
+        pass
 
     def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
         """Take notice of the latest state, seen at monotonic second `now`."""

@@ -46,22 +46,19 @@ class LocalCoordinator:
 
     def _run(self) -> None:
         try:
-            self._serve()
+            from atoll_coordinator.service.background.dependencies import Dependencies
+            from atoll_coordinator.service.service_loop import Service
+            from atoll_coordinator.service.store.store import Store
+            from atoll_core.wire.bus.zenoh_bus import open_router
+
+            with Store.open(None) as store, open_router(self._endpoint) as bus:
+                dependencies = Dependencies(self._pool)
+                service = Service(
+                    bus, store, expected_workers=self._workers, dismisses_workers=True, dependencies=dependencies
+                )
+                self._listening.set()
+                service.run(self._stop)
         except BaseException as error:  # handed to the main thread, which raises it
             self._error = error
         finally:
             self._listening.set()
-
-    def _serve(self) -> None:
-        from atoll_coordinator.service.background.dependencies import Dependencies
-        from atoll_coordinator.service.service_loop import Service
-        from atoll_coordinator.service.store.store import Store
-        from atoll_core.wire.bus.zenoh_bus import open_router
-
-        with Store.open(None) as store, open_router(self._endpoint) as bus:
-            dependencies = Dependencies(self._pool)
-            service = Service(
-                bus, store, expected_workers=self._workers, dismisses_workers=True, dependencies=dependencies
-            )
-            self._listening.set()
-            service.run(self._stop)

@@ -11,8 +11,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from atoll_core.command_line import TLS_OPTIONS
 from atoll_core.errors import AtollError
@@ -25,10 +24,14 @@ _SPEAKER: Final = b"island-worker: "
 """Begins lines of the log that are for people."""
 
 
-def plain_environment() -> dict[str, str]:
-    """Return this process's environment without certificates: on this machine alone nothing is encrypted."""
+def start_apart(command: Sequence[str], **streams: Any) -> "subprocess.Popen[bytes]":
+    """Start a program in a session of its own, since a Ctrl-C on the terminal is ours alone to handle.
+
+    Its environment is ours without certificates: on this machine alone nothing is encrypted.
+    """
     certificates = {variable for variable, _ in TLS_OPTIONS.values()}
-    return {name: value for name, value in os.environ.items() if name not in certificates}
+    environment = {name: value for name, value in os.environ.items() if name not in certificates}
+    return subprocess.Popen(command, env=environment, start_new_session=True, **streams)
 
 
 class NoWorkerLeftError(AtollError):
@@ -47,19 +50,10 @@ class LocalWorkers:
     def __enter__(self) -> Self:
         with self.log.open("ab") as log:
             self._begin = self._read = log.tell()
-            self._process = subprocess.Popen(
-                self._command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                env=plain_environment(),
-                start_new_session=True,  # a Ctrl-C on the terminal is ours alone to handle
-            )
+            self._process = start_apart(self._command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:  # one that is starting may hear nothing for seconds, and nothing is lost with it
             self._process.kill()
         self.stop()
@@ -72,7 +66,9 @@ class LocalWorkers:
         has_ended = self._process.poll() is not None
         sentences = self._said()
         if has_ended:
-            raise NoWorkerLeftError(f"{_ENDED}; the reason is in {self.log}{self._last_line()}")
+            lines = self.log.read_bytes()[self._begin :].decode("utf-8", "replace").strip().splitlines()
+            last = f": {lines[-1]}" if lines else ""
+            raise NoWorkerLeftError(f"{_ENDED}; the reason is in {self.log}{last}")
         return sentences
 
     def dismiss(self) -> None:
@@ -100,21 +96,13 @@ class LocalWorkers:
             self._read = log.tell() - len(rest)
         return [line.removeprefix(_SPEAKER).decode("utf-8", "replace") for line in lines if line.startswith(_SPEAKER)]
 
-    def _last_line(self) -> str:
-        lines = self.log.read_bytes()[self._begin :].decode("utf-8", "replace").strip().splitlines()
-        return f": {lines[-1]}" if lines else ""
-
-
-def worker_command(endpoint: str, name: str) -> Sequence[str]:
-    """Return the command of one worker process, which ends when this process does."""
-    return _command(endpoint, name, 1)
-
 
 def supervisor_command(endpoint: str, number: int) -> Sequence[str]:
     """Return the command of the process that keeps so many workers, w-0, w-1 and so on, and ends when this one does."""
-    return [*_command(endpoint, "w", number), "--supervise"]
+    return [*worker_command(endpoint, "w", number), "--supervise"]
 
 
-def _command(endpoint: str, name: str, number: int) -> Sequence[str]:
+def worker_command(endpoint: str, name: str, number: int = 1) -> Sequence[str]:
+    """Return the command of so many worker processes, which end when this process does."""
     options = ["--connect", endpoint, "--processes", str(number), "--name", name, "--wait", "30", "--grace", "0"]
     return [sys.executable, "-m", "atoll_island_worker", *options, "--parent", str(os.getpid())]

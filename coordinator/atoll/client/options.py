@@ -133,12 +133,13 @@ def switch(value: object, field: Field) -> bool:
 
 def angles(value: object, field: Field) -> list[dict[str, str | bool]]:
     """Return the angles of ``theta`` and ``theta:deg``."""
-    return [_angle(text(part, field)) for part in _several(value)]
-
-
-def _angle(line: str) -> dict[str, str | bool]:
-    column, _, unit = line.rpartition(":")
-    return {"column": column, "degrees": unit == "deg"} if column and unit in ("deg", "rad") else {"column": line}
+    read: list[dict[str, str | bool]] = []
+    for part in _several(value):
+        line = text(part, field)
+        column, _, unit = line.rpartition(":")
+        has_unit = bool(column) and unit in ("deg", "rad")
+        read.append({"column": column, "degrees": unit == "deg"} if has_unit else {"column": line})
+    return read
 
 
 def by_equation(value: object, field: Field, *, example: str, noun: str = "the equation") -> dict[str, object]:
@@ -205,12 +206,9 @@ def _pairs(value: object, field: Field, example: str) -> list[tuple[str, object]
         (str(side).strip(), right.strip() if isinstance(right, str) else right) for side, right in pairs
     ]
     if not all(side and right for side, right in stripped):
-        raise UsageError("%s must be of the form %s, but %s was given", field, example, _shown(value))
+        given = value[0] if isinstance(value, list) and len(value) == 1 else value
+        raise UsageError("%s must be of the form %s, but %r was given", field, example, given)
     return stripped
-
-
-def _shown(value: object) -> str:
-    return repr(value[0] if isinstance(value, list) and len(value) == 1 else value)
 
 
 GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {

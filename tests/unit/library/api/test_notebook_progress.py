@@ -5,7 +5,7 @@ from types import ModuleType
 
 import pytest
 
-from atoll.api.discover import _opened
+from atoll.api.discover import _display
 from atoll.api.notebook_progress import NotebookDisplay
 from atoll_core.wire.messages.views import JobView
 
@@ -38,7 +38,7 @@ def handle(monkeypatch: pytest.MonkeyPatch) -> Handle:
 
 
 def test_what_has_not_changed_is_not_written_again(handle: Handle) -> None:
-    with _opened(None) as display:
+    with _display(None) as display:
         assert isinstance(display, NotebookDisplay)
         display.show(VIEW, (), 0.0)
         display.show(VIEW, (), 1.0)
@@ -48,4 +48,4 @@ def test_what_has_not_changed_is_not_written_again(handle: Handle) -> None:
 
 @pytest.mark.usefixtures("handle")
 def test_nothing_is_shown_where_nobody_wants_it() -> None:
-    assert not isinstance(_opened(False), NotebookDisplay)
+    assert not isinstance(_display(False), NotebookDisplay)
