@@ -1,10 +1,43 @@
-"""The exit codes of the program; those of errors are in `atoll_core.errors`."""
+"""The exit codes of the program, and what the end of a job means; those of errors are in `atoll_core.errors`."""
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
+from atoll.terminal.output import note
 from atoll_core.signals import INTERRUPTED as INTERRUPTED
+
+if TYPE_CHECKING:
+    from atoll_core.wire.messages.views import JobView
 
 DONE: Final = 0
 FAILED: Final = 1
 BAD_INPUT: Final = 2
 TARGET_MISSED: Final = 4
+
+NOTHING_FOUND: Final = ", before it found any equation"
+"""What a sentence on a cancelled job ends with that has no equations."""
+
+
+def finish(view: "JobView") -> int:
+    """Say on stderr what an unwanted end of a job means; return its exit code."""
+    code, sentence = ending(view)
+    if sentence is not None:
+        note(f"coordinator: {sentence}")
+    return code
+
+
+def ending(view: "JobView") -> tuple[int, str | None]:
+    """Return the exit code of a job that has ended, and the sentence that explains one other than 0."""
+    if view.state == "failed":
+        return BAD_INPUT if view.fault == "data" else FAILED, f"job {view.job} failed: {view.reason}"
+    if view.state == "cancelled":
+        kept = "; what it had found is kept" if has_found(view) else NOTHING_FOUND
+        return INTERRUPTED, f"job {view.job} was cancelled{kept}"
+    missed = [each.lhs for each in view.variables if not each.converged and each.why != "known"]
+    if view.target_error is None or not missed:
+        return DONE, None
+    return TARGET_MISSED, f"--target-error {view.target_error:g} was not met within the budget by {', '.join(missed)}"
+
+
+def has_found(view: "JobView") -> bool:
+    """Tell whether a job has any equation that was searched for."""
+    return any(variable.expression is not None and variable.why != "known" for variable in view.variables)

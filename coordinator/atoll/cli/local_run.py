@@ -6,8 +6,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from atoll.cli.ending import finish
-from atoll.cli.exit_codes import FAILED, INTERRUPTED
+from atoll.cli.exit_codes import FAILED, INTERRUPTED, finish
 from atoll.cli.next_step import next_step
 from atoll.cli.request import request_of
 from atoll.cli.result_files import REPORT, write_report, write_result

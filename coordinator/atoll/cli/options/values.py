@@ -2,10 +2,13 @@
 
 import math
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from atoll_core.errors import UsageError
 from atoll_core.wire.topics import is_id
+
+T = TypeVar("T")
 
 
 def job_id(text: str | None) -> str:
@@ -33,6 +36,11 @@ def whole_number(text: str, option: str) -> int:
     if not text.isdecimal():
         raise UsageError(f"{option} must be a whole number, but {text!r} was given")
     return int(text)
+
+
+def if_given(read: Callable[[str, str], T], text: str | None, option: str) -> T | None:
+    """Return what `read` makes of the text of an option; None where it was not given."""
+    return None if text is None else read(text, option)
 
 
 def interval(text: str, option: str) -> tuple[float, float]:

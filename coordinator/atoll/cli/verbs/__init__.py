@@ -2,7 +2,7 @@
 
 ``run`` searches on this machine; ``serve`` and ``router`` run until they are told to end; ``submit`` gives a job to a
 coordinator and follows it; ``jobs`` has the verbs that look at, cancel or delete jobs (``jobs``, ``status``,
-``workers``, ``cancel``, ``delete``); ``result`` prints equations and ``logs`` events;
-``simulate`` and ``analyse`` take the model of a saved result. `options.parser.HANDLERS` maps
-commands to these modules; ``doctor`` has a room of its own.
+``workers``, ``cancel``, ``delete``); ``result`` prints equations and ``logs`` events; ``models`` has those that take
+the model of a saved result (``simulate``, ``analyse``, ``suggest``), ``export`` and ``report`` one each.
+`options.parser.HANDLERS` maps commands to these modules; ``doctor`` has a room of its own.
 """

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.saved_model import chosen_times, deliver, held_inputs, load, start_of
+from atoll.cli.verbs.models import chosen_times, deliver, held_inputs, load, start_of
 from atoll.model.model import Model
 from atoll.terminal.output import note
 from atoll_coordinator.result.result import Result

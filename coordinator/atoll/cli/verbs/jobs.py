@@ -4,8 +4,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Final
 
-from atoll.cli.ending import NOTHING_FOUND, finish, has_found
-from atoll.cli.exit_codes import DONE
+from atoll.cli.exit_codes import DONE, NOTHING_FOUND, finish, has_found
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.cli.worker_table import coordinator_lines, worker_table
 from atoll.client.client import Client, connected

@@ -4,8 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from atoll.cli.ending import finish
-from atoll.cli.exit_codes import DONE, INTERRUPTED
+from atoll.cli.exit_codes import DONE, INTERRUPTED, finish
 from atoll.cli.request import CONNECT_LIMIT_S, Request, address_of, request_of
 from atoll.cli.result_files import REPORT, refuse_existing_result, write_report, write_result
 from atoll.client.client import Client, connected

@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll.cli.ending import ending
+from atoll.cli.exit_codes import ending
 from atoll_core.wire.messages.views import VariableView
 from tests.views import job_view
 

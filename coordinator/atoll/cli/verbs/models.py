@@ -1,0 +1,151 @@
+"""The verbs ``simulate``, ``analyse`` and ``suggest``: what the model of a saved result does, and what it leaves open.
+
+What ``export`` has in common with them is here, too.
+"""
+
+import argparse
+import warnings
+from pathlib import Path
+
+from atoll.cli.exit_codes import DONE
+from atoll.cli.options.values import finite_number, if_given, interval, intervals, numbers, whole_number
+from atoll.model.files import write_text
+from atoll.model.model import Model
+from atoll.model.simulation import EarlyEndWarning
+from atoll.model.start import Start, start_of_file, times_of
+from atoll.terminal.output import as_json, note, say
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+
+
+def simulate(options: argparse.Namespace) -> int:
+    """Simulate the model of ``options.result``, or draw paths; how it ends is said on stderr. Return the exit code."""
+    model = load(options)
+    if model.is_regression:
+        raise UsageError("the model is a regression without time, so there is nothing to simulate; see its result")
+    start = start_of(model, options.initial)
+    times = chosen_times(model, start, options)
+    inputs = start.inputs(times) | held_inputs(model, options)
+    paths, seed = _paths(options)
+    if paths is not None:
+        ensemble = model.simulate(start.state, times, inputs, paths=paths, seed=seed)
+        is_each = options.each_path
+        text = as_json(ensemble.as_dict(has_paths=is_each)) if options.json else ensemble.to_csv(has_paths=is_each)
+        deliver(text, options.output)
+        if len(ensemble.finite) < paths:
+            note(f"coordinator: {ensemble.message}")
+        return DONE
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", EarlyEndWarning)  # said in a line of its own
+        simulation = model.simulate(start.state, times, inputs)
+    deliver(as_json(simulation.as_dict()) if options.json else simulation.to_csv(), options.output)
+    if model.result.process is not None:
+        note("coordinator: the drift was simulated, without the noise of the process; --paths draws paths with it")
+    if simulation.status != "finished":
+        note(f"coordinator: the simulation ended early: {simulation.message}")
+    return DONE
+
+
+def _paths(options: argparse.Namespace) -> tuple[int | None, int]:
+    """Return how many paths are to be drawn, None for a simulation, and their seed; raises UsageError."""
+    paths = if_given(whole_number, options.paths, "--paths")
+    seed = if_given(whole_number, options.seed, "--seed")
+    if paths is None and (options.each_path or seed is not None):
+        option = "--each-path" if options.each_path else "--seed"
+        raise UsageError(f"{option} belongs to --paths; say how many there are")
+    return paths, seed or 0
+
+
+def analyse(options: argparse.Namespace) -> int:
+    """Analyse the model of ``options.result``. Return the exit code."""
+    vary = _vary(options.parameter, options.range)
+    bounds, held = intervals(options.box, "--box"), numbers(options.hold, "--hold", "u=1")
+    if options.data is not None and not options.identifiability:
+        raise UsageError("--data was given without --identifiability, which alone uses it; give both")
+    model = load(options)
+    analysis = model.analyse(bounds, inputs=held, vary=vary)
+    known = model.identifiability(data=options.data) if options.identifiability else None
+    if options.json:
+        text = as_json(analysis.as_dict() | {"identifiability": None if known is None else known.as_dict()})
+    else:
+        text = str(analysis) if known is None else f"{analysis}\n{known}"
+    deliver(text, options.output)
+    return DONE
+
+
+def _vary(parameter: str | None, bounds: str | None) -> tuple[str, tuple[float, float]] | None:
+    if parameter is None and bounds is None:
+        return None
+    if parameter is None or bounds is None:
+        given, missing = ("--range", "--parameter c1") if parameter is None else ("--parameter", "--range A:B")
+        raise UsageError(f"{given} was given without {missing}; give both")
+    return parameter, interval(bounds, "--range")
+
+
+def suggest(options: argparse.Namespace) -> int:
+    """Suggest experiments for ``options.result``. Return the exit code."""
+    suggestions = load(options).suggest(
+        intervals(options.box, "--box"),
+        duration=if_given(finite_number, options.duration, "--duration"),
+        samples=if_given(whole_number, options.samples, "--samples"),
+        cost=options.cost,
+        count=whole_number(options.count, "--count"),
+        rivals=[_rival(text) for text in options.rival],
+        seed=whole_number(options.seed, "--seed"),
+        data=options.data,
+    )
+    deliver(as_json(suggestions.as_dict()) if options.json else str(suggestions), options.output)
+    return DONE
+
+
+def _rival(text: str) -> dict[str, str]:
+    """Split ``dx=EXPR; dy=EXPR`` into right-hand sides by left-hand side."""
+    equations: dict[str, str] = {}
+    for equation in filter(None, (part.strip() for part in text.split(";"))):
+        side, separator, right = (part.strip() for part in equation.partition("="))
+        if not separator or not side or not right:
+            raise UsageError(f"--rival wants dx=EXPR, several separated by ';', but got {text!r}")
+        equations[side] = right
+    if not equations:
+        raise UsageError("--rival wants dx=EXPR, but got nothing")
+    return equations
+
+
+def load(options: argparse.Namespace) -> Model:
+    """Return the model of ``options.result``, that of ``options.group`` if named; raises UsageError."""
+    model = Model.load(options.result)
+    return model if options.group is None else model.of_group(options.group)
+
+
+def start_of(model: Model, text: str | None) -> Start:
+    """Return what ``--initial`` says: numbers by name, or a data file; raises UsageError or DataError."""
+    if text is None:
+        return Start()
+    if Path(text).is_file():
+        return start_of_file(model, Path(text))
+    if "=" not in text:
+        raise UsageError(f"--initial wants numbers such as x=1,y=3 or a data file, and {text!r} is neither")
+    return Start(numbers([text], "--initial", "NAME=NUMBER, separated by commas"))
+
+
+def chosen_times(model: Model, start: Start, options: argparse.Namespace) -> FloatArray:
+    """Return the times that ``--until`` and ``--step`` choose; raises UsageError where nothing tells them."""
+    end = if_given(finite_number, options.until, "--until")
+    return times_of(model, start, end, if_given(finite_number, options.step, "--step"))
+
+
+def held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
+    """Return the inputs that ``--hold`` gives, by symbol; raises UsageError."""
+    held, symbols = numbers(options.hold, "--hold", "u=1"), model.result.symbols
+    unknown = next((name for name in held if symbols.get(name, name) not in model.inputs), None)
+    if unknown is not None:
+        raise UsageError(f"--hold names {unknown!r}; the inputs are {', '.join(model.inputs) or 'none'}")
+    return {symbols.get(name, name): value for name, value in held.items()}
+
+
+def deliver(text: str, output: str | None) -> None:
+    """Write a text with a newline at its end to the file `output`, or on stdout; raises UsageError."""
+    if output is None:
+        say(text)
+    else:
+        write_text(output, text.removesuffix("\n") + "\n")
