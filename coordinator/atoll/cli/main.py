@@ -22,8 +22,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     try:
         return exit_code_of(lambda: _dispatch(words), _complain)
-    except BrokenPipeError:
-        return _forget_stdout()
+    except BrokenPipeError:  # the reader of our output has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # quiet, also when Python flushes at exit
+        return 0
     except Exception as error:
         if os.environ.get("ATOLL_DEBUG") == "1":
             raise
@@ -49,12 +50,6 @@ def _complain(sentence: str) -> None:
     with contextlib.suppress(OSError):  # a full disk: the exit code says that something was wrong
         sys.stderr.write(f"coordinator: {sentence}\n")
         sys.stderr.flush()
-
-
-def _forget_stdout() -> int:
-    """The reader of our output has gone: be quiet, also when Python flushes at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
 
 
 def _record(error: Exception) -> str:

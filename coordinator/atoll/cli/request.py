@@ -70,9 +70,8 @@ class Request:
         if budget.max_time is None:
             return self
         left = max(budget.max_time - seconds, _LEAST_SHARE * budget.max_time)
-        return replace(
-            self, config=self.config.model_copy(update={"budget": budget.model_copy(update={"max_time": left})})
-        )
+        budget = budget.model_copy(update={"max_time": left})
+        return replace(self, config=self.config.model_copy(update={"budget": budget}))
 
     def result(self, client: Client, view: JobView) -> "Result | None":
         """Return the result of the ended job, with the command of this process; None when there is none yet."""
@@ -94,19 +93,15 @@ class Request:
 
 
 def request_of(options: argparse.Namespace) -> Request:
-    """Return the job that the options describe.
-
-    Raises:
-        UsageError: the options are wrong.
-        DataError: a file is not there.
-    """
+    """Return the job that the options describe; raises UsageError, or DataError where a file is not there."""
     files = tuple(Path(name) for name in options.data)
     name = options.name if options.name is not None else files[0].name
     config = config_of(options)
     request = Request(job_id(options.id), name, config, files, options.json, getattr(options, "priority", 0))
     for file in files:
         if not file.is_file():
-            what = _what_is_there(file)
+            there = "is a pipe or a device" if file.exists() else "does not exist"
+            what = "is a folder" if file.is_dir() else there
             hint = similar_file(file) or "; check the name"
             raise DataError(f"{file} {what}, but a data file was expected, such as CSV{hint}")
     return request
@@ -117,12 +112,6 @@ def config_of(options: argparse.Namespace) -> JobConfig:
     given = {name: getattr(options, name) for name in OPTIONS}
     values = {name: Repeated(value) if isinstance(value, list) else value for name, value in given.items()}
     return configure(values, options.config)
-
-
-def _what_is_there(path: Path) -> str:
-    if path.is_dir():
-        return "is a folder"
-    return "is a pipe or a device" if path.exists() else "does not exist"
 
 
 def address_of(options: argparse.Namespace) -> Destination:

@@ -41,7 +41,10 @@ def configure(values: Mapping[str, object], job_file: object = None) -> JobConfi
         config = JobConfig.model_validate(merged | {"preset": preset})
     except ValidationError as error:
         raise _refusal(error, given, job_file) from error
-    _check(config)
+    for operators in (config.space.operators, *config.space.operators_of.values()):
+        _check_operators(operators)
+    _check_modes(config.data)
+    _check_columns(config.data)
     return config
 
 
@@ -95,13 +98,6 @@ def _place(path: Sequence[str], given: Mapping[str, object], file: object) -> Fi
     keys = {".".join(path[:2]), path[0]} & set(given)
     option = next((option for option in OPTIONS.values() if keys & set(option.settings.split())), None)
     return Field(option.name) if option is not None else f"{'.'.join(path)} in {file}"
-
-
-def _check(config: JobConfig) -> None:
-    for operators in (config.space.operators, *config.space.operators_of.values()):
-        _check_operators(operators)
-    _check_modes(config.data)
-    _check_columns(config.data)
 
 
 def _check_operators(operators: Sequence[str]) -> None:

@@ -26,16 +26,15 @@ def doctor(options: argparse.Namespace) -> int:
 
 def examine(options: argparse.Namespace, checks: Sequence[Check]) -> list[Finding]:
     """Return what these checks find."""
-    return [finding for check in checks for finding in _found(check, options)]
-
-
-def _found(check: Check, options: argparse.Namespace) -> list[Finding]:
-    try:
-        return list(check(options))
-    except Exception as error:  # whatever is wrong with one check, the others are made
-        name = check.__name__.removeprefix("check_")
-        fact = f"could not be examined ({type(error).__name__}: {error})"
-        return [Finding(name, "problem", fact, "report this; the other findings hold")]
+    findings: list[Finding] = []
+    for check in checks:
+        try:
+            findings += list(check(options))
+        except Exception as error:  # whatever is wrong with one check, the others are made
+            name = check.__name__.removeprefix("check_")
+            fact = f"could not be examined ({type(error).__name__}: {error})"
+            findings.append(Finding(name, "problem", fact, "report this; the other findings hold"))
+    return findings
 
 
 def check_data(options: argparse.Namespace) -> Iterator[Finding]:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-from atoll.client.options import GROUPS, MOST_WORKERS, Option
+from atoll.client.options import GROUPS, MOST_WORKERS
 from atoll_core.command_line import add_log_options, add_tls_options, seconds, whole_number
 from atoll_core.completion import SHELLS
 
@@ -56,17 +56,14 @@ def _job_options(heading: str) -> Add:
     def add(parser: argparse.ArgumentParser) -> None:
         group: Any = parser.add_argument_group(heading)
         for option in GROUPS[heading]:
-            _job_option(option)(group)
+            if option.metavar is None:
+                _switch(option.flag, option.help)(group)
+            elif option.is_repeatable:
+                _value(option.flag, option.metavar, f"{option.help}; repeatable", action="append")(group)
+            else:
+                _value(option.flag, option.metavar, option.help)(group)
 
     return add
-
-
-def _job_option(option: Option) -> Add:
-    if option.metavar is None:
-        return _switch(option.flag, option.help)
-    if option.is_repeatable:
-        return _value(option.flag, option.metavar, f"{option.help}; repeatable", action="append")
-    return _value(option.flag, option.metavar, option.help)
 
 
 def _keep(text: str) -> tuple[int | None, int | None]:

@@ -42,9 +42,7 @@ EXIT_CODES: Final = (
 def parse(argv: Sequence[str]) -> argparse.Namespace:
     """Return the parsed options; `verb` is one of `HANDLERS`.
 
-    Raises:
-        UsageError: an option or verb is unknown or incomplete.
-        SystemExit: after ``--help`` or ``--version``.
+    Raises UsageError where an option or verb is unknown or incomplete, SystemExit after ``--help`` or ``--version``.
     """
     parser = build_parser()
     complete(parser)

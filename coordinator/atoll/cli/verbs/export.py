@@ -19,7 +19,10 @@ def export(options: argparse.Namespace) -> int:
     from atoll.export.formats import LANGUAGES, OF_RESULTS, PETAB, write
 
     if options.format == PETAB:
-        _write_petab(_chosen(load(options), options), options)
+        model = _chosen(load(options), options)
+        if options.output is None:
+            raise UsageError("petab is a folder of several files; name it with -o FOLDER")
+        model.to_petab(options.output, None if options.data is None else _trajectories(model, options.data))
         return DONE
     if options.data is not None:
         raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
@@ -47,12 +50,10 @@ def _chosen(model: Model, options: argparse.Namespace) -> Model:
     if options.pick and options.candidate is not None:
         raise UsageError("--pick and --candidate both choose equations; give one of them")
     if options.candidate is not None:
-        candidates = model.candidates
-        if options.candidate > len(candidates):
-            raise UsageError(
-                f"--candidate {options.candidate} is not there: the result has {len(candidates)} candidates"
-            )
         number: int = options.candidate
+        candidates = model.candidates
+        if number > len(candidates):
+            raise UsageError(f"--candidate {number} is not there: the result has {len(candidates)} candidates")
         return candidates[number - 1]
     if options.pick:
         from atoll.text.render import parse_picks, pick
@@ -74,12 +75,6 @@ def _beginning(
     times = chosen_times(model, start, options) if is_told else None
     inputs = {} if times is None else start.inputs(times)
     return start.state, times, {**inputs, **held_inputs(model, options)}
-
-
-def _write_petab(model: Model, options: argparse.Namespace) -> None:
-    if options.output is None:
-        raise UsageError("petab is a folder of several files; name it with -o FOLDER")
-    model.to_petab(options.output, None if options.data is None else _trajectories(model, options.data))
 
 
 def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArray]]:

@@ -118,16 +118,15 @@ def _status_text(view: JobView, workers: Sequence[WorkerView], hint: str) -> str
 def _job_table(views: Sequence[JobView]) -> str:
     if not views:
         return "no job is here; give one with: coordinator submit DATA"
-    rows = [
-        (view.job, clipped(view.name, 24), view.state, str(view.priority), duration(view.elapsed), *_measures(view))
-        for view in views
-    ]
     heads = ("ID", "NAME", "STATE", "PRIORITY", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND", "NOTE")
-    return table(heads, rows)
+    return table(heads, [_row(view) for view in views])
 
 
-def _measures(view: JobView) -> tuple[str, ...]:
+def _row(view: JobView) -> tuple[str, ...]:
     epochs = ",".join(str(variable.epoch) for variable in view.variables) or "-"
     converged = sum(variable.converged for variable in view.variables)
-    note = clipped(view.reason or (view.stalls[0] if view.stalls else ""), 70)
-    return str(view.workers), epochs, count(view.point_evaluations), f"{converged} of {len(view.variables)}", note
+    return (
+        view.job, clipped(view.name, 24), view.state, str(view.priority), duration(view.elapsed), str(view.workers),
+        epochs, count(view.point_evaluations), f"{converged} of {len(view.variables)}",
+        clipped(view.reason or (view.stalls[0] if view.stalls else ""), 70),
+    )  # fmt: skip

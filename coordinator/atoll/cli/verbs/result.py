@@ -29,24 +29,15 @@ def result(options: argparse.Namespace) -> int:
             raise UsageError(f"{found_nothing}; give PATH/result.json, or --connect tcp/HOST:PORT")
         with connected(address_of(options), CONNECT_LIMIT_S) as client:
             shown = Result.of(client.result(client.resolve(options.job)))
-    say(_text(shown, "json" if options.json else options.format or "text", options.pick))
-    return DONE
-
-
-def _text(result: Result, how: str, picks: list[str]) -> str:
     from atoll.text.render import parse_picks, pick, render, render_text
 
-    chosen = pick(result, parse_picks(picks)) if picks else result
-    if how == "json":
-        return as_json(chosen.as_dict())
-    if how == "text":
-        return "\n".join([*_heading(chosen), render_text(chosen, fronts=True)])
-    return render(chosen, how)
-
-
-def _heading(result: Result) -> list[str]:
-    """Return a line on the state of a job that is not done."""
-    if result.state == "done":
-        return []
-    reason = f": {result.reason}" if result.reason else ""
-    return [f"job {result.job} is {result.state}{reason}"]
+    chosen = pick(shown, parse_picks(options.pick)) if options.pick else shown
+    if options.json or options.format == "json":
+        say(as_json(chosen.as_dict()))
+    elif options.format in (None, "text"):
+        reason = f": {chosen.reason}" if chosen.reason else ""
+        heading = "" if chosen.state == "done" else f"job {chosen.job} is {chosen.state}{reason}\n"
+        say(heading + render_text(chosen, fronts=True))
+    else:
+        say(render(chosen, options.format))
+    return DONE
