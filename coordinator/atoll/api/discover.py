@@ -46,9 +46,7 @@ class Job:
     def wait(self, timeout: float | None = None, *, progress: bool | None = None) -> Self:
         """Wait until it has ended, showing its progress; a Ctrl-C ends the job and keeps its best equations.
 
-        Args:
-            timeout: seconds after which TimeoutError is raised; the job goes on.
-            progress: whether to show it on stderr; None: on a terminal and in a notebook.
+        `timeout`: seconds after which TimeoutError is raised; the job goes on. `progress` is as of `discover`.
         """
         with connected(self._address, CONNECT_LIMIT_S) as client, _display(progress) as display:
             end = None if timeout is None else client.now() + timeout
@@ -75,9 +73,7 @@ class Job:
     def result(self) -> Model:
         """Return its model, of a job that still runs the best so far.
 
-        Raises:
-            RefusedError: it has not found an equation yet.
-            AtollError: it failed; the sentence says why.
+        Raises RefusedError where it has not found an equation yet, AtollError with the reason where it failed.
         """
         with connected(self._address, CONNECT_LIMIT_S) as client:
             view = client.status(self.id)

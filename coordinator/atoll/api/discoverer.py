@@ -1,7 +1,4 @@
-"""`Discoverer`: dx/dt = f(x, u) with PySINDy's conventions for arguments and names.
-
-Letters: N rows, D states, U inputs.
-"""
+"""`Discoverer`: dx/dt = f(x, u) with PySINDy's conventions. Letters: N rows, D states, U inputs."""
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence

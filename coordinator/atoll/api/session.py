@@ -1,7 +1,4 @@
-"""The services that this interpreter has started on this machine: a process for each number of workers asked for.
-
-They are kept between calls, and gone with us.
-"""
+"""The services that this interpreter has started here, one for each number of workers; kept until it ends."""
 
 import atexit
 import contextlib

@@ -37,8 +37,7 @@ _Columns = Mapping[str, object] | _Frame
 def table_of(data: object, config: DataConfig) -> Table:
     """Return the table of files, of columns by name, or of a list of these, one for each trajectory.
 
-    Raises:
-        DataError: it is none of these, or its columns do not fit together.
+    Raises DataError where it is none of these, or its columns do not fit together.
     """
     if isinstance(data, Table):
         return data
@@ -68,8 +67,7 @@ def _columns_of(
 
     As in files, the columns of trajectories and of groups alone may hold text, which is numbered by first appearance
     (that of groups over all parts, its texts being kept in `labels`); other columns that hold nothing else are left out
-    unless options name them. Dates are the time, and so is an index of a pandas frame
-    that has a name or holds dates.
+    unless options name them. Dates are the time, and so is an index of a pandas frame that has a name or holds dates.
     """
     named = _named_arrays(part)
     plain = [split_unit(name)[0] for name in named]
@@ -145,8 +143,7 @@ def _nanoseconds(cell: datetime.datetime) -> int:
 def _time_name(name: str, names: Sequence[str], config: DataConfig) -> str:
     """Return what a column of dates is called: as it is where that makes it the time, else ``time``.
 
-    Raises:
-        DataError: there is another time.
+    Raises DataError where there is another time.
     """
     if name == config.time or (config.time is None and name in TIME_NAMES):
         return name
@@ -163,8 +160,7 @@ def _length(values: FloatArray | Dates) -> int:
 def numbers_of(given: object, name: str) -> FloatArray | None:
     """Return an array as numbers, durations in seconds; None where it holds text alone. `name` is for messages.
 
-    Raises:
-        DataError: it holds dates, complex numbers, or text among numbers.
+    Raises DataError where it holds dates, complex numbers, or text among numbers.
     """
     values = np.asarray(given)
     if values.dtype.kind == "m":

@@ -29,10 +29,7 @@ _Proposal = tuple[list[str], str]
 def next_step(result: Result, folder: Path, words: Sequence[str]) -> str | None:
     """Return a command and, behind two spaces and ``#``, what it is for; None where there is nothing to propose.
 
-    Args:
-        result: of a job that has ended.
-        folder: where it was written.
-        words: of the command line that gave it, without the program.
+    `result` is of a job that has ended, written into `folder`; `words` of the command line that gave it.
     """
     if result.state == "cancelled" and result.refining == "not refined":
         why = "it was interrupted before the equations were fitted to trajectories and compared"

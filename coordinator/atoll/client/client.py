@@ -57,10 +57,7 @@ class Client:
     """Asks one coordinator; not thread-safe, like its bus."""
 
     def __init__(self, bus: Bus, address: str, principal: str = "client") -> None:
-        """Use `bus`, which the caller opened and will close; `address` is for messages to people.
-
-        `principal` is the name in our certificate, if we have one.
-        """
+        """Use a `bus` that the caller closes. `address` is for messages; `principal` is of our certificate, if any."""
         self._bus = bus
         self._address = address
         self._name = f"{principal}-{uuid.uuid4().hex[:12]}"
@@ -71,9 +68,8 @@ class Client:
     def greet(self, limit_s: float = ANSWER_LIMIT_S) -> str:
         """Learn and return the coordinator's cluster; the first question calls this by itself.
 
-        Raises:
-            UnreachableError: nobody answered in time.
-            RefusedError: the coordinator is of another version, or does not let us in.
+        Raises UnreachableError when nobody answers in time, RefusedError from one of another version, or that does not
+        let us in.
         """
         hello = Hello(
             role="client",
@@ -250,9 +246,7 @@ class Client:
 def connected(address: str | Destination, wait_s: float = 5.0) -> Iterator[Client]:
     """Open a client of the coordinator at `address`, such as ``tcp/host:7447``; close it at the end.
 
-    Raises:
-        UnreachableError: no coordinator answered within `wait_s` seconds.
-        RefusedError: it is of another version, or does not let us in.
+    Raises as `Client.greet` does when nobody answers within `wait_s` seconds.
     """
     from atoll_core.wire.bus.zenoh_bus import open_client
 

@@ -66,10 +66,8 @@ def _serve(
 def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None) -> "ZenohBus":
     """Return a bus with a router of our own in it, or one that joined the router at ``options.router``.
 
-    Raises:
-        UsageError: nobody can listen at ``options.listen``, or another coordinator is behind that router.
-        UnreachableError: the router did not answer in time.
-        RefusedError: it does not accept our certificate, or we not its.
+    Raises UsageError where nobody can listen there, or another coordinator is behind that router; UnreachableError
+    where that does not answer in time, RefusedError where one side does not accept the certificate of the other.
     """
     from atoll_core.wire.bus.zenoh_bus import open_client, open_router
 
