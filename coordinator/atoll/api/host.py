@@ -14,13 +14,11 @@ import threading
 from pathlib import Path
 from typing import Final
 
-from atoll.client.local_workers import LocalWorkers
-from atoll_coordinator.service.background.child_main import load_preparation, load_refinement
-from atoll_coordinator.service.background.process_pool import ProcessPool
+from atoll.client.local_coordinator import LocalCoordinator, local_processes
+from atoll_coordinator.service.background.child_main import load_refinement
 from atoll_core.errors import AtollError
 from atoll_core.logs import configure
 from atoll_core.signals import INTERRUPTED, reap_children
-from atoll_core.wire.addresses import own_address
 
 CHECK_S: Final = 0.3
 """Seconds from one look at the parent and the workers to the next."""
@@ -44,18 +42,11 @@ def main(workers: int, parent: int) -> int:
 
 
 def _serve(number: int, parent: int, log: Path, stop: threading.Event) -> None:
-    with (
-        own_address() as address,
-        LocalWorkers(str(address), number, log) as workers,
-        contextlib.closing(ProcessPool()) as pool,
-    ):
-        pool.preload(load_preparation)
+    with local_processes(number, log) as (endpoint, workers, pool):
         pool.preload(load_refinement)
-        from atoll.client.local_coordinator import LocalCoordinator
-
-        with LocalCoordinator(str(address), number, pool) as coordinator:
+        with LocalCoordinator(endpoint, number, pool) as coordinator:
             coordinator.wait()
-            _say({"endpoint": str(address)})
+            _say({"endpoint": endpoint})
             while not stop.wait(CHECK_S) and os.getppid() == parent:
                 coordinator.check()
                 workers.check()

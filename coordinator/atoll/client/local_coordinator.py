@@ -1,13 +1,31 @@
-"""The coordinator of a local run: router and service in a thread of this process, with the store in memory."""
+"""A service on this machine: the processes of a local run, and its coordinator in a thread of this one."""
 
+import contextlib
 import threading
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Final, Self
 
+from atoll.client.local_workers import LocalWorkers
+from atoll_coordinator.service.background.child_main import load_preparation
 from atoll_coordinator.service.background.process_pool import ProcessPool
 from atoll_core.errors import AtollError, UnreachableError
+from atoll_core.wire.addresses import own_address
 
 _STOP_LIMIT_S: Final = 5.0
 _OPEN_LIMIT_S: Final = 20.0
+
+
+@contextlib.contextmanager
+def local_processes(number: int, log: Path) -> Iterator[tuple[str, LocalWorkers, ProcessPool]]:
+    """Start what is to load first: workers, which dial the address that is yielded, and a pool that prepares data."""
+    with (
+        own_address() as address,
+        LocalWorkers(str(address), number, log) as workers,
+        contextlib.closing(ProcessPool()) as pool,
+    ):
+        pool.preload(load_preparation)
+        yield str(address), workers, pool
 
 
 class LocalCoordinator:

@@ -1,8 +1,12 @@
-"""The verbs that look at, cancel or delete jobs: ``jobs``, ``status``, ``workers``, ``cancel``, ``delete``."""
+"""The verbs that ask a coordinator: whether it answers, about jobs, workers and events; to cancel or delete a job."""
 
 import argparse
-from collections.abc import Sequence
+import json
+import time
+from collections.abc import Iterable, Sequence
 from typing import Final
+
+from pydantic_core import to_jsonable_python
 
 from atoll.cli.exit_codes import DONE, NOTHING_FOUND, finish, has_found
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
@@ -11,14 +15,34 @@ from atoll.client.client import Client, connected
 from atoll.client.follower import Follower
 from atoll.terminal.output import as_json, clipped, count, duration, say, table
 from atoll.terminal.progress import JsonDisplay, LiveDisplay, PlainDisplay, is_screen, plain_lines
-from atoll_core.config import Frozen
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
 from atoll_core.wire.addresses import Destination
-from atoll_core.wire.messages.views import FINAL_STATES, JobView, WorkerView
+from atoll_core.wire.messages.views import FINAL_STATES, EventView, JobView, WorkerView
 
 _SHOWN: Final = 20
 """Jobs under way that are named when one is to be chosen."""
+
+_INTERVAL_S: Final = 0.5
+_PAGE: Final = 500
+
+
+def ping(options: argparse.Namespace) -> int:
+    """Greet the coordinator and say how long it took; UnreachableError when it did not answer in ``options.wait``.
+
+    The answer comes from the loop that all else goes through, which a coordinator that hangs does not turn.
+    """
+    address = address_of(options)
+    began = time.monotonic()
+    with connected(address, options.wait) as client:
+        seconds, welcome = time.monotonic() - began, client.welcome
+    assert welcome is not None
+    answer = {"version": welcome.version, "incarnation": welcome.incarnation, "seconds": seconds}
+    text = (
+        f"coordinator {welcome.version} at {address} answers, in {1000 * seconds:.0f} ms (start {welcome.incarnation})"
+    )
+    say(as_json(answer) if options.json else text)
+    return DONE
 
 
 def jobs(options: argparse.Namespace) -> int:
@@ -33,22 +57,22 @@ def status(options: argparse.Namespace) -> int:
     """Show one job, or all that have not ended; with ``--follow`` one, until it ends, with its exit code."""
     address = address_of(options)
     if options.follow:
-        return _follow(options, address)
+        return _follow_job(options, address)
     with connected(address, CONNECT_LIMIT_S) as client:
         views = client.jobs(is_open=True) if options.job is None else [client.status(client.resolve(options.job))]
         workers = client.workers()
     if options.json:
-        say(_json(views) if options.job is None else as_json(views[0].model_dump(mode="json")))
+        say(_json(views if options.job is None else views[0]))
     else:
         hint = f"island-worker --connect {address}"
         say("\n\n".join(_status_text(view, workers, hint) for view in views) or "no job is under way")
     return DONE
 
 
-def _follow(options: argparse.Namespace, address: Destination) -> int:
+def _follow_job(options: argparse.Namespace, address: Destination) -> int:
     """Show a job, the only one under way unless it is named, whenever it changes; return its exit code."""
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
-        job = _only_open_job(client) if options.job is None else client.resolve(options.job)
+        job = _chosen_job(client, options.job)
         hint = f"island-worker --connect {address}"
         lines = LiveDisplay(hint) if is_screen() else PlainDisplay(hint, say)
         with JsonDisplay(say) if options.json else lines as display:
@@ -63,7 +87,7 @@ def workers(options: argparse.Namespace) -> int:
         views = [view for view in client.workers() if view.worker.startswith(options.job or "")]
         own = client.coordinator() if options.coordinator else None
     if options.coordinator:
-        say(as_json(own.model_dump(mode="json") if own else None) if options.json else coordinator_lines(own))
+        say(_json(own) if options.json else coordinator_lines(own))
     elif options.json:
         say(_json(views))
     else:
@@ -74,11 +98,11 @@ def workers(options: argparse.Namespace) -> int:
 def cancel(options: argparse.Namespace) -> int:
     """End a job, the only one under way unless it is named; its best equations stay."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
-        job = _only_open_job(client) if options.job is None else client.resolve(options.job)
+        job = _chosen_job(client, options.job)
         had_ended = client.status(job).state in FINAL_STATES
         view = client.cancel(job)
     if options.json:
-        say(as_json(view.model_dump(mode="json")))
+        say(_json(view))
     elif had_ended:
         say(f"job {job} had ended already: {view.state}")
     else:
@@ -96,7 +120,53 @@ def delete(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _only_open_job(client: Client) -> str:
+def logs(options: argparse.Namespace) -> int:
+    """Show the last events of a job, or of everything; with ``--follow`` also those to come, until the job ends."""
+    with raising_interrupts(), connected(address_of(options), CONNECT_LIMIT_S) as client:
+        job = client.resolve(options.job) if options.job is not None else None
+        events = client.events(job, 0, options.lines)
+        if not options.follow:
+            nothing = f"nothing is noted of job {job}" if job is not None else "nothing is noted yet"
+            text = "\n".join(line(event) for event in events) or nothing
+            say(_json(events) if options.json else text)
+            return DONE
+        _show(events, options.json)
+        return _follow_events(client, job, events[-1].number if events else 0, options.json)
+
+
+def _follow_events(client: Client, job: str | None, last: int, as_objects: bool) -> int:
+    """Show what comes, until the job has ended and all of it has been shown."""
+    while True:
+        is_over = job is not None and client.status(job).state in FINAL_STATES
+        while events := client.events(job, last, _PAGE):
+            last = events[-1].number
+            _show(events, as_objects)
+        if is_over:
+            return DONE
+        client.pause(_INTERVAL_S)
+
+
+def _show(events: Iterable[EventView], as_objects: bool) -> None:
+    """Print events one by one; as JSON, one object a line."""
+    for event in events:
+        say(json.dumps(to_jsonable_python(event), ensure_ascii=False) if as_objects else line(event))
+
+
+def line(event: EventView) -> str:
+    """Return an event on one line: when, what, whose, in words, where."""
+    place = [
+        ("job", event.job), ("variable", event.variable), ("term", event.term), ("epoch", event.epoch),
+        ("island", event.island), ("worker", event.worker),
+    ]  # fmt: skip
+    where = " ".join(f"{name}={value}" for name, value in place if value is not None)
+    when = event.time.replace("T", " ")[:23]
+    return f"{when}  {event.event:13}  {event.text}" + (f"  [{where}]" if where else "")
+
+
+def _chosen_job(client: Client, prefix: str | None) -> str:
+    """Return the id of the job that is named, or of the only one under way."""
+    if prefix is not None:
+        return client.resolve(prefix)
     views = client.jobs(is_open=True, last=_SHOWN + 1)
     if len(views) != 1:
         there = ", ".join(view.job for view in views[-_SHOWN:]) or "none"
@@ -105,8 +175,8 @@ def _only_open_job(client: Client) -> str:
     return views[0].job
 
 
-def _json(views: Sequence[Frozen]) -> str:
-    return as_json([view.model_dump(mode="json") for view in views])
+def _json(views: object) -> str:
+    return as_json(to_jsonable_python(views))
 
 
 def _status_text(view: JobView, workers: Sequence[WorkerView], hint: str) -> str:

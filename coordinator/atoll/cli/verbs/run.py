@@ -16,14 +16,11 @@ from typing import Final
 from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from atoll.cli.options.values import job_id
 from atoll.cli.result_files import refuse_existing_result
-from atoll.client.local_workers import LocalWorkers
-from atoll_coordinator.service.background.child_main import load_preparation
-from atoll_coordinator.service.background.process_pool import ProcessPool
+from atoll.client.local_coordinator import local_processes
 from atoll_core.errors import DataError, UsageError
 from atoll_core.logs import configure
 from atoll_core.machine.cores import usable_cores
 from atoll_core.signals import raising_interrupts
-from atoll_core.wire.addresses import own_address
 
 _WORKER_LOG: Final = "workers.log"
 _COORDINATOR_LOG: Final = "coordinator.log"
@@ -52,16 +49,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
     number = options.workers or usable_cores(os.environ)[0]
-    with (
-        raising_interrupts(),
-        own_address() as address,
-        LocalWorkers(str(address), number, folder / _WORKER_LOG) as workers,
-        contextlib.closing(ProcessPool()) as pool,
-    ):
-        pool.preload(load_preparation)
+    with raising_interrupts(), local_processes(number, folder / _WORKER_LOG) as (endpoint, workers, pool):
         from atoll.cli.local_run import run_locally
 
-        return run_locally(options, folder, str(address), workers, pool, started)
+        return run_locally(options, folder, endpoint, workers, pool, started)
 
 
 @contextlib.contextmanager

@@ -9,8 +9,7 @@ import pytest
 
 from atoll.cli.main import main
 from atoll.cli.verbs import jobs as jobs_module
-from atoll.cli.verbs import logs as logs_module
-from atoll.cli.verbs.logs import line
+from atoll.cli.verbs.jobs import line
 from atoll.cli.worker_table import coordinator_lines, size, trouble, worker_table
 from atoll_core.wire.messages.views import CoordinatorView, Counters, EventView, JobView, StoreView, Traffic, WorkerView
 
@@ -82,7 +81,6 @@ def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
     def connected(address: str, wait_s: float) -> Iterator[FakeClient]:
         yield fake
 
-    monkeypatch.setattr(logs_module, "connected", connected)
     monkeypatch.setattr(jobs_module, "connected", connected)
     monkeypatch.setenv("ATOLL_CONNECT", "tcp/there:7447")
     return fake

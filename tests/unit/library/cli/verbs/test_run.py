@@ -9,6 +9,7 @@ import pytest
 from atoll.cli.main import main
 from atoll.cli.options.parser import parse
 from atoll.cli.verbs import run as module
+from atoll.client import local_coordinator
 
 
 class Started(Exception):
@@ -24,7 +25,7 @@ def test_workers_are_as_many_as_the_cores_that_may_be_used(
 
     monkeypatch.setenv("SLURM_CPUS_PER_TASK", "1")
     monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(8)))
-    monkeypatch.setattr(module, "LocalWorkers", workers)
+    monkeypatch.setattr(local_coordinator, "LocalWorkers", workers)
     with pytest.raises(Started) as started:
         module.run(parse(["run", "data.csv", "--out", str(tmp_path / "out"), *options]))
     assert started.value.args == (number,)
