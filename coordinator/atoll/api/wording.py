@@ -20,9 +20,9 @@ def in_python(sentence: str) -> str:
     """Return a sentence with keyword arguments in the place of options: ``--max-size`` is max_size."""
     sentence = sentence.replace("--tls-...", "tls").replace("--missing drop", "missing='drop'")
     sentence = _TLS.sub(r"tls['\1']", sentence)
-    sentence = _WITH_NUMBER.sub(lambda match: Field(_name(match[1]), int(match[2])).in_python, sentence)
+    sentence = _WITH_NUMBER.sub(lambda match: Field(match[1].replace("-", "_"), int(match[2])).in_python, sentence)
     sentence = _WITH_COLUMN.sub(lambda match: Field(match[1], match[2]).in_python, sentence)
-    return _OPTION.sub(lambda match: _name(match[1]), sentence)
+    return _OPTION.sub(lambda match: match[1].replace("-", "_"), sentence)
 
 
 @contextlib.contextmanager
@@ -37,7 +37,3 @@ def python_words() -> Iterator[None]:
         reworded = type(error)(sentence)
         reworded.on_command_line = error.on_command_line
         raise reworded from error
-
-
-def _name(option: str) -> str:
-    return option.replace("-", "_")

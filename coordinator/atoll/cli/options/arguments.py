@@ -13,9 +13,6 @@ EXPORT_FORMATS: Final = (
     "python", "c", "julia", "matlab", "modelica", "xppaut", "sbml", "latex", "sympy", "csv", "json", "petab"
 )  # fmt: skip
 _RESULT_FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
-_LISTEN: Final = "tcp/127.0.0.1:7447"
-_STATE: Final = "atoll-state"
-_KEEP: Final = "90d,8G"
 _AGES: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 _SIZES: Final = {"M": 10**6, "G": 10**9, "T": 10**12}
 
@@ -86,9 +83,9 @@ _JSON: Final = _switch("--json", "print JSON")
 _CONNECT: Final = (
     _value("--connect", "tcp/HOST:PORT", "the coordinator (default: $ATOLL_CONNECT)"), add_tls_options,
 )  # fmt: skip
-_LISTENING: Final = _value(
-    "--listen", "tcp/HOST:PORT", default=_LISTEN,
-    text=f"where workers and clients connect; tcp/0.0.0.0:7447 for every network (default: {_LISTEN})",
+_LISTEN: Final = _value(
+    "--listen", "tcp/HOST:PORT", default="tcp/127.0.0.1:7447",
+    text="where workers and clients connect; tcp/0.0.0.0:7447 for every network (default: %(default)s)",
 )  # fmt: skip
 _SERVICE: Final = (
     _value(
@@ -137,17 +134,17 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
     )),
     "serve": ("run the coordinator for workers and jobs of any machine", (
         _either(
-            _LISTENING,
+            _LISTEN,
             _value(
                 "--router", "tcp/HOST:PORT",
                 "do not listen, but join a router there (coordinator router, or zenohd), as workers and clients do",
             ),
         ),
-        _value("--state", "DIR", f"folder of the job store (default: {_STATE})", default=_STATE),
+        _value("--state", "DIR", "folder of the job store (default: %(default)s)", default="atoll-state"),
         _value(
-            "--keep", "AGE,SIZE", type=_keep, default=_KEEP,
+            "--keep", "AGE,SIZE", type=_keep, default="90d,8G",
             text="delete ended jobs, the oldest first, that ended longer ago (30m, 12h, 90d) or while the store takes "
-            f"more (500M, 8G); one of the two may be left out, and `all` keeps all (default: {_KEEP})",
+            "more (500M, 8G); one of the two may be left out, and `all` keeps all (default: %(default)s)",
         ),
         *_SERVICE,
         _value(
@@ -156,7 +153,7 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         ),
     )),
     "router": ("pass messages on: for a site of its own, or to keep connections while serve restarts", (
-        _LISTENING,
+        _LISTEN,
         _repeatable(
             "--connect", "tcp/HOST:PORT",
             "the router, or the coordinator, to which this one passes on what is not for its site",

@@ -38,21 +38,17 @@ def run(options: argparse.Namespace) -> int:
     refuse_existing_result(folder)
     with _log_in(folder):
         try:
-            code = _run(options, folder, started)
+            number = options.workers or usable_cores(os.environ)[0]
+            with raising_interrupts(), local_processes(number, folder / _WORKER_LOG) as (endpoint, workers, pool):
+                from atoll.cli.local_run import run_locally
+
+                code = run_locally(options, folder, endpoint, workers, pool, started)
         except (UsageError, DataError, KeyboardInterrupt):
             _remove_logs(folder)
             raise
         if code in (BAD_INPUT, INTERRUPTED):
             _remove_logs(folder)
     return code
-
-
-def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
-    number = options.workers or usable_cores(os.environ)[0]
-    with raising_interrupts(), local_processes(number, folder / _WORKER_LOG) as (endpoint, workers, pool):
-        from atoll.cli.local_run import run_locally
-
-        return run_locally(options, folder, endpoint, workers, pool, started)
 
 
 @contextlib.contextmanager

@@ -17,7 +17,6 @@ from atoll_core.wire.connect_file import announced
 from atoll_core.wire.security.role_bindings import RoleBindings
 
 if TYPE_CHECKING:
-    from atoll_coordinator.service.background.process_pool import ProcessPool
     from atoll_coordinator.service.store.store import Store
     from atoll_core.wire.bus.interface import Bus
     from atoll_core.wire.bus.zenoh_bus import ZenohBus
@@ -32,35 +31,23 @@ def serve(options: argparse.Namespace) -> int:
     from atoll_coordinator.service.background.child_main import load_preparation
     from atoll_coordinator.service.background.process_pool import ProcessPool
 
-    stop = threading.Event()
+    behind, stop = options.router is not None, threading.Event()
     with stopping(stop), contextlib.closing(ProcessPool()) as pool:
         pool.preload(load_preparation)  # loads while the rest of this is loaded: a restart has jobs that wait for it
-        _serve(options, wanted, role_bindings, pool, stop)
+        from atoll_coordinator.service.background.dependencies import Dependencies
+        from atoll_coordinator.service.service_loop import Service
+        from atoll_coordinator.service.store.retention import Retention
+
+        with _opened(options.state) as store, _joined(options, wanted, role_bindings) as bus:
+            dependencies = Dependencies(pool, retention=Retention(*options.keep))
+            service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings)
+            service.start()
+            here = Destination(parse_address(bus.endpoint), wanted.credentials)
+            with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
+                say(greeting(here, options.state, role_bindings, behind))
+                service.work(stop)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
-
-
-def _serve(
-    options: argparse.Namespace,
-    wanted: Destination,
-    role_bindings: RoleBindings | None,
-    pool: "ProcessPool",
-    stop: threading.Event,
-) -> None:
-    """Serve with this pool of processes until `stop` is set."""
-    from atoll_coordinator.service.background.dependencies import Dependencies
-    from atoll_coordinator.service.service_loop import Service
-    from atoll_coordinator.service.store.retention import Retention
-
-    behind = options.router is not None
-    with _opened(options.state) as store, _joined(options, wanted, role_bindings) as bus:
-        dependencies = Dependencies(pool, retention=Retention(*options.keep))
-        service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings)
-        service.start()
-        here = Destination(parse_address(bus.endpoint), wanted.credentials)
-        with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
-            say(greeting(here, options.state, role_bindings, behind))
-            service.work(stop)
 
 
 def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None) -> "ZenohBus":
