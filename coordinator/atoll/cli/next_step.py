@@ -5,9 +5,7 @@ import shlex
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Final
-
-from pydantic import JsonValue
+from typing import Final, cast
 
 from atoll_coordinator.result.result import Result
 from atoll_core.command_line import duration
@@ -67,11 +65,11 @@ def _again_for_longer(result: Result, words: Sequence[str]) -> _Proposal | None:
     budget = result.settings("budget")
     is_cut = bool(ends) and result.refining in ("not refined", "max-time")
     if ("max-time" in ends or is_cut) and budget.get("max_time") is not None:
-        seconds = _seconds(words) or _number(budget["max_time"])
+        seconds = _seconds(words) or cast(float, budget["max_time"])
         again = [*_without(_elsewhere(words), "--max-time"), "--max-time", f"{2.0 * seconds:g}s"]
         return again, _NOT_REFINED if is_cut else _LONGER
     if "max-epochs" in ends and budget.get("max_epochs") is not None and not budget.get("max_epochs_of"):
-        epochs = f"{2.0 * _number(budget['max_epochs']):.0f}"
+        epochs = f"{2 * cast(int, budget['max_epochs'])}"
         return [*_without(_elsewhere(words), "--max-epochs"), "--max-epochs", epochs], _LONGER
     return None
 
@@ -107,11 +105,6 @@ def _seconds(words: Sequence[str]) -> float | None:
     given = [after for word, after in pairwise(words) if word == "--max-time"]
     given += [word.partition("=")[2] for word in words if word.startswith("--max-time=")]
     return duration(given[-1]) if given else None
-
-
-def _number(setting: JsonValue) -> float:
-    """Return a setting that is a number, 0 of any other: of a file that was edited by hand."""
-    return float(setting) if isinstance(setting, int | float) else 0.0
 
 
 def _elsewhere(words: Sequence[str]) -> list[str]:

@@ -26,7 +26,7 @@ HANDLERS: Final = {
     "analyse": "atoll.cli.verbs.models",
     "report": "atoll.cli.verbs.report",
     "suggest": "atoll.cli.verbs.models",
-    "export": "atoll.cli.verbs.export",
+    "export": "atoll.cli.verbs.models",
     "doctor": "atoll.cli.doctor.doctor",
     "schema": "atoll.cli.verbs.schema",
     "completion": "atoll.cli.verbs.completion",

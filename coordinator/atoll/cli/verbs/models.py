@@ -1,10 +1,8 @@
-"""The verbs ``simulate``, ``analyse`` and ``suggest``: what the model of a saved result does, and what it leaves open.
-
-What ``export`` has in common with them is here, too.
-"""
+"""The verbs that take the model of a saved result: ``simulate``, ``analyse``, ``suggest`` and ``export``."""
 
 import argparse
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
 from atoll.cli.exit_codes import DONE
@@ -14,31 +12,32 @@ from atoll.model.model import Model
 from atoll.model.simulation import EarlyEndWarning
 from atoll.model.start import Start, start_of_file, times_of
 from atoll.terminal.output import as_json, note, say
+from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
 
 def simulate(options: argparse.Namespace) -> int:
     """Simulate the model of ``options.result``, or draw paths; how it ends is said on stderr. Return the exit code."""
-    model = load(options)
+    model = _load(options)
     if model.is_regression:
         raise UsageError("the model is a regression without time, so there is nothing to simulate; see its result")
-    start = start_of(model, options.initial)
-    times = chosen_times(model, start, options)
-    inputs = start.inputs(times) | held_inputs(model, options)
+    start = _start_of(model, options.initial)
+    times = _chosen_times(model, start, options)
+    inputs = start.inputs(times) | _held_inputs(model, options)
     paths, seed = _paths(options)
     if paths is not None:
         ensemble = model.simulate(start.state, times, inputs, paths=paths, seed=seed)
         is_each = options.each_path
         text = as_json(ensemble.as_dict(has_paths=is_each)) if options.json else ensemble.to_csv(has_paths=is_each)
-        deliver(text, options.output)
+        _deliver(text, options.output)
         if len(ensemble.finite) < paths:
             note(f"coordinator: {ensemble.message}")
         return DONE
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", EarlyEndWarning)  # said in a line of its own
         simulation = model.simulate(start.state, times, inputs)
-    deliver(as_json(simulation.as_dict()) if options.json else simulation.to_csv(), options.output)
+    _deliver(as_json(simulation.as_dict()) if options.json else simulation.to_csv(), options.output)
     if model.result.process is not None:
         note("coordinator: the drift was simulated, without the noise of the process; --paths draws paths with it")
     if simulation.status != "finished":
@@ -62,14 +61,14 @@ def analyse(options: argparse.Namespace) -> int:
     bounds, held = intervals(options.box, "--box"), numbers(options.hold, "--hold", "u=1")
     if options.data is not None and not options.identifiability:
         raise UsageError("--data was given without --identifiability, which alone uses it; give both")
-    model = load(options)
+    model = _load(options)
     analysis = model.analyse(bounds, inputs=held, vary=vary)
     known = model.identifiability(data=options.data) if options.identifiability else None
     if options.json:
         text = as_json(analysis.as_dict() | {"identifiability": None if known is None else known.as_dict()})
     else:
         text = str(analysis) if known is None else f"{analysis}\n{known}"
-    deliver(text, options.output)
+    _deliver(text, options.output)
     return DONE
 
 
@@ -84,7 +83,7 @@ def _vary(parameter: str | None, bounds: str | None) -> tuple[str, tuple[float, 
 
 def suggest(options: argparse.Namespace) -> int:
     """Suggest experiments for ``options.result``. Return the exit code."""
-    suggestions = load(options).suggest(
+    suggestions = _load(options).suggest(
         intervals(options.box, "--box"),
         duration=if_given(finite_number, options.duration, "--duration"),
         samples=if_given(whole_number, options.samples, "--samples"),
@@ -94,7 +93,7 @@ def suggest(options: argparse.Namespace) -> int:
         seed=whole_number(options.seed, "--seed"),
         data=options.data,
     )
-    deliver(as_json(suggestions.as_dict()) if options.json else str(suggestions), options.output)
+    _deliver(as_json(suggestions.as_dict()) if options.json else str(suggestions), options.output)
     return DONE
 
 
@@ -111,13 +110,91 @@ def _rival(text: str) -> dict[str, str]:
     return equations
 
 
-def load(options: argparse.Namespace) -> Model:
+def export(options: argparse.Namespace) -> int:
+    """Write the model of ``options.result`` in ``options.format``. Return the exit code."""
+    from atoll.export.describing import describe
+    from atoll.export.formats import LANGUAGES, OF_RESULTS, PETAB, write
+
+    if options.format == PETAB:
+        model = _chosen(_load(options), options)
+        if options.output is None:
+            raise UsageError("petab is a folder of several files; name it with -o FOLDER")
+        model.to_petab(options.output, None if options.data is None else _trajectories(model, options.data))
+        return DONE
+    if options.data is not None:
+        raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
+    if options.format in OF_RESULTS:
+        _deliver(OF_RESULTS[options.format](_result(options)), options.output)
+        return DONE
+    model = _chosen(_load(options), options)
+    language = LANGUAGES[options.format]
+    description = describe(model, *_beginning(model, options), language.without_tables)
+    _deliver(write(description, language), options.output)
+    for sentence in description.zeros:
+        note(f"coordinator: {sentence}; give --hold{' or --initial FILE' if language.has_tables else ''}")
+    return DONE
+
+
+def _result(options: argparse.Namespace) -> Result:
+    """Return the result, which need not be a model unless a group or other equations are chosen."""
+    if options.group is None and options.candidate is None and not options.pick:
+        return Result.load(options.result)
+    return _chosen(_load(options), options).result
+
+
+def _chosen(model: Model, options: argparse.Namespace) -> Model:
+    """Return the model that is asked for: the one that was selected, members of fronts, or a candidate."""
+    if options.pick and options.candidate is not None:
+        raise UsageError("--pick and --candidate both choose equations; give one of them")
+    if options.candidate is not None:
+        number: int = options.candidate
+        candidates = model.candidates
+        if number > len(candidates):
+            raise UsageError(f"--candidate {number} is not there: the result has {len(candidates)} candidates")
+        return candidates[number - 1]
+    if options.pick:
+        from atoll.text.render import parse_picks, pick
+
+        kept = {"simulation": model.result.simulation}  # where a simulation begins belongs to the data
+        picked = pick(model.result, parse_picks(options.pick))
+        return Model(picked.model_copy(update={**kept, "covariance": None}))
+    return model
+
+
+def _beginning(
+    model: Model, options: argparse.Namespace
+) -> tuple[Mapping[str, float] | None, FloatArray | None, dict[str, FloatArray | float] | None]:
+    """Return initial state, times and inputs, as far as options tell them."""
+    if model.is_regression:
+        return None, None, None
+    start = _start_of(model, options.initial)
+    is_told = options.until is not None or options.step is not None or start.times is not None
+    times = _chosen_times(model, start, options) if is_told else None
+    inputs = {} if times is None else start.inputs(times)
+    return start.state, times, {**inputs, **_held_inputs(model, options)}
+
+
+def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArray]]:
+    """Return the measured columns of files, trajectory by trajectory, read as the result's own were."""
+    from atoll_coordinator.data.reading.files import read_table
+    from atoll_coordinator.data.roles.roles import assign_roles
+    from atoll_coordinator.data.trajectories.measurements import take_measurements
+    from atoll_core.config import DataConfig
+
+    config = DataConfig.model_validate(model.result.data_settings)
+    table = read_table([Path(file) for file in files], config)
+    roles, config = assign_roles(table, config)
+    measured = take_measurements(table, roles, config)
+    return [{name: column[first:last] for name, column in measured.columns.items()} for first, last in measured.ranges]
+
+
+def _load(options: argparse.Namespace) -> Model:
     """Return the model of ``options.result``, that of ``options.group`` if named; raises UsageError."""
     model = Model.load(options.result)
     return model if options.group is None else model.of_group(options.group)
 
 
-def start_of(model: Model, text: str | None) -> Start:
+def _start_of(model: Model, text: str | None) -> Start:
     """Return what ``--initial`` says: numbers by name, or a data file; raises UsageError or DataError."""
     if text is None:
         return Start()
@@ -128,13 +205,13 @@ def start_of(model: Model, text: str | None) -> Start:
     return Start(numbers([text], "--initial", "NAME=NUMBER, separated by commas"))
 
 
-def chosen_times(model: Model, start: Start, options: argparse.Namespace) -> FloatArray:
+def _chosen_times(model: Model, start: Start, options: argparse.Namespace) -> FloatArray:
     """Return the times that ``--until`` and ``--step`` choose; raises UsageError where nothing tells them."""
     end = if_given(finite_number, options.until, "--until")
     return times_of(model, start, end, if_given(finite_number, options.step, "--step"))
 
 
-def held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
+def _held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
     """Return the inputs that ``--hold`` gives, by symbol; raises UsageError."""
     held, symbols = numbers(options.hold, "--hold", "u=1"), model.result.symbols
     unknown = next((name for name in held if symbols.get(name, name) not in model.inputs), None)
@@ -143,7 +220,7 @@ def held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
     return {symbols.get(name, name): value for name, value in held.items()}
 
 
-def deliver(text: str, output: str | None) -> None:
+def _deliver(text: str, output: str | None) -> None:
     """Write a text with a newline at its end to the file `output`, or on stdout; raises UsageError."""
     if output is None:
         say(text)
