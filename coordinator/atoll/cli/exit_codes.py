@@ -13,9 +13,6 @@ FAILED: Final = 1
 BAD_INPUT: Final = 2
 TARGET_MISSED: Final = 4
 
-NOTHING_FOUND: Final = ", before it found any equation"
-"""What a sentence on a cancelled job ends with that has no equations."""
-
 
 def finish(view: "JobView") -> int:
     """Say on stderr what an unwanted end of a job means; return its exit code."""
@@ -30,14 +27,14 @@ def ending(view: "JobView") -> tuple[int, str | None]:
     if view.state == "failed":
         return BAD_INPUT if view.fault == "data" else FAILED, f"job {view.job} failed: {view.reason}"
     if view.state == "cancelled":
-        kept = "; what it had found is kept" if has_found(view) else NOTHING_FOUND
-        return INTERRUPTED, f"job {view.job} was cancelled{kept}"
+        return INTERRUPTED, f"job {view.job} was cancelled{end_of_cancelled(view, '; what it had found is kept')}"
     missed = [each.lhs for each in view.variables if not each.converged and each.why != "known"]
     if view.target_error is None or not missed:
         return DONE, None
     return TARGET_MISSED, f"--target-error {view.target_error:g} was not met within the budget by {', '.join(missed)}"
 
 
-def has_found(view: "JobView") -> bool:
-    """Tell whether a job has any equation that was searched for."""
-    return any(variable.expression is not None and variable.why != "known" for variable in view.variables)
+def end_of_cancelled(view: "JobView", kept: str) -> str:
+    """Return how a sentence on a cancelled job ends: as `kept` says, where it has found an equation."""
+    has_found = any(variable.expression is not None and variable.why != "known" for variable in view.variables)
+    return kept if has_found else ", before it found any equation"

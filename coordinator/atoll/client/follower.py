@@ -22,7 +22,7 @@ class Display(Protocol):
         return self
 
     def __exit__(self, *_: object) -> None:
-        pass
+        return
 
     def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
         """Take notice of the latest state, seen at monotonic second `now`."""

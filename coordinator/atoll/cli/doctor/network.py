@@ -65,10 +65,9 @@ def check_listen(options: argparse.Namespace) -> Iterator[Finding]:
     try:
         address = parse_address(options.listen)
         bindable(address)
+        yield fine("port", f"{address} is free")
     except UsageError as error:
         yield problem("port", error)
-        return
-    yield fine("port", f"{address} is free")
 
 
 def check_certificates(options: argparse.Namespace) -> Iterator[Finding]:

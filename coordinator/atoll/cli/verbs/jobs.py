@@ -8,7 +8,7 @@ from typing import Final
 
 from pydantic_core import to_jsonable_python
 
-from atoll.cli.exit_codes import DONE, NOTHING_FOUND, finish, has_found
+from atoll.cli.exit_codes import DONE, end_of_cancelled, finish
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.cli.worker_table import coordinator_lines, worker_table
 from atoll.client.client import Client, connected
@@ -106,8 +106,7 @@ def cancel(options: argparse.Namespace) -> int:
     elif had_ended:
         say(f"job {job} had ended already: {view.state}")
     else:
-        outcome = f"; its best equations: coordinator result {job}" if has_found(view) else NOTHING_FOUND
-        say(f"job {job} is cancelled{outcome}")
+        say(f"job {job} is cancelled{end_of_cancelled(view, f'; its best equations: coordinator result {job}')}")
     return DONE
 
 
