@@ -6,6 +6,7 @@ error at its end says what was waited for.
 
 import hashlib
 import json
+import sys
 import time
 import uuid
 from collections.abc import Iterator
@@ -136,16 +137,15 @@ class Client:
         `is_open`: only those that have not ended; `last`: only so many, those that came last.
         """
         pages: list[tuple[JobView, ...]] = []
-        before, left = None, last
-        while left != 0 and (not prefix or topics.is_id(prefix)):
-            limit = MAX_PAGE_JOBS if left is None else min(left, MAX_PAGE_JOBS)
+        before, left = None, sys.maxsize if last is None else last
+        while left > 0 and (not prefix or topics.is_id(prefix)):
+            limit = min(left, MAX_PAGE_JOBS)
             question = messages.Jobs(prefix=prefix, is_open=is_open, before=before, limit=limit)
             page = self._ask(question, messages.JobList, "the list of jobs")
             pages.append(page.jobs)
-            left = None if left is None else left - len(page.jobs)
-            if page.before is None:
+            left, before = left - len(page.jobs), page.before
+            if before is None:
                 break
-            before = page.before
         return tuple(view for page in reversed(pages) for view in page)
 
     def status(self, job: str, limit_s: float = ANSWER_LIMIT_S) -> JobView:

@@ -36,24 +36,26 @@ def run(options: argparse.Namespace) -> int:
     options.id = job_id(options.id)
     folder = Path(options.out) if options.out is not None else Path("runs") / options.id
     refuse_existing_result(folder)
-    with _log_in(folder):
-        try:
-            number = options.workers or usable_cores(os.environ)[0]
-            with raising_interrupts(), local_processes(number, folder / _WORKER_LOG) as (endpoint, workers, pool):
-                from atoll.cli.local_run import run_locally
+    number = options.workers or usable_cores(os.environ)[0]
+    with (
+        _log_in(folder),
+        raising_interrupts(),
+        local_processes(number, folder / _WORKER_LOG) as (endpoint, workers, pool),
+    ):
+        from atoll.cli.local_run import run_locally
 
-                code = run_locally(options, folder, endpoint, workers, pool, started)
-        except (UsageError, DataError, KeyboardInterrupt):
-            _remove_logs(folder)
-            raise
-        if code in (BAD_INPUT, INTERRUPTED):
-            _remove_logs(folder)
+        code = run_locally(options, folder, endpoint, workers, pool, started)
+    if code in (BAD_INPUT, INTERRUPTED):
+        _remove_logs(folder)
     return code
 
 
 @contextlib.contextmanager
 def _log_in(folder: Path) -> Iterator[None]:
-    """Make the folder and send the coordinator's log there while the block lasts; raises UsageError."""
+    """Make the folder and send the coordinator's log there while the block lasts; raises UsageError.
+
+    Where bad input or an interrupt ends the block, no log is left.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         log = logging.FileHandler(folder / _COORDINATOR_LOG, encoding="utf-8")
@@ -64,6 +66,9 @@ def _log_in(folder: Path) -> Iterator[None]:
     configure(handler=log)
     try:
         yield
+    except (UsageError, DataError, KeyboardInterrupt):
+        _remove_logs(folder)
+        raise
     finally:
         configure(handler=logging.NullHandler())  # the file may be gone
 
