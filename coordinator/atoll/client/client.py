@@ -57,14 +57,15 @@ _Question = (
 class Client:
     """Asks one coordinator; not thread-safe, like its bus."""
 
+    welcome: Welcome
+    """What the coordinator said of itself, once it was greeted."""
+
     def __init__(self, bus: Bus, address: str, principal: str = "client") -> None:
         """Use a `bus` that the caller closes. `address` is for messages; `principal` is of our certificate, if any."""
         self._bus = bus
         self._address = address
         self._name = f"{principal}-{uuid.uuid4().hex[:12]}"
         self._cluster: str | None = None
-        self.welcome: Welcome | None = None
-        """What the coordinator said of itself when it was greeted."""
 
     def greet(self, limit_s: float = ANSWER_LIMIT_S) -> str:
         """Learn and return the coordinator's cluster; the first question calls this by itself.
@@ -137,13 +138,15 @@ class Client:
         `is_open`: only those that have not ended; `last`: only so many, those that came last.
         """
         pages: list[tuple[JobView, ...]] = []
-        before, left = None, sys.maxsize if last is None else last
+        before: int | None = None
+        left = sys.maxsize if last is None else last
         while left > 0 and (not prefix or topics.is_id(prefix)):
             limit = min(left, MAX_PAGE_JOBS)
             question = messages.Jobs(prefix=prefix, is_open=is_open, before=before, limit=limit)
             page = self._ask(question, messages.JobList, "the list of jobs")
             pages.append(page.jobs)
-            left, before = left - len(page.jobs), page.before
+            left -= len(page.jobs)
+            before = page.before
             if before is None:
                 break
         return tuple(view for page in reversed(pages) for view in page)

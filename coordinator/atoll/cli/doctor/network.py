@@ -121,12 +121,10 @@ def _greeted(address: Destination) -> Iterator[Finding]:
     with connected(address, LIMIT_S) as client:
         welcome, workers = client.welcome, client.workers()
     now = datetime.now(UTC)
-    if welcome is not None:
-        yield fine(
-            "coordinator", f"Atoll {welcome.version} (protocol {welcome.protocol}, engine {welcome.engine}) answers"
-        )
-        yield from version_findings(welcome)
-        yield from clock_findings(welcome.clock, now)
+    there = f"Atoll {welcome.version} (protocol {welcome.protocol}, engine {welcome.engine})"
+    yield fine("coordinator", f"{there} answers")
+    yield from version_findings(welcome)
+    yield from clock_findings(welcome.clock, now)
     yield from worker_findings(workers, str(address))
 
 
@@ -134,9 +132,8 @@ def version_findings(welcome: "Welcome") -> Iterator[Finding]:
     """Say whether a worker of this installation would be taken; a client, which greeted, was."""
     versions = (welcome.version, welcome.protocol, welcome.engine)
     if versions != (VERSION, PROTOCOL_VERSION, ENGINE_REVISION):
-        fact = (
-            f"here is Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION}): workers would be refused"
-        )
+        here = f"here is Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
+        fact = f"{here}: workers would be refused"
         yield Finding("versions", "problem", fact, f"install Atoll {welcome.version} here, or this version there")
 
 
@@ -164,9 +161,7 @@ def worker_findings(workers: "Sequence[WorkerView]", address: str) -> Iterator[F
     yield fine("workers", f"{len(here)} on {counted(len({worker.host for worker in here}), 'machine')}")
     silent = [worker for worker in here if worker.silent > SILENT_S]
     if silent:
-        fact = ", ".join(
-            f"{worker.worker} on {worker.host} has been silent for {worker.silent:.0f} s" for worker in silent[:5]
-        )
+        fact = ", ".join(f"{one.worker} on {one.host} has been silent for {one.silent:.0f} s" for one in silent[:5])
         yield Finding("workers", "warning", fact, "look at these machines; their islands are placed anew soon")
     late = [worker for worker in here if worker.state == "compiling"]
     if late:

@@ -36,7 +36,6 @@ def ping(options: argparse.Namespace) -> int:
     began = time.monotonic()
     with connected(address, options.wait) as client:
         seconds, welcome = time.monotonic() - began, client.welcome
-    assert welcome is not None
     answer = {"version": welcome.version, "incarnation": welcome.incarnation, "seconds": seconds}
     text = (
         f"coordinator {welcome.version} at {address} answers, in {1000 * seconds:.0f} ms (start {welcome.incarnation})"
