@@ -12,7 +12,7 @@ from atoll.cli.exit_codes import DONE, end_of_cancelled, finish
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.cli.worker_table import coordinator_lines, worker_table
 from atoll.client.client import Client, connected
-from atoll.client.follower import Follower
+from atoll.client.follower import Display, Follower
 from atoll.terminal.output import as_json, clipped, count, duration, say, table
 from atoll.terminal.progress import JsonDisplay, LiveDisplay, PlainDisplay, is_screen, plain_lines
 from atoll_core.errors import UsageError
@@ -73,8 +73,12 @@ def _follow_job(options: argparse.Namespace, address: Destination) -> int:
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
         job = _chosen_job(client, options.job)
         hint = f"island-worker --connect {address}"
-        lines = LiveDisplay(hint) if is_screen() else PlainDisplay(hint, say)
-        with JsonDisplay(say) if options.json else lines as display:
+        display: Display = PlainDisplay(hint, say)
+        if options.json:
+            display = JsonDisplay(say)
+        elif is_screen():
+            display = LiveDisplay(hint)
+        with display:
             view = Follower(client, job, display).follow()
     return finish(view)
 
