@@ -6,7 +6,7 @@ from atoll.export import integrators
 from atoll.export.language import Language
 from atoll.export.naming import Naming
 from atoll_core.expression.operators import ABS
-from atoll_core.expression.text.notation import Notation
+from atoll_core.expression.text.infix import Notation
 
 _WORDS: Final = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long "

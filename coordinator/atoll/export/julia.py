@@ -4,7 +4,7 @@ from typing import Final
 
 from atoll.export.language import Language
 from atoll.export.naming import Naming
-from atoll_core.expression.text.notation import Notation
+from atoll_core.expression.text.infix import Notation
 
 _WORDS: Final = (
     "abstract baremodule begin break catch const continue do else elseif end export false finally for function "

@@ -12,8 +12,7 @@ from atoll.export.template import Values, fill
 from atoll.model.parameters import Parameter
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import SQRT
-from atoll_core.expression.text.infix import to_code
-from atoll_core.expression.text.notation import Notation
+from atoll_core.expression.text.infix import Notation, to_code
 
 _WIDTH: Final = 100
 """Columns of a heading."""

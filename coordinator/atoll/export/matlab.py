@@ -5,7 +5,7 @@ from typing import Final
 from atoll.export.language import Language
 from atoll.export.naming import Naming
 from atoll_core.expression.operators import LOG, SQRT
-from atoll_core.expression.text.notation import Notation
+from atoll_core.expression.text.infix import Notation
 
 _WORDS: Final = (
     "break case catch classdef continue else elseif end for function global if otherwise parfor persistent return "

@@ -4,7 +4,7 @@ from typing import Final
 
 from atoll.export.language import Language
 from atoll.export.naming import Naming
-from atoll_core.expression.text.notation import Notation
+from atoll_core.expression.text.infix import Notation
 
 _WORDS: Final = (
     "algorithm and annotation assert block break class connect connector constant constrainedby der discrete each "

@@ -6,7 +6,7 @@ from typing import Final
 from atoll.export import integrators
 from atoll.export.language import Language
 from atoll.export.naming import Naming
-from atoll_core.expression.text.notation import Notation
+from atoll_core.expression.text.infix import Notation
 
 _WORDS: Final = "np sys t along parameters rates noise simulate main value PARAMETERS SIZES"
 

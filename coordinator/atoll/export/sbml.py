@@ -15,7 +15,7 @@ from atoll.export.sbml_units import Units
 from atoll.export.template import Values, fill
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import OPERATORS
-from atoll_core.expression.text.notation import INFIX
+from atoll_core.expression.text.infix import INFIX
 
 _WORDS: Final = (
     "time avogadro delay rateOf pi exponentiale infinity notanumber inf nan true false and or not xor if "

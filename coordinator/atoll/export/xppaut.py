@@ -5,7 +5,7 @@ from typing import Final
 from atoll.export.language import Language
 from atoll.export.naming import Naming
 from atoll_core.expression.operators import LOG
-from atoll_core.expression.text.notation import Notation
+from atoll_core.expression.text.infix import Notation
 
 _WORDS: Final = (
     "sin cos tan atan atan2 sinh cosh tanh exp ln log log10 delay asin acos heav sign ceil flr ran abs max min "

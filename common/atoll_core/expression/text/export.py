@@ -4,16 +4,14 @@ LaTeX and MathML have the order of terms and factors, the signs, powers and brac
 """
 
 import re
-from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape, unescape
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
 from atoll_core.expression.operators import ABS, SQRT
 from atoll_core.expression.program import Program
 from atoll_core.expression.text.form import Form, Kind, Renderer, Signed
-from atoll_core.expression.text.infix import displayed_form, exact_form
-from atoll_core.expression.text.notation import INFIX
+from atoll_core.expression.text.infix import INFIX, displayed_form, exact_form
 
 if TYPE_CHECKING:
     import sympy
@@ -36,7 +34,7 @@ def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
 
 def to_latex(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
     """Return `program` as LaTeX mathematics, written as `to_infix` shows it with so many `digits` of constants."""
-    return _Latex(names, digits).render(displayed_form(program, digits))
+    return _Typeset(_LATEX, names, digits, " ").render(displayed_form(program, digits))
 
 
 def to_mathml(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
@@ -44,7 +42,8 @@ def to_mathml(program: Program, names: Sequence[str], *, digits: int = 6) -> str
 
     Factors are separated by dots where a name has several letters, and between numbers.
     """
-    return _MathML(names, digits).render(displayed_form(program, digits))
+    times = _MATHML.dot if any(len(name) > 1 for name in names) else "<mo>\u2062</mo>"
+    return _Typeset(_MATHML, names, digits, times).render(displayed_form(program, digits))
 
 
 class _Sympy(Renderer["sympy.Expr"]):
@@ -66,8 +65,7 @@ class _Sympy(Renderer["sympy.Expr"]):
             case Kind.NAME:
                 return self._symbols[form.index]
             case Kind.NUMBER:
-                value, name = form.number
-                return sympy.Integer(1) if name else sympy.Float(repr(value))
+                return sympy.Integer(1) if form.name else sympy.Float(repr(form.value))
             case Kind.CALL:
                 function = getattr(sympy, "Abs" if form.code == ABS else INFIX.call(form.code))
                 return cast("sympy.Expr", function(self.signed(form.parts[0])))
@@ -83,132 +81,91 @@ class _Sympy(Renderer["sympy.Expr"]):
         )
 
 
+class _Markup(NamedTuple):
+    """What a language of typesetting writes around parts: templates, but for how it writes a `name`.
+
+    `scaled` is a number times a power of ten, `addend` a sign and a term, `product` a factor, what stands between, and
+    a factor; `derivatives` are left-hand sides by the order of the derivative: what is derived, and by what.
+    """
+
+    name: Callable[[str], str]
+    number: str
+    scaled: str
+    negative: str
+    bracketed: str
+    sum: str
+    addend: str
+    product: str
+    dot: str
+    quotient: str
+    power: str
+    root: str
+    magnitude: str
+    call: str
+    derivatives: tuple[str, str, str]
+
+
 class _Typeset(Renderer[str]):
-    """What is typeset has in common; `digits` are the significant ones of constants."""
+    """Writes forms in a markup: quotients as fractions, powers raised.
 
-    def __init__(self, names: Sequence[str], digits: int) -> None:
+    `digits` are the significant ones of constants; `times` stands between factors that are no numbers.
+    """
+
+    def __init__(self, markup: _Markup, names: Sequence[str], digits: int, times: str) -> None:
         super().__init__()
-        self._names, self._digits = names, digits
+        self._markup, self._names, self._digits, self._times = markup, names, digits, times
 
-    @abstractmethod
+    def negative(self, operand: str) -> str:
+        return self._markup.negative.format(operand)
+
+    def of(self, form: Form) -> str:
+        markup = self._markup
+        match form.kind:
+            case Kind.NAME:
+                return markup.name(self._names[form.index])
+            case Kind.NUMBER:
+                mantissa, _, power = f"{form.value:.{self._digits}g}".partition("e")
+                return markup.scaled.format(mantissa, int(power)) if power else markup.number.format(mantissa)
+            case Kind.CALL:
+                return self._called(form.code, form.parts[0])
+            case Kind.GROUP:
+                return self._bracketed(form.parts[0])
+            case Kind.SUM:
+                first, *rest = form.terms
+                addends = (markup.addend.format("-" if term.negative else "+", self.plain(term)) for term in rest)
+                return markup.sum.format("".join([self.signed(first), *addends]))
+            case Kind.PRODUCT:
+                left, right = form.parts
+                times = markup.dot if _begins_with_number(right) else self._times
+                factor = self._bracketed(right) if right.form.kind is Kind.PRODUCT else self.plain(right)
+                return markup.product.format(self.plain(left), times, factor)
+            case Kind.QUOTIENT:
+                return markup.quotient.format(*map(self._open, form.parts))
+            case Kind.NATURAL:
+                return markup.power.format(self._base(form.parts[0]), markup.number.format(form.exponent))
+            case Kind.POWER:
+                base, exponent = form.parts
+                return markup.power.format(self._base(base), self._open(exponent))
+
+    def _called(self, code: int, argument: Signed) -> str:
+        if code == SQRT:
+            return self._markup.root.format(self.signed(argument))
+        if code == ABS:
+            return self._markup.magnitude.format(self.signed(argument))
+        return self._markup.call.format(INFIX.call(code), self._bracketed(argument))
+
     def _bracketed(self, operand: Signed) -> str:
-        """Return a part in brackets."""
-
-    def _factor(self, operand: Signed) -> str:
-        """Return what stands behind a factor."""
-        return self._bracketed(operand) if operand.form.kind is Kind.PRODUCT else self.plain(operand)
+        return self._markup.bracketed.format(self.signed(operand))
 
     def _open(self, operand: Signed) -> str:
         """Return a part that what is around it closes."""
-        return (
-            self.signed(operand.form.parts[0])
-            if operand.form.kind is Kind.GROUP and not operand.negative
-            else self.signed(operand)
-        )
+        is_group = operand.form.kind is Kind.GROUP and not operand.negative
+        return self.signed(operand.form.parts[0] if is_group else operand)
 
     def _base(self, operand: Signed) -> str:
-        return self.plain(operand) if _stands_alone(operand) else self._bracketed(operand)
-
-
-class _Latex(_Typeset):
-    """Writes forms as LaTeX: quotients as fractions, natural powers raised, one blank between factors."""
-
-    def negative(self, operand: str) -> str:
-        return f"- {operand}"
-
-    def of(self, form: Form) -> str:
-        match form.kind:
-            case Kind.NAME:
-                return _latex_name(self._names[form.index])
-            case Kind.NUMBER:
-                mantissa, power = _number(form.number[0], self._digits)
-                return rf"{mantissa} \cdot 10^{{{power}}}" if power else mantissa
-            case Kind.CALL:
-                return self._called(form)
-            case Kind.GROUP:
-                return self._bracketed(form.parts[0])
-            case Kind.SUM:
-                first, *rest = form.terms
-                signs = (f" {'-' if operand.negative else '+'} {self.plain(operand)}" for operand in rest)
-                return "".join([self.signed(first), *signs])
-            case Kind.PRODUCT:
-                left, right = form.parts
-                times = r" \cdot " if _begins_with_number(right) else " "
-                return f"{self.plain(left)}{times}{self._factor(right)}"
-            case Kind.QUOTIENT:
-                return rf"\frac{{{self._open(form.parts[0])}}}{{{self._open(form.parts[1])}}}"
-            case Kind.NATURAL:
-                return f"{self._base(form.parts[0])}^{{{form.exponent}}}"
-            case Kind.POWER:
-                base, exponent = form.parts
-                return f"{self._base(base)}^{{{self._open(exponent)}}}"
-
-    def _called(self, form: Form) -> str:
-        (argument,) = form.parts
-        if form.code == SQRT:
-            return rf"\sqrt{{{self.signed(argument)}}}"
-        if form.code == ABS:
-            return rf"\left|{self.signed(argument)}\right|"
-        return rf"\{INFIX.call(form.code)}{self._bracketed(argument)}"
-
-    def _bracketed(self, operand: Signed) -> str:
-        return rf"\left({self.signed(operand)}\right)"
-
-
-class _MathML(_Typeset):
-    """Writes forms as presentation MathML, each as one element."""
-
-    def __init__(self, names: Sequence[str], digits: int) -> None:
-        super().__init__(names, digits)
-        self._times = "<mo>\u00b7</mo>" if any(len(name) > 1 for name in names) else "<mo>\u2062</mo>"
-
-    def negative(self, operand: str) -> str:
-        return f"<mrow><mo>-</mo>{operand}</mrow>"
-
-    def of(self, form: Form) -> str:
-        match form.kind:
-            case Kind.NAME:
-                return _mathml_name(self._names[form.index])
-            case Kind.NUMBER:
-                mantissa, power = _number(form.number[0], self._digits)
-                raised = f"<msup><mn>10</mn><mn>{power}</mn></msup>"
-                return f"<mrow><mn>{mantissa}</mn><mo>\u00b7</mo>{raised}</mrow>" if power else f"<mn>{mantissa}</mn>"
-            case Kind.CALL:
-                return self._called(form)
-            case Kind.GROUP:
-                return self._bracketed(form.parts[0])
-            case Kind.SUM:
-                first, *rest = form.terms
-                signs = (f"<mo>{'-' if operand.negative else '+'}</mo>{self.plain(operand)}" for operand in rest)
-                return f"<mrow>{''.join([self.signed(first), *signs])}</mrow>"
-            case Kind.PRODUCT:
-                left, right = form.parts
-                times = "<mo>\u00b7</mo>" if _begins_with_number(right) else self._times
-                return f"<mrow>{self.plain(left)}{times}{self._factor(right)}</mrow>"
-            case Kind.QUOTIENT:
-                return f"<mfrac>{self._open(form.parts[0])}{self._open(form.parts[1])}</mfrac>"
-            case Kind.NATURAL:
-                return f"<msup>{self._base(form.parts[0])}<mn>{form.exponent}</mn></msup>"
-            case Kind.POWER:
-                base, exponent = form.parts
-                return f"<msup>{self._base(base)}{self._open(exponent)}</msup>"
-
-    def _called(self, form: Form) -> str:
-        (argument,) = form.parts
-        if form.code == SQRT:
-            return f"<msqrt>{self.signed(argument)}</msqrt>"
-        if form.code == ABS:
-            return f"<mrow><mo>|</mo>{self.signed(argument)}<mo>|</mo></mrow>"
-        return f"<mrow><mi>{INFIX.call(form.code)}</mi><mo>\u2061</mo>{self._bracketed(argument)}</mrow>"
-
-    def _bracketed(self, operand: Signed) -> str:
-        return f"<mrow><mo>(</mo>{self.signed(operand)}<mo>)</mo></mrow>"
-
-
-def _stands_alone(operand: Signed) -> bool:
-    """Tell whether a part may be raised to a power without brackets."""
-    is_digits = operand.is_constant and "e" not in f"{operand.form.number[0]:g}"
-    return not operand.negative and (operand.is_atom or is_digits)
+        is_digits = operand.is_constant and "e" not in f"{operand.form.value:g}"
+        stands_alone = not operand.negative and (operand.is_atom or is_digits)
+        return self.plain(operand) if stands_alone else self._bracketed(operand)
 
 
 def _begins_with_number(operand: Signed) -> bool:
@@ -216,20 +173,6 @@ def _begins_with_number(operand: Signed) -> bool:
     return operand.is_constant or (
         operand.form.kind in (Kind.NATURAL, Kind.POWER) and operand.form.parts[0].is_constant
     )
-
-
-def _number(value: float, digits: int) -> tuple[str, str]:
-    """Return the digits of a number, and the power of ten that they are times, "" for none."""
-    mantissa, _, power = f"{value:.{digits}g}".partition("e")
-    return mantissa, str(int(power)) if power else ""
-
-
-def left_side_to_latex(lhs: str, *, is_name: bool = False) -> str:
-    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side, and one that `is_name`, as a name."""
-    order, *names = (0, lhs, "") if is_name else _derivative(lhs)
-    above, below = map(_latex_name, names)
-    power = "^{2}" if order == 2 else ""
-    return rf"\frac{{d{power} {above}}}{{d {below}{power}}}" if order else above
 
 
 def _latex_name(name: str) -> str:
@@ -252,27 +195,65 @@ def _mathml_name(name: str) -> str:
     return _HTML_ENTITY.sub(lambda entity: unescape(entity[0]), text)
 
 
+_LATEX: Final = _Markup(
+    name=_latex_name,
+    number="{}",
+    scaled=r"{} \cdot 10^{{{}}}",
+    negative="- {}",
+    bracketed=r"\left({}\right)",
+    sum="{}",
+    addend=" {} {}",
+    product="{}{}{}",
+    dot=r" \cdot ",
+    quotient=r"\frac{{{}}}{{{}}}",
+    power="{}^{{{}}}",
+    root=r"\sqrt{{{}}}",
+    magnitude=r"\left|{}\right|",
+    call=r"\{}{}",
+    derivatives=("{}", r"\frac{{d {}}}{{d {}}}", r"\frac{{d^{{2}} {}}}{{d {}^{{2}}}}"),
+)
+_MATHML: Final = _Markup(
+    name=_mathml_name,
+    number="<mn>{}</mn>",
+    scaled="<mrow><mn>{}</mn><mo>\u00b7</mo><msup><mn>10</mn><mn>{}</mn></msup></mrow>",
+    negative="<mrow><mo>-</mo>{}</mrow>",
+    bracketed="<mrow><mo>(</mo>{}<mo>)</mo></mrow>",
+    sum="<mrow>{}</mrow>",
+    addend="<mo>{}</mo>{}",
+    product="<mrow>{}{}{}</mrow>",
+    dot="<mo>\u00b7</mo>",
+    quotient="<mfrac>{}{}</mfrac>",
+    power="<msup>{}{}</msup>",
+    root="<msqrt>{}</msqrt>",
+    magnitude="<mrow><mo>|</mo>{}<mo>|</mo></mrow>",
+    call="<mrow><mi>{}</mi><mo>\u2061</mo>{}</mrow>",
+    derivatives=(
+        "{}",
+        "<mfrac><mrow><mi>d</mi>{}</mrow><mrow><mi>d</mi>{}</mrow></mfrac>",
+        "<mfrac><mrow><msup><mi>d</mi><mn>2</mn></msup>{}</mrow><mrow><mi>d</mi><msup>{}<mn>2</mn></msup></mrow></mfrac>",
+    ),
+)
+
+
+def left_side_to_latex(lhs: str, *, is_name: bool = False) -> str:
+    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side, and one that `is_name`, as a name."""
+    return _left_side(_LATEX, lhs, is_name)
+
+
 def left_side_to_mathml(lhs: str, *, is_name: bool = False) -> str:
-    """Return ``dx/dt`` and ``d2x/dt2`` as fractions of MathML, other left-hand sides, and what `is_name`, as names."""
-    order, *names = (0, lhs, "") if is_name else _derivative(lhs)
-    above, below = (_mathml_name(name) if name else "" for name in names)
-    if order == 0:
-        return above
-    d = "<mi>d</mi>"
-    if order == 2:
-        return f"<mfrac><mrow>{_squared(d)}{above}</mrow><mrow>{d}{_squared(below)}</mrow></mfrac>"
-    return f"<mfrac><mrow>{d}{above}</mrow><mrow>{d}{below}</mrow></mfrac>"
+    """Return a left-hand side as MathML, as `left_side_to_latex` does."""
+    return _left_side(_MATHML, lhs, is_name)
 
 
-def _squared(content: str) -> str:
-    return f"<msup>{content}<mn>2</mn></msup>"
+def _left_side(markup: _Markup, lhs: str, is_name: bool) -> str:
+    order, *names = (0, lhs) if is_name else _derivative(lhs)
+    return markup.derivatives[order].format(*(markup.name(name) if name else "" for name in names))
 
 
-def _derivative(lhs: str) -> tuple[int, str, str]:
+def _derivative(lhs: str) -> tuple[int, str] | tuple[int, str, str]:
     """Return the order of a left-hand side, what is derived and by what; order 0 and the name where it is none."""
-    above, slash, below = lhs.rpartition("/")
-    if slash and above.startswith("d2") and below.startswith("d") and below.endswith("2"):
-        return 2, above[2:], below[1:-1]
-    if slash and above.startswith("d") and below.startswith("d"):
-        return 1, above[1:], below[1:]
-    return 0, lhs, ""
+    for order, pattern in ((2, "d2(.*)/d([^/]*)2"), (1, "d(.*)/d([^/]*)")):
+        match = re.fullmatch(pattern, lhs, re.DOTALL)
+        if match:
+            return order, match[1], match[2]
+    return 0, lhs

@@ -10,7 +10,7 @@ from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 from atoll_core.expression.operators import (
     ADD,
@@ -32,7 +32,6 @@ from atoll_core.expression.text.parsing import LARGEST_POWER
 TANGENT: Final = -1
 COTANGENT: Final = -2
 """Codes of the quotients of sine and cosine, beside those of operators."""
-ALL_QUOTIENTS: Final = frozenset({TANGENT, COTANGENT})
 _QUOTIENTS: Final = {(SIN, COS): TANGENT, (COS, SIN): COTANGENT}
 
 
@@ -50,47 +49,22 @@ class Kind(Enum):
     POWER = "any other power"
 
 
-Content = int | tuple[float, str] | None
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class Form:
     """A part as it is written, without its sign. Equal parts of one program are one object.
 
     `parts` are the signed operands: of a sum its terms, of a product, a quotient or a power both of its sides (a
-    natural one has its base alone). `content` says which variable, number, function or natural power it is: see
-    `index`, `number`, `code` and `exponent`, of which each kind has one; None for the other kinds.
+    natural one has its base alone). `index` is that of a variable, `code` that of a function or of a quotient of
+    functions, `exponent` that of a natural power, `value` that of a number, which may have a `name`.
     """
 
     kind: Kind
     parts: "tuple[Signed, ...]" = ()
-    content: Content = None
-
-    @property
-    def index(self) -> int:
-        """The index of a variable."""
-        return self._whole
-
-    @property
-    def code(self) -> int:
-        """The code of a function, or of a quotient of functions."""
-        return self._whole
-
-    @property
-    def exponent(self) -> int:
-        """The exponent of a natural power."""
-        return self._whole
-
-    @property
-    def number(self) -> tuple[float, str]:
-        """The value of a number, and its name, "" where it has none."""
-        assert isinstance(self.content, tuple)
-        return self.content
-
-    @property
-    def _whole(self) -> int:
-        assert isinstance(self.content, int)
-        return self.content
+    index: int = 0
+    code: int = 0
+    exponent: int = 0
+    value: float = 0.0
+    name: str = ""
 
     @property
     def terms(self) -> "tuple[Signed, ...]":
@@ -168,7 +142,7 @@ def form_of(
     program: Program,
     constants: Mapping[int, str] = MappingProxyType({}),
     *,
-    quotients: frozenset[int] = ALL_QUOTIENTS,
+    quotients: frozenset[int] = frozenset({TANGENT, COTANGENT}),
 ) -> Written:
     """Return the form of a program.
 
@@ -181,7 +155,7 @@ def form_of(
     operands: list[Signed] = []
     for place, (code, left, right, value) in enumerate(program.nodes()):
         if code == VARIABLE:
-            operands.append(Signed(writer.form(Kind.NAME, content=left)))
+            operands.append(Signed(writer.form(Kind.NAME, index=left)))
         elif code == CONSTANT:
             operands.append(writer.number(value, constants.get(place, "")))
         elif ARITY[code] == 2:
@@ -208,18 +182,15 @@ class _Writer:
     quotients: frozenset[int]
     forms: dict[Hashable, Form] = field(default_factory=dict)
 
-    def form(self, kind: Kind, *parts: Signed, content: Content = None) -> Form:
-        key = (kind, parts, content)
-        if key not in self.forms:
-            self.forms[key] = Form(kind, parts, content)
-        return self.forms[key]
+    def form(self, kind: Kind, *parts: Signed, **content: Any) -> Form:
+        return self.forms.setdefault((kind, parts, *content.values()), Form(kind, parts, **content))
 
     def number(self, value: float, name: str = "") -> Signed:
         """Return a constant; of one that has a name the sign is part of what is named."""
         if name:
-            return Signed(self.form(Kind.NUMBER, content=(value, name)))
+            return Signed(self.form(Kind.NUMBER, value=value, name=name))
         is_negative = value.hex().startswith("-")  # also of zero
-        return Signed(self.form(Kind.NUMBER, content=(abs(value), "")), is_negative)
+        return Signed(self.form(Kind.NUMBER, value=abs(value), name=""), is_negative)
 
     def binary(self, code: int, left: Signed, right: Signed) -> Signed:
         if code == ADD:
@@ -239,7 +210,7 @@ class _Writer:
             return self._multiplied(operand, operand)
         if code == INVERSE:
             return self._divided(self.number(1.0, "1"), operand)
-        return Signed(self.form(Kind.CALL, operand, content=code))
+        return Signed(self.form(Kind.CALL, operand, code=code))
 
     def _grouped(self, operand: Signed) -> Signed:
         """Return a sum in brackets, anything else as it is."""
@@ -270,7 +241,7 @@ class _Writer:
         above, below = left.form, right.form
         code = _QUOTIENTS.get((above.code, below.code)) if above.kind is below.kind is Kind.CALL else None
         if code in self.quotients and above.parts == below.parts:
-            return Signed(self.form(Kind.CALL, *above.parts, content=code), is_negative)
+            return Signed(self.form(Kind.CALL, *above.parts, code=code), is_negative)
         return Signed(self.form(Kind.QUOTIENT, left, right), is_negative)
 
     def _operands(self, left: Signed, right: Signed) -> tuple[Signed, Signed, bool]:
@@ -283,9 +254,9 @@ class _Writer:
         if left.is_constant or right.is_constant:
             return None
         if left == right:
-            return self.form(Kind.NATURAL, left, content=2)
+            return self.form(Kind.NATURAL, left, exponent=2)
         for power, factor in ((left.form, right), (right.form, left)):
             is_next = power.kind is Kind.NATURAL and power.parts == (factor,) and factor.is_atom
             if is_next and power.exponent < LARGEST_POWER:
-                return self.form(Kind.NATURAL, factor, content=power.exponent + 1)
+                return self.form(Kind.NATURAL, factor, exponent=power.exponent + 1)
         return None

@@ -6,12 +6,45 @@ Two manners. *Exact* (the default): parsing the text gives the same bits on ever
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
-from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY
+from atoll_core.expression.operators import ADD, ARITY, FUNCTIONS, MULTIPLY
 from atoll_core.expression.program import Program, constant_places, with_constants
-from atoll_core.expression.text.form import Form, Kind, Renderer, Signed, Written, form_of
-from atoll_core.expression.text.notation import INFIX, Notation
+from atoll_core.expression.text.form import COTANGENT, TANGENT, Form, Kind, Renderer, Signed, Written, form_of
+
+
+@dataclass(frozen=True)
+class Notation:
+    """How one language writes functions and powers; the rest, + - * / with brackets, is the same in all languages.
+
+    `functions` are names by operator code, where they differ from ours, and `prefix` stands before those that do not.
+    `power` writes a base and an exponent, `natural` a base and a natural number. A power `is_call` where that is a
+    function call, whose arguments need no brackets. `tangent` and `cotangent` name the quotients of sine and cosine;
+    empty: there is no such function, and the quotient is written.
+    """
+
+    functions: Mapping[int, str] = field(default_factory=dict)
+    prefix: str = ""
+    power: str = "{0}^{1}"
+    natural: str = "{0}^{1}"
+    is_call: bool = False
+    tangent: str = "tan"
+    cotangent: str = ""
+
+    def call(self, code: int) -> str:
+        """Return the name of the function of an operator, or of a quotient of sine and cosine."""
+        ours = FUNCTIONS | {TANGENT: self.tangent, COTANGENT: self.cotangent}
+        return self.functions.get(code) or self.prefix + ours[code]
+
+    @property
+    def quotients(self) -> frozenset[int]:
+        """The codes of the quotients of sine and cosine that have a name."""
+        return frozenset(code for code, name in ((TANGENT, self.tangent), (COTANGENT, self.cotangent)) if name)
+
+
+INFIX: Final = Notation(power="{0}**{1}", natural="{0}**{1}", cotangent="cot")
+"""That of Atoll's own expressions, which our parser and sympy read."""
 
 PRINTABLE_SIZE: Final = 5_000
 """Largest tree that is printed. Shared nodes are printed once per use, so a short list can be a huge text."""
@@ -29,8 +62,8 @@ def to_infix(program: Program, names: Sequence[str], *, digits: int | None = Non
         ValueError: the text would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
     """
     if digits is None:
-        return _text(exact_form(program), names, repr)
-    return _text(displayed_form(program, digits), names, lambda value: f"{value:.{digits}g}")
+        return _Text(names, repr).render(exact_form(program))
+    return _Text(names, lambda value: f"{value:.{digits}g}").render(displayed_form(program, digits))
 
 
 def exact_form(program: Program) -> Written:
@@ -67,7 +100,7 @@ def to_code(program: Program, names: Sequence[str], notation: Notation, constant
         ValueError: the text would have more than `PRINTABLE_SIZE` operations.
     """
     _check_size(program)
-    return _text(form_of(program, constants, quotients=notation.quotients), names, repr, notation)
+    return _Text(names, repr, notation).render(form_of(program, constants, quotients=notation.quotients))
 
 
 def _check_size(program: Program) -> None:
@@ -79,10 +112,9 @@ def _check_size(program: Program) -> None:
 def tree_size(program: Program) -> int:
     """Return the number of nodes of `program` printed as a tree; both operands of a*a and a + a count once."""
     sizes: list[int] = []
-    columns = (program.operators, program.left, program.right)
-    for code, left, right in zip(*(column.tolist() for column in columns), strict=True):
+    for code, left, right, _ in program.nodes():
         size = 1
-        if code > CONSTANT:
+        if ARITY[code]:
             size += sizes[left]
         if ARITY[code] == 2 and (left != right or code not in (ADD, MULTIPLY)):
             size += sizes[right]
@@ -90,14 +122,10 @@ def tree_size(program: Program) -> int:
     return sizes[-1]
 
 
-def _text(written: Written, names: Sequence[str], number: Callable[[float], str], notation: Notation = INFIX) -> str:
-    return _Text(names, number, notation).render(written)
-
-
 class _Text(Renderer[str]):
     """Writes forms as text of one notation."""
 
-    def __init__(self, names: Sequence[str], number: Callable[[float], str], notation: Notation) -> None:
+    def __init__(self, names: Sequence[str], number: Callable[[float], str], notation: Notation = INFIX) -> None:
         super().__init__()
         self._names, self._number, self._notation = names, number, notation
 
@@ -107,10 +135,9 @@ class _Text(Renderer[str]):
     def of(self, form: Form) -> str:
         match form.kind:
             case Kind.NAME:
-                return str(self._names[form.index])
+                return self._names[form.index]
             case Kind.NUMBER:
-                value, name = form.number
-                return str(name) or self._number(value)
+                return form.name or self._number(form.value)
             case Kind.CALL:
                 return f"{self._notation.call(form.code)}({self.signed(form.parts[0])})"
             case Kind.GROUP:

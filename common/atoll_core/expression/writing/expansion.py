@@ -167,9 +167,7 @@ def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
 def expand_program(program: Program, is_written: IsWritten = lambda *_: False) -> Expansion | None:
     """Return the expanded form of a program; None when there is none, or none that is small enough.
 
-    Args:
-        program: what is to be expanded.
-        is_written: which coefficients of one or minus one become constants.
+    `is_written` tells which coefficients of one or minus one become constants.
     """
     try:
         return write_expansion(terms_of(program), is_written)
@@ -179,16 +177,11 @@ def expand_program(program: Program, is_written: IsWritten = lambda *_: False) -
 
 def write_expansion(terms: Sum, is_written: IsWritten = lambda *_: False) -> Expansion | None:
     """Return the program of an expanded sum, as `expand_program` does."""
+    builder = _Builder(is_written)
     try:
-        return _built(terms, is_written)
+        output = builder.sum_of_terms(terms)
     except UndefinedError:
         return None
-
-
-@contained
-def _built(terms: Sum, is_written: IsWritten) -> Expansion | None:
-    builder = _Builder(is_written)
-    output = builder.sum_of_terms(terms)
     if len(builder.nodes) > MAX_NODES:
         return None
     return Expansion(builder.program(output), tuple(builder.roles), tuple(builder.units))
@@ -208,6 +201,7 @@ class _Builder(ProgramBuilder):
         self.roles.append(role)
         return self.append(CONSTANT, value=value)
 
+    @contained
     def sum_of_terms(self, terms: Sum) -> int:
         """Return the index of an expanded sum, a positive term in front if there is one."""
         if not terms:

@@ -55,26 +55,29 @@ def equal_sums(terms: Sum, best: Best) -> Iterator[Sum]:
             continue
 
 
-def _without(addends: Sum, *terms: Term) -> Sum:
-    return tuple(term for term in addends if term not in terms)
+def _replaced(addends: Sum, terms: Sum, *instead: Sum) -> Sum:
+    """Return a sum with others `instead` of some of its terms."""
+    rest = tuple(term for term in addends if term not in terms)
+    return add((1.0, rest), *((1.0, other) for other in instead))
 
 
-def _one(term: Term) -> Sum:
-    return (term,)
+def _times(term: Term, *factors: tuple[Atom, int]) -> Sum:
+    """Return a term times powers of atoms."""
+    return product([term[1], *merged([*term[0], *factors])])
 
 
 def _expanded(terms: Sum, best: Best) -> Iterator[Sum]:
     """One power of a bracket times the rest, term by term; all brackets at once."""
     expansions: list[tuple[float, Sum]] = []
     is_open = True
-    for monomial, coefficient in terms:
+    for term in terms:
+        monomial, coefficient = term
         parts = [(atom, exponent) for atom, exponent in monomial if atom[0] == ADD and exponent > 0]
         whole: Sum = ((tuple(item for item in monomial if item not in parts), coefficient),)
         for atom, exponent in parts:
-            rest = product([coefficient, *merged([*monomial, (atom, -1)])])
-            expanded = distribute(rest, atom[1])
+            expanded = distribute(_times(term, (atom, -1)), atom[1])
             if len(expanded) + len(terms) <= _MOST_TERMS:
-                yield add((1.0, _without(terms, (monomial, coefficient))), (1.0, expanded))
+                yield _replaced(terms, (term,), expanded)
             for _ in range(exponent):
                 whole = distribute(whole, atom[1])
                 if len(whole) > _MOST_TERMS:
@@ -101,20 +104,16 @@ def _factored(terms: Sum, best: Best) -> Iterator[Sum]:
     """What terms have in common, in front of a bracket."""
     tried: set[Monomial] = set()
     for (one, _), (other, _) in combinations(terms, 2):
-        shared = common([one, other])
-        if not shared or shared in tried:
+        whole = common([one, other])
+        if not whole or whole in tried:
             continue
-        tried.add(shared)
-        chosen = [term for term in terms if _divides(shared, term[0])]
-        inner = best(collect((divided(monomial, shared), coefficient) for monomial, coefficient in chosen))
-        yield add((1.0, _without(terms, *chosen)), (1.0, multiply(((shared, 1.0),), inner)))
-        for atom, exponent in shared if len(shared) > 1 else ():
-            single = ((atom, 1 if exponent > 0 else -1),)
-            if single not in tried:
-                tried.add(single)
-                chosen = [term for term in terms if _divides(single, term[0])]
-                inner = best(collect((divided(monomial, single), coefficient) for monomial, coefficient in chosen))
-                yield add((1.0, _without(terms, *chosen)), (1.0, multiply(((single, 1.0),), inner)))
+        singles = [((atom, 1 if exponent > 0 else -1),) for atom, exponent in whole] if len(whole) > 1 else []
+        for shared in (whole, *singles):
+            if shared not in tried:
+                tried.add(shared)
+                chosen = tuple(term for term in terms if _divides(shared, term[0]))
+                inner = best(collect((divided(monomial, shared), coefficient) for monomial, coefficient in chosen))
+                yield _replaced(terms, chosen, multiply(((shared, 1.0),), inner))
 
 
 def _divides(divisor: Monomial, monomial: Monomial) -> bool:
@@ -132,20 +131,21 @@ def _over_one_line(terms: Sum, best: Best) -> Iterator[Sum]:
             if exponent < 0 and atom[0] in (ADD, SIN, COS):
                 divisors[atom] = min(divisors.get(atom, 0), exponent)
     for atom, exponent in divisors.items():
-        over = [term for term in terms if dict(term[0]).get(atom, 0) < 0]
-        others = [term for term in terms if term not in over]
-        groups = [others] if len(others) < 2 else [others, *([other] for other in others)]
-        if not others and len(over) > 1:
-            groups = [[]]
-        for group in groups:
-            raising: Sum = _expanded_power(atom, -exponent)
-            parts = [(1.0, distribute(_one(term), raising)) for term in group]
+        over = tuple(term for term in terms if dict(term[0]).get(atom, 0) < 0)
+        others = tuple(term for term in terms if term not in over)
+        for group in _whole_and_parts(others):
+            raising = _expanded_power(atom, -exponent)
+            parts = [(1.0, distribute((term,), raising)) for term in group]
             parts += [(1.0, _lifted(term, atom, exponent, raising)) for term in over]
             above = add(*parts)
-            if len(above) > _MOST_TERMS:
-                continue
-            whole = multiply(best(above), (((((atom, exponent),)), 1.0),)) if above else ZERO
-            yield add((1.0, _without(terms, *over, *group)), (1.0, whole))
+            if len(above) <= _MOST_TERMS:
+                whole = multiply(best(above), atom_sum(atom, exponent=exponent)) if above else ZERO
+                yield _replaced(terms, (*over, *group), whole)
+
+
+def _whole_and_parts(terms: Sum) -> list[Sum]:
+    """Return all terms together, and where there are several each of them alone."""
+    return [terms] if len(terms) < 2 else [terms, *((term,) for term in terms)]
 
 
 def _expanded_power(atom: Atom, exponent: int) -> Sum:
@@ -158,21 +158,19 @@ def _expanded_power(atom: Atom, exponent: int) -> Sum:
 
 def _lifted(term: Term, atom: Atom, exponent: int, raising: Sum) -> Sum:
     """Return a term that has a divisor times the highest power of it."""
-    monomial, coefficient = term
-    own = dict(monomial)[atom]
-    rest = product([coefficient, *merged([*monomial, (atom, -own)])])
+    own = dict(term[0])[atom]
+    rest = _times(term, (atom, -own))
     return distribute(rest, _expanded_power(atom, own - exponent)) if own > exponent else rest
 
 
 def _divisors_multiplied(terms: Sum, best: Best) -> Iterator[Sum]:
     """1/((u + v) (u - v)) as 1/(u^2 - v^2)."""
     for term in terms:
-        monomial, coefficient = term
-        below = [atom for atom, exponent in monomial if atom[0] == ADD and exponent < 0]
+        below = [atom for atom, exponent in term[0] if atom[0] == ADD and exponent < 0]
         for one, other in combinations(below, 2):
             divisor = distribute(one[1], other[1])
-            rest = product([coefficient, *merged([*monomial, (one, 1), (other, 1)])])
-            yield add((1.0, _without(terms, term)), (1.0, multiply(rest, power(divisor, -1))))
+            rest = _times(term, (one, 1), (other, 1))
+            yield _replaced(terms, (term,), multiply(rest, power(divisor, -1)))
 
 
 def _divided_out(terms: Sum, best: Best) -> Iterator[Sum]:
@@ -186,29 +184,29 @@ def _divided_out(terms: Sum, best: Best) -> Iterator[Sum]:
                 if lead == ONE or not _divides(lead, monomial):
                     continue
                 quotient = product([kept(coefficient / factor), *merged([*divided(monomial, lead), (atom, 1)])])
-                rest = _without(atom[1], (lead, factor))
+                rest = tuple(inner for inner in atom[1] if inner != (lead, factor))
                 over = product([kept(-coefficient / factor), *divided(monomial, lead)])
-                yield add((1.0, _without(terms, term)), (1.0, quotient), (1.0, distribute(over, rest)))
+                yield _replaced(terms, (term,), quotient, distribute(over, rest))
 
 
 def _without_inner_quotients(terms: Sum, best: Best) -> Iterator[Sum]:
     """A bracket with quotients as one quotient."""
     for term in terms:
-        monomial, coefficient = term
-        for atom, exponent in monomial:
+        for atom, exponent in term[0]:
             if atom[0] != ADD:
                 continue
             lowest: dict[Atom, int] = {}
             for inner, _ in atom[1]:
                 for part, count in inner:
                     lowest[part] = min(lowest.get(part, 0), count)
-            divisor = tuple((part, -count) for part, count in lowest.items() if count < 0)
-            if not divisor:
+            below = [(part, -count) for part, count in lowest.items() if count < 0]
+            if not below:
                 continue
-            raised = add(*((1.0, distribute(_one(inner), ((merged(divisor), 1.0),))) for inner in atom[1]))
-            rest = product([coefficient, *merged([*monomial, (atom, -exponent)])])
-            scaled = multiply(power(best(raised), exponent), power(((merged(divisor), 1.0),), -exponent))
-            yield add((1.0, _without(terms, term)), (1.0, multiply(rest, scaled)))
+            divisor = ((merged(below), 1.0),)
+            raised = add(*((1.0, distribute((inner,), divisor)) for inner in atom[1]))
+            rest = _times(term, (atom, -exponent))
+            scaled = multiply(power(best(raised), exponent), power(divisor, -exponent))
+            yield _replaced(terms, (term,), multiply(rest, scaled))
 
 
 def _squares_of_waves(terms: Sum, best: Best) -> Iterator[Sum]:
@@ -217,23 +215,14 @@ def _squares_of_waves(terms: Sum, best: Best) -> Iterator[Sum]:
         argument = atom[1]
         other = ((COS if atom[0] == SIN else SIN), argument)
         doubled = function(COS, add((2.0, argument)))
-        chosen = [term for term in terms if dict(term[0]).get(atom, 0) >= 2]
+        chosen = tuple(term for term in terms if dict(term[0]).get(atom, 0) >= 2)
         if not chosen:
             continue
-        of_other = add((1.0, constant(1.0)), (-1.0, _squared(other)))
+        of_other = add((1.0, constant(1.0)), (-1.0, atom_sum(other, exponent=2)))
         of_double = add((1.0, constant(0.5)), (-0.5 if atom[0] == SIN else 0.5, doubled))
         for substitute in (of_other, of_double):
-            groups = [chosen] if len(chosen) == 1 else [chosen, *([term] for term in chosen)]
-            for group in groups:
-                parts = [
-                    (1.0, distribute(product([coefficient, *merged([*monomial, (atom, -2)])]), substitute))
-                    for monomial, coefficient in group
-                ]
-                yield add((1.0, _without(terms, *group)), *parts)
-
-
-def _squared(atom: Atom) -> Sum:
-    return ((((atom, 2),), 1.0),)
+            for group in _whole_and_parts(chosen):
+                yield _replaced(terms, group, *(distribute(_times(term, (atom, -2)), substitute) for term in group))
 
 
 def _waves(terms: Sum) -> list[Atom]:
@@ -249,15 +238,14 @@ def _double_angles(terms: Sum, best: Best) -> Iterator[Sum]:
         for atom, exponent in monomial:
             partner = (COS, atom[1]) if atom[0] == SIN else None
             if partner in exponents and exponent > 0 and exponents[partner] > 0:
-                rest = product([times(0.5, coefficient), *merged([*monomial, (atom, -1), (partner, -1)])])
-                whole = multiply(rest, function(SIN, add((2.0, atom[1]))))
-                yield add((1.0, _without(terms, term)), (1.0, whole))
+                rest = _times((monomial, times(0.5, coefficient)), (atom, -1), (partner, -1))
+                yield _replaced(terms, (term,), multiply(rest, function(SIN, add((2.0, atom[1])))))
             if atom[0] in (SIN, COS) and exponent > 0:
                 half = add((0.5, atom[1]))
                 if any(wave[1] == half for wave in waves):
-                    rest = product([coefficient, *merged([*monomial, (atom, -1)])])
+                    rest = _times(term, (atom, -1))
                     for expanded in _by_half(atom[0], half):
-                        yield add((1.0, _without(terms, term)), (1.0, distribute(rest, expanded)))
+                        yield _replaced(terms, (term,), distribute(rest, expanded))
 
 
 def _by_half(code: int, half: Sum) -> list[Sum]:
@@ -265,17 +253,14 @@ def _by_half(code: int, half: Sum) -> list[Sum]:
     if code == SIN:
         return [((merged([(sine, 1), (cosine, 1)]), 2.0),)]
     return [
-        add((1.0, constant(1.0)), (-2.0, _squared(sine))),
-        add((2.0, _squared(cosine)), (-1.0, constant(1.0))),
+        add((1.0, constant(1.0)), (-2.0, atom_sum(sine, exponent=2))),
+        add((2.0, atom_sum(cosine, exponent=2)), (-1.0, constant(1.0))),
     ]
 
 
 def _angle_sums(terms: Sum, best: Best) -> Iterator[Sum]:
     """sin a cos b +- cos a sin b and cos a cos b -+ sin a sin b as one function of a sum."""
-    for first, second in combinations(terms, 2):
-        if not math.isclose(abs(first[1]), abs(second[1]), rel_tol=_EQUAL):
-            continue
-        shared = common([first[0], second[0]])
+    for first, second, shared in _pairs_of_one_size(terms):
         one, other = (_waves_by_argument(divided(term[0], shared)) for term in (first, second))
         if len(one) != 2 or one.keys() != other.keys() or any(one[argument] == other[argument] for argument in one):
             continue
@@ -285,7 +270,14 @@ def _angle_sums(terms: Sum, best: Best) -> Iterator[Sum]:
             whole, factor = function(COS, add((1.0, a), (-sign, b))), (first if one[a] == COS else second)[1]
         else:
             whole, factor = function(SIN, add((1.0, a), (sign, b))), first[1]
-        yield add((1.0, _without(terms, first, second)), (1.0, multiply(((shared, factor),), whole)))
+        yield _replaced(terms, (first, second), multiply(((shared, factor),), whole))
+
+
+def _pairs_of_one_size(terms: Sum) -> Iterator[tuple[Term, Term, Monomial]]:
+    """Yield two terms whose coefficients differ at most in sign, and what they have in common."""
+    for first, second in combinations(terms, 2):
+        if math.isclose(abs(first[1]), abs(second[1]), rel_tol=_EQUAL):
+            yield first, second, common([first[0], second[0]])
 
 
 def _waves_by_argument(monomial: Monomial) -> dict[Sum, int]:
@@ -299,19 +291,15 @@ def _expanded_angles(terms: Sum, best: Best) -> Iterator[Sum]:
     """sin(a + b) by sines and cosines of a and b, where one of these occurs."""
     waves = _waves(terms)
     for term in terms:
-        monomial, coefficient = term
-        for atom, exponent in monomial:
+        for atom, exponent in term[0]:
             if atom[0] not in (SIN, COS) or exponent < 1 or len(atom[1]) < 2:
                 continue
             for part in dict.fromkeys(wave[1] for wave in waves if wave[1] != atom[1]):
                 for sign in (1.0, -1.0):
                     other = add((1.0, atom[1]), (-sign, part))
-                    if len(other) >= len(atom[1]) or not other:
-                        continue
-                    rest = product([coefficient, *merged([*monomial, (atom, -1)])])
-                    yield add(
-                        (1.0, _without(terms, term)), (1.0, distribute(rest, _of_two(atom[0], part, sign, other)))
-                    )
+                    if 0 < len(other) < len(atom[1]):
+                        rest = _times(term, (atom, -1))
+                        yield _replaced(terms, (term,), distribute(rest, _of_two(atom[0], part, sign, other)))
 
 
 def _of_two(code: int, part: Sum, sign: float, other: Sum) -> Sum:
@@ -325,28 +313,24 @@ def _of_two(code: int, part: Sum, sign: float, other: Sum) -> Sum:
 
 def _logarithms(terms: Sum, best: Best) -> Iterator[Sum]:
     """log a + log b as log(a b), log a - log b as log(a/b)."""
-    for first, second in combinations(terms, 2):
-        if not math.isclose(abs(first[1]), abs(second[1]), rel_tol=_EQUAL):
-            continue
-        shared = common([first[0], second[0]])
+    for first, second, shared in _pairs_of_one_size(terms):
         logs = [divided(term[0], shared) for term in (first, second)]
         if any(len(logarithm) != 1 or logarithm[0][1] != 1 or logarithm[0][0][0] != LOG for logarithm in logs):
             continue
         sign = 1 if first[1] * second[1] > 0.0 else -1
         inner = multiply(logs[0][0][0][1], power(logs[1][0][0][1], sign))
         whole = multiply(((shared, first[1]),), function(LOG, best(inner)))
-        yield add((1.0, _without(terms, first, second)), (1.0, whole))
+        yield _replaced(terms, (first, second), whole)
 
 
 def _roots(terms: Sum, best: Best) -> Iterator[Sum]:
     """sqrt a sqrt b as sqrt(a b), and likewise for quotients and absolute values."""
     for term in terms:
-        monomial, coefficient = term
-        for (one, count), (other, other_count) in combinations(monomial, 2):
+        for (one, count), (other, other_count) in combinations(term[0], 2):
             if one[0] == other[0] and one[0] in (SQRT, ABS) and abs(count) == abs(other_count) == 1:
                 inner = multiply(power(one[1], count), power(other[1], other_count))
-                rest = product([coefficient, *merged([*monomial, (one, -count), (other, -other_count)])])
-                yield add((1.0, _without(terms, term)), (1.0, multiply(rest, function(one[0], best(inner)))))
+                rest = _times(term, (one, -count), (other, -other_count))
+                yield _replaced(terms, (term,), multiply(rest, function(one[0], best(inner))))
 
 
 def _whole_squares(terms: Sum, best: Best) -> Iterator[Sum]:
@@ -358,12 +342,12 @@ def _whole_squares(terms: Sum, best: Best) -> Iterator[Sum]:
             continue
         u, v = (tuple((atom, exponent // 2) for atom, exponent in term[0]) for term in (first, second))
         mixed = merged([*u, *v])
-        for monomial, coefficient in terms:
-            size = coefficient / (2.0 * first[1])
-            if monomial == mixed and math.isclose(size * size, ratio, rel_tol=_EQUAL):
+        for term in terms:
+            size = term[1] / (2.0 * first[1])
+            if term[0] == mixed and math.isclose(size * size, ratio, rel_tol=_EQUAL):
                 inner = collect([(u, 1.0), (v, cleaned(size))])
                 squared = multiply(constant(first[1]), power(inner, 2))
-                yield add((1.0, _without(terms, first, second, (monomial, coefficient))), (1.0, squared))
+                yield _replaced(terms, (first, second, term), squared)
 
 
 _IDENTITIES: Final = (

@@ -6,7 +6,9 @@ that with fewer functions, fewer minus signs, fewer digits.
 """
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
+from operator import itemgetter
 from typing import Final
 
 from atoll_core.expression.builder import Expression
@@ -44,6 +46,8 @@ _SIGN: Final = 1 << 12
 
 Written = tuple[int, Expression]
 """Cost and expression."""
+Term = tuple[bool, int, Expression]
+"""Whether a term is negative, and the cost and the expression of it without its sign."""
 
 
 @lru_cache(maxsize=50_000)
@@ -51,16 +55,8 @@ def written(terms: Sum) -> Written:
     """Return the cheapest writing of a sum whose terms and brackets stay as they are."""
     if not terms:
         return _number(0.0)
-    if len(terms) == 1:
-        negative, cost, expression = _term(*terms[0])
-        return _signed(negative, cost, expression)
-    best = _listed([_term(*term) for term in in_order(terms)])
-    grouped = _grouped(terms)
-    return best if grouped is None else min(best, grouped, key=_cost)
-
-
-def _cost(layout: Written) -> int:
-    return layout[0]
+    listed = _listed([_term(*term) for term in in_order(terms)])
+    return min([listed, *_grouped(terms)], key=itemgetter(0))
 
 
 def _number(value: float) -> Written:
@@ -94,38 +90,34 @@ def _negated(expression: Expression) -> Expression:
     return (code, _negated(first), *rest)
 
 
-def _listed(terms: list[tuple[bool, int, Expression]]) -> Written:
+def _listed(terms: list[Term]) -> Written:
     """Return terms added and subtracted from left to right, the first positive one in front."""
     lead = next((index for index, (negative, _, _) in enumerate(terms) if not negative), 0)
     terms.insert(0, terms.pop(lead))
     total, expression = _signed(*terms[0])
     for negative, cost, other in terms[1:]:
-        total += NODE + cost
+        total += NODE + cost + (_SIGN if negative else 0)
         expression = (SUBTRACT if negative else ADD, expression, other)
-        total += _SIGN if negative else 0
     return total, expression
 
 
-def _grouped(terms: Sum) -> Written | None:
-    """Return a sum in which the terms that have one coefficient in common stand in a bracket behind it."""
+def _grouped(terms: Sum) -> Iterator[Written]:
+    """Yield a sum in which terms that have one coefficient in common, if any, stand in a bracket behind it."""
     groups: dict[float, list[tuple[Monomial, float]]] = {}
     for monomial, coefficient in terms:
         if monomial != ONE and abs(coefficient) != 1.0:
             groups.setdefault(abs(coefficient), []).append((monomial, coefficient))
     shared = [(size, group) for size, group in groups.items() if len(group) > 1]
     if not shared:
-        return None
+        return
     grouped = {term for _, group in shared for term in group}
     parts = [_term(*term) for term in in_order(tuple(term for term in terms if term not in grouped))]
     for size, group in shared:
-        sign = 1.0 if group[0][1] > 0.0 or any(coefficient > 0.0 for _, coefficient in group) else -1.0
+        sign = 1.0 if any(coefficient > 0.0 for _, coefficient in group) else -1.0
         cost, inner = written(tuple((monomial, sign * coefficient / size) for monomial, coefficient in group))
         number, text = _number(size)
         parts.append((sign < 0.0, cost + number + NODE, (MULTIPLY, text, inner)))
-    if len(parts) == 1:
-        negative, cost, expression = parts[0]
-        return _signed(negative, cost, expression)
-    return _listed(parts)
+    yield _listed(parts)
 
 
 def in_order(terms: Sum) -> list[tuple[Monomial, float]]:
@@ -142,8 +134,8 @@ def _place(term: tuple[Monomial, float]) -> tuple[object, ...]:
     return (monomial != ONE, has_function, has_quotient, degree, variables, monomial)
 
 
-def _term(monomial: Monomial, coefficient: float) -> tuple[bool, int, Expression]:
-    """Return sign, cost and expression of a term without its sign."""
+def _term(monomial: Monomial, coefficient: float) -> Term:
+    """Return the cheapest writing of a term."""
     if not monomial:
         return (coefficient < 0.0, *_number(abs(coefficient)))
     if len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == VARIABLE and abs(coefficient) == 1.0:
@@ -155,8 +147,7 @@ def _term(monomial: Monomial, coefficient: float) -> tuple[bool, int, Expression
         if abs(exponent) == 1:
             others = math.prod(raised_number(scales[other], -brackets[other]) for other in brackets if other != atom)
             own = cleaned(raised_number(times(coefficient, others), exponent))
-            candidate = _laid_out(monomial, coefficient, {**scales, atom: own})
-            best = min(best, candidate, key=lambda layout: layout[1])
+            best = min(best, _laid_out(monomial, coefficient, {**scales, atom: own}), key=itemgetter(1))
     return best
 
 
@@ -183,7 +174,7 @@ def _own_scale(terms: Sum) -> float:
     return min(costs, key=lambda size: costs[size])
 
 
-def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float]) -> tuple[bool, int, Expression]:
+def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float]) -> Term:
     """Return a term whose brackets are written `scales` times as large as they are."""
     above: list[Written] = []
     below: list[Written] = []
@@ -193,7 +184,9 @@ def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float])
     for atom, exponent in sorted(_with_tangents(monomial), key=lambda item: _factor_place(item[0])):
         flips, written_atom = _atom(atom, scales.get(atom, 1.0), wants_flip=coefficient < 0.0 and exponent % 2 == 1)
         coefficient = -coefficient if flips else coefficient
-        cost, expression = _whole_power(written_atom, abs(exponent))
+        cost, expression = written_atom
+        if abs(exponent) > 1:
+            cost, expression = cost + 2 * NODE, _chained([written_atom] * abs(exponent))
         if exponent > 0:
             above.append((cost, expression))
         else:
@@ -216,15 +209,6 @@ def _chained(factors: list[Written]) -> Expression:
     return expression
 
 
-def _whole_power(base: Written, exponent: int) -> Written:
-    if exponent == 1:
-        return base
-    expression = base[1]
-    for _ in range(exponent - 1):
-        expression = (MULTIPLY, expression, base[1])
-    return base[0] + 2 * NODE, expression
-
-
 def _factor_place(atom: Atom) -> tuple[object, ...]:
     """Return what orders factors for reading: variables, functions, brackets."""
     return (atom[0] != VARIABLE, atom[0] == ADD, atom)
@@ -240,9 +224,7 @@ def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]
         return False, (base[0] + exponent[0] + NODE + _FUNCTION, (POW, base[1], exponent[1]))
     argument = scaled(atom[1], scale) if kind == ADD else atom[1]
     flips = kind in (ADD, SIN, TANH, DIVIDE) and _flips(argument, wants_flip=wants_flip)
-    if kind == COS and _flips(argument, wants_flip=False):
-        flips, argument = False, scaled(argument, -1.0)
-    elif flips:
+    if flips or (kind == COS and _flips(argument, wants_flip=False)):
         argument = scaled(argument, -1.0)
     cost, expression = written(argument)
     if kind == ADD:

@@ -1,6 +1,7 @@
 """The shortest writing of a program: a search among sums that equal its function."""
 
 import heapq
+from contextlib import suppress
 from functools import lru_cache
 from typing import Final
 
@@ -48,13 +49,12 @@ _MOST_TRIED: Final = (0, 4, 30)
 
 @lru_cache(maxsize=8192)
 def _shortest_of(program: Program, depth: int) -> Program:
-    if tree_size(program) > _LARGEST:
-        return simplify_program(program)
-    try:
-        made = _rewritten(program, depth)
-    except UndefinedError:
-        return simplify_program(program)
-    return made if len(made) <= MAX_NODES else simplify_program(program)
+    if tree_size(program) <= _LARGEST:
+        with suppress(UndefinedError):
+            made = _rewritten(program, depth)
+            if len(made) <= MAX_NODES:
+                return made
+    return simplify_program(program)
 
 
 @contained
@@ -88,29 +88,20 @@ def sum_of(program: Program, depth: int = 0) -> Sum:
 
 
 def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
-
-    def best(terms: Sum) -> Sum:
-        return best_of(terms, depth)
-
-    match code:
-        case c if c == ADD:
-            return add((1.0, left), (1.0, right))
-        case c if c == SUBTRACT:
-            return add((1.0, left), (-1.0, right))
-        case c if c == NEGATE:
-            return add((-1.0, left))
-        case c if c == MULTIPLY:
-            return power(best(left), 2) if left == right else multiply(*map(best, (left, right)))
-        case c if c == SQUARE:
-            return power(best(left), 2)
-        case c if c == DIVIDE:
-            return multiply(best(left), power(best(right), -1))
-        case c if c == INVERSE:
-            return power(best(left), -1)
-        case c if c == POW:
-            return raised(best(left), best(right))
-        case _:
-            return function(code, best(left))
+    if code in (ADD, SUBTRACT):
+        return add((1.0, left), (1.0 if code == ADD else -1.0, right))
+    if code == NEGATE:
+        return add((-1.0, left))
+    one, other = best_of(left, depth), best_of(right, depth)
+    if code == SQUARE or (code == MULTIPLY and left == right):
+        return power(one, 2)
+    if code == MULTIPLY:
+        return multiply(one, other)
+    if code == DIVIDE:
+        return multiply(one, power(other, -1))
+    if code == INVERSE:
+        return power(one, -1)
+    return raised(one, other) if code == POW else function(code, one)
 
 
 @lru_cache(maxsize=50_000)

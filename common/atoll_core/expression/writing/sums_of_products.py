@@ -13,7 +13,8 @@ products: neither half comes without the other.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, Final, TypeAlias
 
 from atoll_core.expression.evaluation import value_of
@@ -52,11 +53,15 @@ def variable(index: int) -> Sum:
     return (((((VARIABLE, index), 1),), 1.0),)
 
 
+def split_constant(terms: Sum) -> tuple[float, Sum]:
+    """Return the constant term of a sum, and the rest."""
+    return (terms[0][1], terms[1:]) if terms and terms[0][0] == ONE else (0.0, terms)
+
+
 def number_of(terms: Sum) -> float | None:
     """Return the number that a sum is, None when it is none."""
-    if not terms:
-        return 0.0
-    return terms[0][1] if len(terms) == 1 and terms[0][0] == ONE else None
+    number, rest = split_constant(terms)
+    return None if rest else number
 
 
 def cleaned(value: float) -> float:
@@ -148,11 +153,7 @@ def power(base: Sum, exponent: int) -> Sum:
 
 def distribute(left: Sum, right: Sum) -> Sum:
     """Return the product, every term times every term."""
-    parts: list[tuple[float, Sum]] = []
-    for monomial, coefficient in left:
-        for other, factor in right:
-            parts.append((times(coefficient, factor), product([*monomial, *other])))
-    return add(*parts)
+    return add(*((times(one, two), product([*monomial, *other])) for monomial, one in left for other, two in right))
 
 
 def _factors(terms: Sum, exponent: int) -> list[tuple[Atom, int] | float]:
@@ -181,9 +182,8 @@ def common(monomials: Iterable[Monomial]) -> Monomial:
     shared: list[tuple[Atom, int]] = []
     for atom, exponent in first.items():
         exponents = [exponent, *(other.get(atom, 0) for other in others)]
-        count = min(exponents) if min(exponents) > 0 else max(exponents) if max(exponents) < 0 else 0
-        if count:
-            shared.append((atom, count))
+        if min(exponents) > 0 or max(exponents) < 0:
+            shared.append((atom, min(exponents, key=abs)))
     return tuple(shared)
 
 
@@ -211,18 +211,9 @@ def product(factors: Iterable[tuple[Atom, int] | float]) -> Sum:
         else:
             powers.append(factor)
     monomial = merged(powers)
-    if any(_is_reducible(atom, exponent) for atom, exponent in monomial):
+    if any(atom[0] in (EXP, POW, SQRT) or (atom[0] == ABS and abs(exponent) > 1) for atom, exponent in monomial):
         return _reduced(coefficient, monomial)
-    if not coefficient:
-        return ZERO
-    return collect([(monomial, cleaned(coefficient))])
-
-
-def _is_reducible(atom: Atom, exponent: int) -> bool:
-    kind = atom[0]
-    if kind in (EXP, POW):
-        return True
-    return (kind == SQRT) or (kind == ABS and abs(exponent) > 1)
+    return collect([(monomial, cleaned(coefficient))]) if coefficient else ZERO
 
 
 def _reduced(coefficient: float, monomial: Monomial) -> Sum:
@@ -293,36 +284,18 @@ def function(code: int, argument: Sum) -> Sum:
     number = number_of(argument)
     if number is not None:
         return constant(value_of(code, number, 0.0))
-    if code in (SIN, COS):
-        return _wave(code, argument)
-    if code == EXP:
-        return _exponential(argument)
-    if code == LOG:
-        return _logarithm(argument)
-    if code == SQRT:
-        return _root(argument)
-    if code == ABS:
-        return _magnitude(argument)
-    if code == TANH:
-        sign, positive = unsigned(argument)
-        return atom_sum((TANH, positive), sign)
-    return atom_sum((code, argument))
+    return _FORMS[code](argument) if code in _FORMS else atom_sum((code, argument))
 
 
-def atom_sum(atom: Atom, coefficient: float = 1.0) -> Sum:
-    """Return a multiple of an atom."""
-    return ((((atom, 1),), coefficient),)
+def atom_sum(atom: Atom, coefficient: float = 1.0, exponent: int = 1) -> Sum:
+    """Return a multiple of a power of an atom."""
+    return ((((atom, exponent),), coefficient),)
 
 
 def unsigned(terms: Sum) -> tuple[float, Sum]:
     """Return a sign and a sum whose first term with a variable is positive; their product is the given sum."""
     lead = next(coefficient for monomial, coefficient in terms if monomial != ONE)
     return (1.0, terms) if lead > 0.0 else (-1.0, scaled(terms, -1.0))
-
-
-def split_constant(terms: Sum) -> tuple[float, Sum]:
-    """Return the constant term of a sum, and the rest."""
-    return (terms[0][1], terms[1:]) if terms and terms[0][0] == ONE else (0.0, terms)
 
 
 def _wave(code: int, argument: Sum) -> Sum:
@@ -357,10 +330,8 @@ def _exponential(argument: Sum) -> Sum:
 
 
 def _logarithm(argument: Sum) -> Sum:
-    if len(argument) > 1:
-        return atom_sum((LOG, argument))
-    ((monomial, coefficient),) = argument
-    if coefficient < 0.0:
+    monomial, coefficient = argument[0]
+    if len(argument) > 1 or coefficient < 0.0:
         return atom_sum((LOG, argument))
     parts: list[tuple[float, Sum]] = [(1.0, constant(value_of(LOG, coefficient, 0.0)))]
     rest: list[tuple[Atom, int]] = []
@@ -369,21 +340,19 @@ def _logarithm(argument: Sum) -> Sum:
             parts.append((float(exponent), atom[1]))
         else:
             rest.append((atom, exponent))
-    if len(rest) == 1 and rest[0][0][0] == SQRT and rest[0][1] % 2:
-        parts.append((0.5 * rest[0][1], function(LOG, rest[0][0][1])))
-    elif len(rest) == 1 and rest[0][1] % 2:
-        rooted = ((((rest[0][0], 1),), 1.0),)
-        parts.append((float(rest[0][1]), atom_sum((LOG, collect(rooted)))))
+    if len(rest) == 1 and rest[0][1] % 2:
+        ((atom, exponent),) = rest
+        is_root = atom[0] == SQRT
+        logarithm = function(LOG, atom[1]) if is_root else atom_sum((LOG, collect(atom_sum(atom))))
+        parts.append((0.5 * exponent if is_root else float(exponent), logarithm))
     elif rest:
         parts.append((1.0, atom_sum((LOG, collect([(tuple(rest), 1.0)])))))
     return add(*parts)
 
 
 def _root(argument: Sum) -> Sum:
-    if len(argument) > 1:
-        return atom_sum((SQRT, argument))
-    ((monomial, coefficient),) = argument
-    if coefficient < 0.0:
+    monomial, coefficient = argument[0]
+    if len(argument) > 1 or coefficient < 0.0:
         return atom_sum((SQRT, argument))
     number = math.sqrt(coefficient)
     if len(monomial) == 1:
@@ -391,11 +360,16 @@ def _root(argument: Sum) -> Sum:
         if atom[0] == EXP:
             return multiply(constant(number), function(EXP, add((0.5, atom[1]))))
         if exponent % 2 == 0:
-            inner = collect([(((atom, 1),), 1.0)])
-            return multiply(constant(number), power(function(ABS, inner), exponent // 2))
+            return multiply(constant(number), power(function(ABS, collect(atom_sum(atom))), exponent // 2))
         if exponent < 0:
-            return multiply(constant(number), power(function(SQRT, collect([(((atom, -exponent),), 1.0)])), -1))
+            inverse = collect(atom_sum(atom, exponent=-exponent))
+            return multiply(constant(number), power(function(SQRT, inverse), -1))
     return product([number, ((SQRT, collect([(monomial, 1.0)])), 1)])
+
+
+def _hyperbolic_tangent(argument: Sum) -> Sum:
+    sign, positive = unsigned(argument)
+    return atom_sum((TANH, positive), sign)
 
 
 def _magnitude(argument: Sum) -> Sum:
@@ -408,6 +382,17 @@ def _magnitude(argument: Sum) -> Sum:
     if rest:
         parts.append(((ABS, collect([(rest, 1.0)])), 1))
     return product(parts)
+
+
+_FORMS: Final[dict[int, Callable[[Sum], Sum]]] = {
+    SIN: partial(_wave, SIN),
+    COS: partial(_wave, COS),
+    EXP: _exponential,
+    LOG: _logarithm,
+    SQRT: _root,
+    ABS: _magnitude,
+    TANH: _hyperbolic_tangent,
+}
 
 
 def raised(base: Sum, exponent: Sum) -> Sum:
