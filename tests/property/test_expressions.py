@@ -27,7 +27,7 @@ from atoll_core.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, check_program_bytes
 from atoll_core.expression.simplification import complexity, simplify_program
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_code, to_infix, tree_size
 from atoll_core.expression.text.parsing import from_infix
@@ -96,7 +96,7 @@ def test_printing_what_was_parsed_gives_the_same_text(program):
 @given(programs(), ROWS)
 def test_simplifying_keeps_every_bit(program, row):
     simple = simplify_program(program)
-    simple.validate(len(NAMES))
+    check_program_bytes(simple.to_bytes(), len(NAMES))
     assume(not folded_elementary(program))
     assert bits(evaluate(simple, row)) == bits(evaluate(program, row))
 
@@ -131,7 +131,7 @@ def test_display_has_the_value_up_to_rounding(program, row):
 @given(st.text(alphabet="xyθ0123456789.+-*/() sincoexplgjq^,", max_size=30))
 def test_any_text_is_an_expression_or_refused(text):
     with contextlib.suppress(UsageError):
-        from_infix(text, NAMES).validate(len(NAMES))
+        check_program_bytes(from_infix(text, NAMES).to_bytes(), len(NAMES))
 
 
 def folded_elementary(program: Program) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Hashable, Iterable, Iterator, Sequence
 from typing import TypeAlias
 
 from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE
-from atoll_core.expression.program import Node, Program
+from atoll_core.expression.program import Node, Program, moved
 
 Expression: TypeAlias = "int | float | tuple[Expression, ...]"
 """What is to be built: a node by its index (int), a constant (float), ``(VARIABLE, index)``, or an operator's code with
@@ -46,17 +46,14 @@ class ProgramBuilder:
         """Return the index of an operator on earlier nodes; `right` is 0 for one of a single argument."""
         return self.add(code, left, right)
 
-    def copy(self, nodes: Iterable[Node], places: Sequence[int] = ()) -> list[int]:
-        """Add nodes of another list; return where all of its nodes are now.
-
-        Args:
-            nodes: those of the other list behind the ones at `places`.
-            places: where its first nodes are.
-        """
+    def copy(self, nodes: Iterable[Node], places: Sequence[int] = (), *, merges_constants: bool = True) -> list[int]:
+        """Add nodes of another list behind those that are at `places`; return where all of its nodes are now."""
         new = list(places)
         for code, left, right, value in nodes:
             if ARITY[code]:
                 new.append(self.operate(code, new[left], new[right] if ARITY[code] == 2 else 0))
+            elif code == CONSTANT and not merges_constants:
+                new.append(self.append(CONSTANT, value=value))
             else:
                 new.append(self.add(code, left, right, value))
         return new
@@ -87,7 +84,7 @@ def live_nodes(nodes: Sequence[Node], output: int) -> list[Node]:
             code, left, right, _ = nodes[index]
             needed.update((left, right)[: ARITY[code]])
     place = {old: new for new, old in enumerate(sorted(needed))}
-    return [_renumbered(nodes[old], place) for old in place]
+    return [moved(nodes[old], place) for old in place]
 
 
 def operators_in(expression: Expression) -> Iterator[int]:
@@ -99,10 +96,3 @@ def operators_in(expression: Expression) -> Iterator[int]:
             yield code
             for argument in arguments:
                 yield from operators_in(argument)
-
-
-def _renumbered(node: Node, place: dict[int, int]) -> Node:
-    code, left, right, value = node
-    if not ARITY[code]:
-        return node
-    return code, place[left], place[right] if ARITY[code] == 2 else 0, value

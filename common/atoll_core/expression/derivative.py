@@ -35,7 +35,7 @@ from atoll_core.expression.operators import (
     definitions,
     partial_definitions,
 )
-from atoll_core.expression.program import Node, Program, constant_places
+from atoll_core.expression.program import Program, constant_places, dependent_nodes
 
 
 def derivative(program: Program, variable: int) -> Program:
@@ -46,7 +46,8 @@ def derivative(program: Program, variable: int) -> Program:
     """
     draft = _Draft()
     output = draft.copy(program.nodes())[-1]
-    depends = _dependent(draft.nodes[: output + 1], variable)
+    leaves = [place for place, node in enumerate(draft.nodes) if node[:2] == (VARIABLE, variable)]
+    depends = dependent_nodes(draft.nodes[: output + 1], leaves)
     adjoints = {output: _Part(draft, draft.constant(1.0))}
     for place in range(output, -1, -1):
         code, *arguments, _ = draft.nodes[place]
@@ -58,8 +59,8 @@ def derivative(program: Program, variable: int) -> Program:
             if partial.sign and depends[argument.place]:
                 share, known = _share(adjoints[place], partial, *at), adjoints.get(argument.place)
                 adjoints[argument.place] = share if known is None else known + share
-    leaf = next((place for place, node in enumerate(draft.nodes) if node[:2] == (VARIABLE, variable)), None)
-    return draft.program(adjoints[leaf].place if leaf in adjoints else draft.constant(0.0))
+    ends = [adjoints[leaf].place for leaf in leaves if leaf in adjoints]
+    return draft.program(ends[0] if ends else draft.constant(0.0))
 
 
 def with_variables(program: Program, first: int) -> Program:
@@ -135,13 +136,3 @@ def _share(part: _Part, partial: Partial, a: _Part, b: _Part, v: _Part) -> _Part
     if partial.divisor is not None:
         part = part.under(DIVIDE, partial.divisor(a, b, v))
     return part if partial.sign > 0 else part.under(NEGATE)
-
-
-def _dependent(nodes: list[Node], variable: int) -> list[bool]:
-    """Return for every node whether it depends on a variable."""
-    depends: list[bool] = []
-    for code, left, right, _ in nodes:
-        is_leaf = not ARITY[code]
-        depends.append((code, left) == (VARIABLE, variable) if is_leaf
-                       else depends[left] or (ARITY[code] == 2 and depends[right]))  # fmt: skip
-    return depends

@@ -20,7 +20,7 @@ from atoll_core.expression.operators import (
     definitions,
     partial_definitions,
 )
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, dependent_nodes
 
 
 def _periodic(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatArray], FloatArray]:
@@ -79,24 +79,22 @@ def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[i
     The derivatives are found by one reverse sweep; not finite where there is none.
     """
     values = node_values(program, inputs)
-    codes, lefts, rights = program.operators.tolist(), program.left.tolist(), program.right.tolist()
-    depends = _dependent(codes, lefts, rights, places)
-    adjoint: list[FloatArray | None] = [None] * len(codes)
-    adjoint[-1] = np.ones_like(values[-1])
+    nodes = program.nodes()
+    depends = dependent_nodes(nodes, places)
+    adjoint: dict[int, FloatArray] = {len(nodes) - 1: np.ones_like(values[-1])}
     with np.errstate(all="ignore"):
-        for i in range(len(codes) - 1, -1, -1):
-            code, mine = codes[i], adjoint[i]
-            if mine is None or code <= CONSTANT:
+        for place in range(len(nodes) - 1, -1, -1):
+            code, left, right, _ = nodes[place]
+            if place not in adjoint or not ARITY[code]:
                 continue
-            at = values[lefts[i]], values[rights[i]], values[i]
-            if depends[lefts[i]]:
-                _gather(adjoint, lefts[i], mine * _partial(DEFINITIONS[code].left, *at))
-            if ARITY[code] == 2 and depends[rights[i]]:
-                _gather(adjoint, rights[i], mine * _partial(DEFINITIONS[code].right, *at))
-    gradient = [adjoint[place] for place in places]
+            at = values[left], values[right], values[place]
+            partials = (left, DEFINITIONS[code].left), (right, DEFINITIONS[code].right)
+            for argument, partial in partials[: ARITY[code]]:
+                if depends[argument]:
+                    amount = adjoint[place] * _partial(partial, *at)
+                    adjoint[argument] = adjoint[argument] + amount if argument in adjoint else amount
     zero = np.zeros_like(values[-1])
-    rows = [zero if derivative is None else derivative for derivative in gradient]
-    return values[-1], np.array(rows).reshape(len(rows), len(zero))
+    return values[-1], np.array([adjoint.get(place, zero) for place in places]).reshape(len(places), len(zero))
 
 
 def _partial(partial: Partial, a: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray | float:
@@ -105,19 +103,3 @@ def _partial(partial: Partial, a: FloatArray, b: FloatArray, v: FloatArray) -> F
     for factor in partial.factors:
         amount = amount * factor(a, b, v)
     return amount if partial.divisor is None else amount / partial.divisor(a, b, v)
-
-
-def _dependent(codes: list[int], lefts: list[int], rights: list[int], places: Sequence[int]) -> list[bool]:
-    """Return for every node whether it depends on a constant at `places`."""
-    depends: list[bool] = []
-    for index, (code, left, right) in enumerate(zip(codes, lefts, rights, strict=True)):
-        if code <= CONSTANT:
-            depends.append(index in places)
-        else:
-            depends.append(depends[left] or (ARITY[code] == 2 and depends[right]))
-    return depends
-
-
-def _gather(adjoint: list[FloatArray | None], node: int, amount: FloatArray) -> None:
-    known = adjoint[node]
-    adjoint[node] = amount if known is None else known + amount

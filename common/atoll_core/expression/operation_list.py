@@ -22,7 +22,7 @@ from atoll_core.expression.operators import (
     SQUARE,
     SUBTRACT,
 )
-from atoll_core.expression.program import Node, Program
+from atoll_core.expression.program import Node, Program, moved
 from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.text.parsing import from_infix
 
@@ -82,14 +82,7 @@ def placed(program: Program, operators: Collection[int], terminals: int, operato
     end = terminals + operator_nodes
     place = {old: new for new, old in enumerate(leaves)}
     place |= {old: end - len(inner) + number for number, old in enumerate(inner)}
-    return tuple(_moved(nodes[old], new, place) for old, new in place.items())
-
-
-def _moved(node: Node, index: int, place: dict[int, int]) -> PlacedNode:
-    code, left, right, value = node
-    if not ARITY[code]:
-        return PlacedNode(index, code, left, 0, value)
-    return PlacedNode(index, code, place[left], place[right] if ARITY[code] == 2 else 0, 0.0)
+    return tuple(PlacedNode(new, *moved(nodes[old], place)) for old, new in place.items())
 
 
 class _Rewriting(ProgramBuilder):
@@ -101,13 +94,7 @@ class _Rewriting(ProgramBuilder):
 
     def rewritten(self, program: Program) -> list[Node]:
         """Return the nodes, the output last; raises UsageError."""
-        places: list[int] = []
-        for code, left, right, value in program.nodes():
-            if ARITY[code]:
-                places.append(self.operate(code, places[left], places[right] if ARITY[code] == 2 else 0))
-            else:
-                places.append(self._own_constant(value) if code == CONSTANT else self.add(code, left))
-        output = places[-1]
+        output = self.copy(program.nodes(), merges_constants=False)[-1]
         if not ARITY[self.nodes[output][0]]:
             output = self._unchanged(output)
         return live_nodes(self.nodes, output)

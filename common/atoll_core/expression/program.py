@@ -5,7 +5,7 @@ output. Here every node is live; evolution's own lists, with dead nodes, are tho
 """
 
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,10 +72,6 @@ class Program:
         constants[operators == CONSTANT] = np.frombuffer(data, "<f8", -1, 1 + 5 * count)
         return cls(operators, left, right, constants)
 
-    def validate(self, variables: int) -> None:
-        """Check that the list is acyclic and refers to existing inputs; raises RemoteProtocolError."""
-        _check_nodes(self.operators.tolist(), self.left.tolist(), self.right.tolist(), variables)
-
 
 def constant_places(program: Program) -> list[int]:
     """Return the indices of the constants of `program`."""
@@ -88,6 +84,23 @@ def with_constants(program: Program, values: Mapping[int, float]) -> Program:
     for place, value in values.items():
         constants[place] = value
     return Program(program.operators, program.left, program.right, constants)
+
+
+def dependent_nodes(nodes: Sequence[Node], leaves: Collection[int]) -> list[bool]:
+    """Return for every node whether it depends on one of these variables and constants."""
+    depends: list[bool] = []
+    for index, (code, left, right, _) in enumerate(nodes):
+        is_leaf = not ARITY[code]
+        depends.append(index in leaves if is_leaf else depends[left] or (ARITY[code] == 2 and depends[right]))
+    return depends
+
+
+def moved(node: Node, place: Mapping[int, int]) -> Node:
+    """Return a node whose arguments are elsewhere."""
+    code, left, right, value = node
+    if not ARITY[code]:
+        return node
+    return code, place[left], place[right] if ARITY[code] == 2 else 0, value
 
 
 def structure(program: Program) -> bytes:
@@ -107,11 +120,7 @@ def check_program_bytes(data: bytes, variables: int) -> None:
     codes, *nodes = struct.unpack_from(f"<{count}s{2 * count}h", data, 1)
     if len(data) != 1 + 5 * count + 8 * codes.count(CONSTANT):
         raise RemoteProtocolError(f"a program of {count} nodes has {len(data)} bytes, which does not fit")
-    _check_nodes(codes, nodes[:count], nodes[count:], variables)
-
-
-def _check_nodes(codes: Sequence[int], lefts: Sequence[int], rights: Sequence[int], variables: int) -> None:
-    for index, (code, left, right) in enumerate(zip(codes, lefts, rights, strict=True)):
+    for index, (code, left, right) in enumerate(zip(codes, nodes[:count], nodes[count:], strict=True)):
         if not 0 <= code < len(OPERATORS):
             raise RemoteProtocolError(f"node {index} of a program has unknown operator code {code}")
         if code in (VARIABLE, CONSTANT):

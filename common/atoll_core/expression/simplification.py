@@ -4,15 +4,15 @@ No algebra in the sense of the real numbers: ``x - x`` stays, for it is no numbe
 the canonical program: nodes in the order in which a reader meets them, left operand first.
 """
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Hashable
 from typing import Final
 
 import numpy as np
 
-from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SQUARE, VARIABLE, Functions, definitions
-from atoll_core.expression.program import Node, Program
-
-_COMMUTATIVE: Final = frozenset({ADD, MULTIPLY})
+from atoll_core.expression.builder import ProgramBuilder
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SQUARE, Functions, definitions
+from atoll_core.expression.program import Node, Program, moved
 
 
 def _strict(name: str) -> Callable[..., float]:
@@ -42,99 +42,51 @@ def simplify_program(program: Program, *, merges_constants: bool = True) -> Prog
     equal nodes become one, where ``a + b`` equals ``b + a`` and ``a*a`` equals ``a**2``; equal constants, too, unless
     they are to be fitted apart. Pure and deterministic.
     """
-    return simplified(program.nodes(), merges_constants=merges_constants)
-
-
-def simplified(given: Iterable[Node], *, merges_constants: bool = True) -> Program:
-    """Return the same of the program with these nodes: code, arguments (or the variable's index), constant."""
-    nodes, output = _distinct_nodes(given, merges_constants)
-    order = _reading_order(nodes, output)
-    place = {index: position for position, index in enumerate(order)}
-    return Program.of(_moved(nodes[index], place) for index in order)
+    builder = _Simplifier(merges_constants)
+    output = builder.copy(program.nodes(), merges_constants=merges_constants)[-1]
+    place = {old: new for new, old in enumerate(_reading_order(builder.nodes, output))}
+    return Program.of(moved(builder.nodes[old], place) for old in place)
 
 
 def complexity(program: Program) -> int:
     """Return the number of nodes, operators and terminals, of the canonical program."""
-    return len(_reading_order(*_distinct_nodes(program.nodes())))
+    return len(simplify_program(program))
 
 
-def _distinct_nodes(given: Iterable[Node], merges_constants: bool = True) -> tuple[list[Node], int]:
-    """Return folded nodes without duplicates, and the index of the output among them."""
-    nodes: list[Node] = []
-    known: dict[tuple[int, int, int, str | None], int] = {}
-    place: list[int] = []
-    for code, left, right, value in given:
-        arity = ARITY[code]
-        node = (
-            code,
-            place[left] if arity else left,
-            place[right] if arity == 2 else 0,
-            value,
-        )
-        if arity:
-            node = _folded(node, nodes)
-        key = _key(node)
-        if key not in known or (node[0] == CONSTANT and not merges_constants):
-            known[key] = len(nodes)
-            nodes.append(node)
-        place.append(known[key])
-    return nodes, place[-1]
+class _Simplifier(ProgramBuilder):
+    """Nodes without duplicates, and constants in place of operators on constants."""
 
+    def __init__(self, merges_constants: bool) -> None:
+        super().__init__()
+        self._add_value = self.add if merges_constants else self.append
 
-def _key(node: Node) -> tuple[int, int, int, str | None]:
-    """Return what makes two nodes equal; constants by their bits, so that 0.0 and -0.0 differ."""
-    code, left, right, value = node
-    if code == CONSTANT:
-        return (code, 0, 0, value.hex())
-    if code in _COMMUTATIVE:
+    def key(self, code: int, left: int, right: int, value: float) -> Hashable:
         if code == MULTIPLY and left == right:
-            return (SQUARE, left, 0, None)
-        return (code, min(left, right), max(left, right), None)
-    return (code, left, right, None)
+            return super().key(SQUARE, left, 0, value)
+        if code in (ADD, MULTIPLY):
+            left, right = sorted((left, right))
+        return super().key(code, left, right, value)
 
-
-def _folded(node: Node, nodes: list[Node]) -> Node:
-    """Return a constant in place of an operator on constants, unless its value is not finite."""
-    code, left, right, _ = node
-    if nodes[left][0] != CONSTANT or (ARITY[code] == 2 and nodes[right][0] != CONSTANT):
-        return node
-    value = _value(code, nodes[left][3], nodes[right][3])
-    # Infinity and NaN both give NaN here.
-    return (CONSTANT, 0, 0, value) if value - value == 0.0 else node
-
-
-def _value(code: int, a: float, b: float) -> float:
-    """Return the value of one operator, computed as the kernels do."""
-    with np.errstate(all="ignore"):
-        return float(_OPERATORS[code].value(np.float64(a), np.float64(b)))
+    def operate(self, code: int, left: int, right: int = 0) -> int:
+        """Return the index of an operator, or of its value as the kernels compute it."""
+        (kind, _, _, a), (other_kind, _, _, b) = self.nodes[left], self.nodes[right]
+        if kind == CONSTANT and (ARITY[code] == 1 or other_kind == CONSTANT):
+            with np.errstate(all="ignore"):
+                value = float(_OPERATORS[code].value(np.float64(a), np.float64(b)))
+            if math.isfinite(value):
+                return self._add_value(CONSTANT, value=value)
+        return super().operate(code, left, right)
 
 
 def _reading_order(nodes: list[Node], output: int) -> list[int]:
     """Return the live nodes, operands before operators and left before right."""
-    order: list[int] = []
-    done: set[int] = set()
+    order: dict[int, None] = {}
     stack = [output]
     while stack:
-        index = stack[-1]
-        if index in done:
-            stack.pop()
-            continue
-        code, left, right, _ = nodes[index]
-        arity = ARITY[code]
-        if arity and left not in done:
-            stack.append(left)
-        elif arity == 2 and right not in done:
-            stack.append(right)
+        code, *arguments, _ = nodes[stack[-1]]
+        waiting = next((argument for argument in arguments[: ARITY[code]] if argument not in order), None)
+        if waiting is None:
+            order[stack.pop()] = None
         else:
-            stack.pop()
-            done.add(index)
-            order.append(index)
-    return order
-
-
-def _moved(node: Node, place: dict[int, int]) -> Node:
-    code, left, right, value = node
-    arity = ARITY[code]
-    if arity == 0:
-        return (code, left if code == VARIABLE else 0, 0, value if code == CONSTANT else 0.0)
-    return (code, place[left], place[right] if arity == 2 else 0, 0.0)
+            stack.append(waiting)
+    return list(order)

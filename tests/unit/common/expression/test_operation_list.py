@@ -6,7 +6,7 @@ import pytest
 from atoll_core.errors import UsageError
 from atoll_core.expression.operation_list import placed, placed_text
 from atoll_core.expression.operators import ARITY, BY_NAME, CONSTANT
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, check_program_bytes
 from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 
@@ -59,7 +59,7 @@ def list_of(nodes, terminals=TERMINALS, inner=INNER):
 def test_a_list_computes_what_was_written_with_the_operators_at_hand(text, operators):
     nodes = nodes_of(text, operators)
     program = list_of(nodes)
-    program.validate(len(NAMES))
+    check_program_bytes(program.to_bytes(), len(NAMES))
     assert {node.code for node in nodes if ARITY[node.code]} <= set(codes(operators))
     expected = [evaluate(from_infix(text, NAMES), row) for row in ROWS]
     assert [evaluate(program, row) for row in ROWS] == pytest.approx(expected, rel=1e-14)

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll_core.expression.operators import ADD, ARITY, MULTIPLY, SIN, SUBTRACT, VARIABLE
+from atoll_core.expression.program import check_program_bytes
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_island_worker.evolution.formula import (
@@ -42,7 +43,7 @@ def test_a_combination_is_worth_what_it_says(program, coefficients, shift, data)
     node = st.integers(0, len(program) - 1)
     terms = data.draw(st.lists(node, max_size=4, unique=True))
     combined = to_program(combine_terms(from_program(program), terms, coefficients[: len(terms)], shift))
-    combined.validate(len(NAMES))
+    check_program_bytes(combined.to_bytes(), len(NAMES))
     values = node_values(program, INPUTS)
     expected = np.full(INPUTS.shape[1], shift)
     for term, a in zip(terms, coefficients, strict=False):
@@ -83,7 +84,7 @@ def test_reductions_are_sound_and_every_operator_gives_way_to_each_argument_and_
         expected += node.code == SUBTRACT
     assert len(formulas) == expected
     for reduced in formulas:
-        to_program(reduced).validate(len(NAMES))
+        check_program_bytes(to_program(reduced).to_bytes(), len(NAMES))
 
 
 def test_reductions_of_a_sum_are_its_arguments_and_a_constant_from_the_output_down():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_core.expression.operators import MULTIPLY, VARIABLE
+from atoll_core.expression.program import check_program_bytes
 from atoll_core.expression.simplification import complexity
 from atoll_island_worker.evolution.formula import from_book, from_tape, to_program
 from atoll_island_worker.evolution.kernels.generation import PARTS, REFITTING
@@ -209,7 +210,7 @@ def test_the_book_holds_programs_with_their_terms_coefficients_and_losses(option
     assert book.size[:count].tolist() == sorted(set(book.size[:count].tolist()))
     for k in range(count):
         program = to_program(from_book(book, k))
-        program.validate(2)
+        check_program_bytes(program.to_bytes(), 2)
         assert len(program) == complexity(program) == book.size[k]
         shift, *coefficients = book.scale[k, : 1 + book.number[k]]
         assert book.loss[k] == pytest.approx(offers.loss(k, shift, coefficients), rel=1e-9)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 
 from atoll_core.expression.operators import ADD, ARITY, DIVIDE, MULTIPLY, SQUARE, SUBTRACT, VARIABLE
+from atoll_core.expression.program import check_program_bytes
 from atoll_core.expression.simplification import complexity, simplify_program
 from atoll_island_worker.evolution.kernels.tape import canonical_tape, compile_tape, mark_live, sign
 from atoll_island_worker.evolution.structures import empty_tape, empty_work
@@ -71,7 +72,7 @@ def test_live_nodes_of_long_lists_are_found_over_several_words(nodes):
             tape = empty_tape(nodes)
             count = compile_tape(lists, p, tape)
             assert tape.origin[:count].tolist() == live
-            program_on(tape, count).validate(2)
+            check_program_bytes(program_on(tape, count).to_bytes(), 2)
 
 
 def test_the_highest_bit_of_a_word_is_a_node_like_any_other():
@@ -104,7 +105,7 @@ def test_a_tape_holds_the_live_nodes_in_order_and_has_their_values(program, row)
     assert tape.origin[:count].tolist() == live_nodes(program)
     assert tape.live[tape.origin[:count]].tolist() == list(range(count))
     on_tape = program_on(tape, count)
-    on_tape.validate(len(NAMES))
+    check_program_bytes(on_tape.to_bytes(), len(NAMES))
     inputs = np.array(row)[:, None]
     np.testing.assert_array_equal(node_values(on_tape, inputs), node_values(program, inputs)[live_nodes(program)])
 
@@ -114,7 +115,7 @@ def test_a_tape_holds_the_live_nodes_in_order_and_has_their_values(program, row)
 @given(programs(), ROWS)
 def test_the_canonical_tape_keeps_every_bit_and_has_only_live_and_different_nodes(program, row):
     simple = canonical(program)
-    simple.validate(len(NAMES))
+    check_program_bytes(simple.to_bytes(), len(NAMES))
     assert live_nodes(simple) == list(range(len(simple)))
     assert_same_bits(simple, program, row)
 
