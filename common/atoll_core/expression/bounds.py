@@ -9,6 +9,7 @@ nothing of terms that an equation does not have. Ends of ranges belong to them: 
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, Literal
@@ -144,14 +145,16 @@ class EquationBounds:
         """
         made = program if self._roles_of(program) is not None else self.written(program)
         roles = None if made is None else self._roles_of(made)
-        return made if roles is not None and self._are_possible(roles) else None
+        if roles is None or any(lower > upper for lower, upper in map(self._range_of_role, roles)):
+            return None
+        return made
 
     def written(self, program: Program) -> Program | None:
         """Return `program` laid out anew, so that signs stand where a reader expects them; None when it cannot be."""
-        expansion = expand_program(program, self._is_written)
+        expansion = expand_program(program, self.is_written)
         return None if expansion is None else expansion.program
 
-    def _is_written(self, shape: Shape, value: float) -> bool:
+    def is_written(self, shape: Shape, value: float) -> bool:
         """Tell whether a coefficient of one or minus one must be a constant."""
         return not self._holds(shape, value, is_inner=False)
 
@@ -160,27 +163,21 @@ class EquationBounds:
 
         That is told by its structure alone: one that is expanded to itself when its constants are any small numbers.
         """
-        places = constant_places(program)
-        numbers = {place: _FIRST + _STEP * number for number, place in enumerate(places)}
+        numbers = {place: _FIRST + _STEP * number for number, place in enumerate(constant_places(program))}
         return _roles(self.bounds, with_constants(program, numbers))
 
-    def _are_possible(self, roles: Sequence[Role]) -> bool:
-        """Tell whether some number may stand at each constant."""
-        ranges = (self.range_of(role.shape, is_inner=role.is_inner) for role in roles)
-        return all(lower <= upper for lower, upper in ranges)
+    def _range_of_role(self, role: Role) -> tuple[float, float]:
+        return self.range_of(role.shape, is_inner=role.is_inner)
 
     def ranges(self, program: Program) -> tuple[FloatArray, FloatArray] | None:
         """Return the least and largest value (K,) of each constant of a program that was laid out, None for others."""
         roles = self._roles_of(program)
         if roles is None:
             return None
-        pairs = [self.range_of(role.shape, is_inner=role.is_inner) for role in roles]
-        signed = [
-            (lower, upper) if role.sign > 0.0 else (-upper, -lower)
-            for role, (lower, upper) in zip(roles, pairs, strict=True)
-        ]
-        ranges = np.array(signed, dtype=np.float64).reshape(len(signed), 2)
-        return np.ascontiguousarray(ranges[:, 0]), np.ascontiguousarray(ranges[:, 1])
+        pairs = [(role.sign, *self._range_of_role(role)) for role in roles]
+        signed = [(lower, upper) if sign > 0.0 else (-upper, -lower) for sign, lower, upper in pairs]
+        lowest, largest = np.array(signed, np.float64).reshape(len(signed), 2).T.copy()
+        return lowest, largest
 
     def clipped(self, program: Program) -> Program:
         """Return a program that was laid out with its constants within their bounds."""
@@ -194,17 +191,9 @@ class EquationBounds:
     def are_kept(self, program: Program) -> bool:
         """Tell whether all constants of any program, as they stand, are within the bounds."""
         try:
-            terms = terms_of(program)
+            return all(self._holds(shape, value, is_inner=is_inner) for shape, value, is_inner in _numbers_of(program))
         except UndefinedError:
             return False
-        return all(
-            self._holds(shape_of(monomial), coefficient, is_inner=False)
-            and all(
-                self._holds(shape_of(monomial), number, is_inner=True)
-                for number in inner_numbers(((monomial, coefficient),))
-            )
-            for monomial, coefficient in terms
-        )
 
     def _holds(self, shape: Shape, value: float, *, is_inner: bool) -> bool:
         lower, upper = self.range_of(shape, is_inner=is_inner)
@@ -213,51 +202,45 @@ class EquationBounds:
     def governed(self, program: Program) -> tuple[Governed, ...]:
         """Return the bounds with the numbers of `program` that each is about."""
         try:
-            terms = terms_of(program)
+            numbers = _numbers_of(program)
         except UndefinedError:
             return ()
         governed = []
         for bound in self.bounds:
-            values = [
-                number
-                for monomial, coefficient in terms
-                for number, is_inner in (
-                    (coefficient, False),
-                    *((number, True) for number in inner_numbers(((monomial, coefficient),))),
-                )
-                if bound.covers(shape_of(monomial), is_inner=is_inner)
-            ]
+            values = tuple(value for shape, value, is_inner in numbers if bound.covers(shape, is_inner=is_inner))
+            ends = (bound.lower, bound.upper)
             is_active = any(
-                math.isclose(value, end, rel_tol=ROUNDING, abs_tol=1e-300)
-                for value in values
-                for end in (bound.lower, bound.upper)
+                math.isclose(value, end, rel_tol=ROUNDING, abs_tol=1e-300) for value in values for end in ends
             )
-            governed.append(Governed(bound, tuple(values), is_active))
+            governed.append(Governed(bound, values, is_active))
         return tuple(governed)
+
+
+def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
+    """Return the numbers of all terms with the terms' shapes, and whether they are inside; raises UndefinedError."""
+    numbers: list[tuple[Shape, float, bool]] = []
+    for monomial, coefficient in terms_of(program):
+        shape = shape_of(monomial)
+        numbers.append((shape, coefficient, False))
+        numbers += [(shape, number, True) for number in inner_numbers(((monomial, coefficient),))]
+    return numbers
 
 
 @lru_cache(maxsize=8192)
 def _roles(bounds: tuple[Bound, ...], program: Program) -> tuple[Role, ...] | None:
     """Return the roles of the constants of a program that is expanded to itself, None of any other."""
-    expansion = expand_program(program, EquationBounds(bounds)._is_written)
+    expansion = expand_program(program, EquationBounds(bounds).is_written)
     return expansion.roles if expansion is not None and structure(expansion.program) == structure(program) else None
 
 
 def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Sequence[str]) -> EquationBounds | None:
     """Return the bounds on the equation of `variable`, None where there are none.
 
-    Args:
-        texts: by equation, those on all equations among them, checked.
-        variable: whose equation it is.
-        names: of the variables that it may use; a bound on a term of others says nothing.
+    `texts` are checked, by equation, those on all equations among them. A bound on a term of variables that are not
+    among `names`, which the equation may use, says nothing.
     """
-    bounds = [bound for text in texts.get(variable, ()) if (bound := _parsed(text, names)) is not None]
+    bounds = []
+    for text in texts.get(variable, ()):
+        with suppress(UsageError):
+            bounds.append(parse_bound(text, names))
     return EquationBounds(tuple(bounds)) if bounds else None
-
-
-def _parsed(text: str, names: Sequence[str]) -> Bound | None:
-    """Return a bound that was checked before; None where its term has a variable that is not among these."""
-    try:
-        return parse_bound(text, names)
-    except UsageError:
-        return None

@@ -4,9 +4,8 @@ An operation list begins with its terminals and ends with its output. What peopl
 quotients that the operators of a job may lack; where others can take their place, they do. Pure.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 from atoll_core.errors import UsageError
 from atoll_core.expression.builder import ProgramBuilder, live_nodes
@@ -49,22 +48,16 @@ def placed_text(
         UsageError: the text cannot be read or placed.
     """
     try:
-        apart = from_infix(text, names, merges_constants=False)
-        return placed(apart, operators, terminals, operator_nodes)
+        return placed(from_infix(text, names, merges_constants=False), operators, terminals, operator_nodes)
     except UsageError:
         return placed(from_infix(text, names), operators, terminals, operator_nodes)
 
 
 def placed(program: Program, operators: Collection[int], terminals: int, operator_nodes: int) -> tuple[PlacedNode, ...]:
-    """Return the nodes of a list that computes what `program` does, up to rounding.
+    """Return the nodes of a list that computes what `program` does with these operators, up to rounding.
 
-    Terminals come first, operators last; what lies between is the caller's.
-
-    Args:
-        program: any valid program.
-        operators: codes that the list may use.
-        terminals: nodes at the beginning of a list, which hold variables and constants.
-        operator_nodes: nodes after them; the last one is the output.
+    A list has so many `terminals`, which hold variables and constants, and then `operator_nodes`, whose last one is the
+    output. Terminals are placed at its beginning, operators at its end; what lies between is the caller's.
 
     Raises:
         UsageError: other operators would be needed, or more nodes; a sentence without its subject, such as
@@ -103,8 +96,7 @@ class _Rewriting(ProgramBuilder):
         """Return the index of a node with the value of an operator, which may be written with others."""
         if code in self._operators:
             return self.add(code, left, right)
-        substitute = _SUBSTITUTES.get(code)
-        node = substitute(self, left, right) if substitute is not None else None
+        node = self._substitute(code, left, right)
         if node is None:
             raise UsageError(
                 f"needs '{OPERATORS[code].name}', but may be made of {_names(self._operators)} only; "
@@ -112,9 +104,24 @@ class _Rewriting(ProgramBuilder):
             )
         return node
 
-    def _own_constant(self, value: float) -> int:
-        """Return a new constant, which is fitted apart from equal ones."""
-        return self.append(CONSTANT, value=value)
+    def _substitute(self, code: int, left: int, right: int) -> int | None:
+        """Return a node with the value of an operator that is not at hand; None where none of the others can be it."""
+        match OPERATORS[code].name:
+            case "square":
+                return self._product(left, left)
+            case "*":
+                return self._product(left, right)
+            case "neg":
+                return self._negated(left)
+            case "-":
+                return self._joined(ADD, left, right)
+            case "+":
+                return self._joined(SUBTRACT, left, right)
+            case "/":
+                return self._quotient(left, right)
+            case "inverse" if DIVIDE in self._operators:
+                return self.add(DIVIDE, self.constant(1.0), left)
+        return None
 
     def _value(self, node: int) -> float | None:
         return self.nodes[node][3] if self.nodes[node][0] == CONSTANT else None
@@ -126,8 +133,8 @@ class _Rewriting(ProgramBuilder):
 
     def _negated(self, node: int) -> int | None:
         value = self._value(node)
-        if value is not None:
-            return self._own_constant(-value)
+        if value is not None:  # a new constant, which is fitted apart from equal ones
+            return self.append(CONSTANT, value=-value)
         if NEGATE in self._operators:
             return self.add(NEGATE, node)
         if MULTIPLY in self._operators:
@@ -142,14 +149,11 @@ class _Rewriting(ProgramBuilder):
     def _quotient(self, left: int, right: int) -> int | None:
         value = self._value(right)
         if value and abs(1.0 / value) < float("inf"):
-            return self._product(left, self._own_constant(1.0 / value))
+            return self._product(left, self.append(CONSTANT, value=1.0 / value))
         if INVERSE not in self._operators:
             return None
         inverse = self.add(INVERSE, right)
         return inverse if self._value(left) == 1.0 else self._product(left, inverse)
-
-    def _inverse(self, node: int) -> int | None:
-        return self.add(DIVIDE, self.constant(1.0), node) if DIVIDE in self._operators else None
 
     def _unchanged(self, leaf: int) -> int:
         """Return an operation with the value of a variable or constant: the output of a list is no terminal."""
@@ -157,17 +161,6 @@ class _Rewriting(ProgramBuilder):
             if code in self._operators:
                 return self.add(code, leaf, self.constant(value))
         raise UsageError(f"is a single variable or number, which {_names(self._operators)} cannot leave as it is")
-
-
-_SUBSTITUTES: Final[dict[int, Callable[[_Rewriting, int, int], int | None]]] = {
-    SQUARE: lambda builder, left, _: builder._product(left, left),
-    MULTIPLY: lambda builder, left, right: builder._product(left, right),
-    NEGATE: lambda builder, left, _: builder._negated(left),
-    SUBTRACT: lambda builder, left, right: builder._joined(ADD, left, right),
-    ADD: lambda builder, left, right: builder._joined(SUBTRACT, left, right),
-    DIVIDE: lambda builder, left, right: builder._quotient(left, right),
-    INVERSE: lambda builder, left, _: builder._inverse(left),
-}
 
 
 def _names(operators: Collection[int]) -> str:
