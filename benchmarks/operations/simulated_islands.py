@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from atoll_core.compilation.sources import WORKER, source_digest
+from atoll_core.compilation.cache import WORKER, source_digest
 from atoll_core.config import JobConfig
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.bus.interface import Bus

@@ -21,7 +21,7 @@ def run_program(module: str) -> NoReturn:
     end_at_interrupts()
     reap_children()
     open_closed_streams()
-    from atoll_core.machine.garbage import collect_rarely
+    from atoll_core.machine.usage import collect_rarely
 
     collect_rarely()
     code: int = importlib.import_module(module).main(sys.argv[1:])

@@ -5,6 +5,7 @@ what the command line calls.
 """
 
 import logging
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import singledispatchmethod
@@ -13,7 +14,7 @@ from typing import Final
 from atoll_core.compilation.progress import count_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.logs import fields
-from atoll_core.machine import usage
+from atoll_core.machine.usage import memory_bytes
 from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Query, Reply, Timer
@@ -276,8 +277,8 @@ class Worker:
             refused=self.rejects.total,
             duplicates=session.duplicates,
             waited_s=session.waited_s,
-            memory_bytes=usage.memory_bytes(),
-            cpu_s=usage.cpu_s(),
+            memory_bytes=memory_bytes(),
+            cpu_s=time.process_time(),
         )
         status = messages.WorkerStatus(
             instance=connection.instance,

@@ -1,8 +1,4 @@
-"""What this process may use of its machine, and what it takes of it.
+"""What this process may use of its machine (`cores`, `folders`), and what it takes of it (`usage`).
 
-- ``cores``: how many cores it may use: affinity, the control group's quota, Slurm's allocation.
-- ``usage``: memory and processor time taken so far, as heartbeats and logs show them.
-- ``garbage``: how often Python looks for garbage, set once when a program starts.
-
-Nothing here knows anything else of `atoll`.
+Nothing here knows anything else of `atoll` but its errors.
 """

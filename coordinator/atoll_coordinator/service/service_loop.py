@@ -5,6 +5,7 @@
 
 import logging
 import threading
+import time
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
@@ -24,7 +25,7 @@ from atoll_coordinator.service.workers.membership import ABSENCE_S
 from atoll_core import VERSION
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.logs import fields
-from atoll_core.machine import usage
+from atoll_core.machine.usage import memory_bytes
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
@@ -154,8 +155,8 @@ class Service:
             dropped=self._bus.dropped,
             refused=self.rejects.total,
             broken=self.controller.breakages.total,
-            memory_bytes=usage.memory_bytes(),
-            cpu_s=usage.cpu_s(),
+            memory_bytes=memory_bytes(),
+            cpu_s=time.process_time(),
         )
         return CoordinatorView(
             version=VERSION,

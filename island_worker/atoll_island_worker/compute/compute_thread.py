@@ -143,7 +143,7 @@ class ComputeThread:
     def _warm_up(self) -> None:
         began = time.monotonic()
         try:
-            from atoll_core.compilation.sources import WORKER, source_digest
+            from atoll_core.compilation.cache import WORKER, source_digest
             from atoll_island_worker.compute.warmup import warm_up
 
             warm_up(self._report)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from atoll_coordinator.service.jobs.job import commit_order_of
-from atoll_core.compilation.sources import WORKER, source_digest
+from atoll_core.compilation.cache import WORKER, source_digest
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.expression.operators import CONSTANT, COS, SIN, TANH

@@ -4,6 +4,5 @@
 - `failures`: what becomes of a mistake in rewriting
 - `identities`: sums that equal a given one, one step away
 - `layout`: a sum written as an expression, and what the writing costs
-- `shortest`: the search for the shortest writing; programs in, programs out
-- `agreement`: the same, checked over the box of the data
+- `shortest`: the search for the shortest writing, also checked over the box of the data; programs in, programs out
 """

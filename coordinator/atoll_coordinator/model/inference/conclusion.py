@@ -65,7 +65,7 @@ from atoll_core.expression.unit_coefficients import (
     make_coefficients_explicit,
     write_factors,
 )
-from atoll_core.expression.writing.agreement import shortest_over
+from atoll_core.expression.writing.shortest import shortest_over
 
 
 @dataclass(frozen=True, eq=False)

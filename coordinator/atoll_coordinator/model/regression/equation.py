@@ -26,8 +26,7 @@ from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
 from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.expression.unit_coefficients import make_coefficients_explicit, write_factors
-from atoll_core.expression.writing.agreement import shortest_over
-from atoll_core.expression.writing.shortest import shortest
+from atoll_core.expression.writing.shortest import shortest, shortest_over
 
 
 def fit_equation(

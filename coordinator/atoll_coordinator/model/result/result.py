@@ -41,7 +41,7 @@ from atoll_core.expression.operators import CONSTANT
 from atoll_core.expression.program import Program, structure
 from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
-from atoll_core.expression.writing.agreement import shortest_over
+from atoll_core.expression.writing.shortest import shortest_over
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
 

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from atoll_coordinator.service.background.child_process import OTHER_VERSION, version
-from atoll_core.machine.garbage import collect_rarely
-from atoll_core.machine.usage import memory_bytes
+from atoll_core.machine.usage import collect_rarely, memory_bytes
 from atoll_core.signals import ENDING, ignore
 
 Task = tuple[bool, Callable[[], object]]

@@ -22,7 +22,7 @@ from atoll_coordinator.service.workers.quarantine import Quarantine
 from atoll_coordinator.service.workers.reconciliation import corrections
 from atoll_coordinator.service.workers.scheduling import Assignment, Scheduler
 from atoll_coordinator.service.workers.stalls import StallDetector
-from atoll_core.compilation.sources import WORKER, source_digest
+from atoll_core.compilation.cache import WORKER, source_digest
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.epochs import PullReports

@@ -11,9 +11,8 @@ import pytest
 from numba import _dispatcher
 from numba.core import caching, ccallback, dispatcher, registry
 
-from atoll_core.compilation.cache import cache_directory
+from atoll_core.compilation.cache import cache_directory, packages_compiled_into
 from atoll_core.compilation.jit import IS_COMPILED, entry_point, kernel
-from atoll_core.compilation.sources import packages_compiled_into
 
 KERNELS = """
 import numpy

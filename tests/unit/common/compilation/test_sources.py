@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from atoll_core.compilation import sources
-from atoll_core.compilation.sources import ALL, WORKER, kernel_files, source_digest
+from atoll_core.compilation import cache
+from atoll_core.compilation.cache import ALL, WORKER, kernel_files, source_digest
 
 LOADED = """
 import sys
-from atoll_core.compilation.sources import WORKER, kernel_files
+from atoll_core.compilation.cache import WORKER, kernel_files
 import atoll_island_worker.evolution.island
 loaded = {getattr(module, "__file__", None) for module in list(sys.modules.values())}
 print([str(file) for file in kernel_files(WORKER) if str(file) not in loaded])
@@ -24,8 +24,8 @@ def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder with copies of all packages, whose digests are taken in place of those that are imported."""
     for package in ALL:
         ignored = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(sources._folder(package), tmp_path / package, ignore=ignored)
-    monkeypatch.setattr(sources, "_folder", lambda package: tmp_path / package)
+        shutil.copytree(cache._folder(package), tmp_path / package, ignore=ignored)
+    monkeypatch.setattr(cache, "_folder", lambda package: tmp_path / package)
     return tmp_path
 
 

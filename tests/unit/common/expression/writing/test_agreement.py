@@ -3,8 +3,8 @@
 import numpy as np
 
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.writing import agreement
-from atoll_core.expression.writing.agreement import agree, points_of, shortest_over
+from atoll_core.expression.writing import shortest as search
+from atoll_core.expression.writing.shortest import agree, points_of, shortest_over
 
 NAMES = ("x", "y")
 BOX = np.array([[-1.0, 0.2, 3.0], [2.0, 2.5, 2.25]])
@@ -33,5 +33,5 @@ def test_values_differ_or_a_pole_appears():
 def test_a_writing_that_differs_on_the_box_is_not_taken(monkeypatch):
     program = from_infix("x + y - y", NAMES)
     assert shortest_over(program, BOX) == from_infix("x", NAMES)
-    monkeypatch.setattr(agreement, "shortest", lambda _: from_infix("y", NAMES))
+    monkeypatch.setattr(search, "shortest", lambda _: from_infix("y", NAMES))
     assert shortest_over(program, BOX) == program
