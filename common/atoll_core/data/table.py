@@ -14,17 +14,14 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from atoll_core.data.dataset import AnyArray, FloatArray
+from atoll_core.data.dataset import AnyArray, FloatArray, IntArray
 from atoll_core.errors import DataError, RemoteProtocolError
 from atoll_core.wire.codec import BROKEN, decode_arrays, encode_arrays
 
-IntArray = npt.NDArray[np.int64]
 S = TypeVar("S", bound=np.generic)
 C = TypeVar("C", list[Any], dict[str, Any])  # read from msgpack, each item is looked at
 MANY = 5
 """So many rows are named in a message before it says how many there are in all."""
-
-
 MIDNIGHT: Final = "midnight"
 
 
@@ -106,27 +103,19 @@ class Table:
         shown = list(rows[:MANY])
         numbers = ", ".join(str(row + 1) for row in shown)
         text = f"{_plural('row', shown)} {numbers}{', …' if len(rows) > MANY else ''}"
-        files = [int(self.file_of_row[row]) for row in shown]
         if all(self.line_of_row[row] > 0 for row in shown):
             parts = []
-            for file in dict.fromkeys(files):
-                lines = [
-                    str(self.line_of_row[row]) for row, row_file in zip(shown, files, strict=True) if row_file == file
-                ]
+            for file in dict.fromkeys(self.file_of_row[shown].tolist()):
+                lines = [str(self.line_of_row[row]) for row in shown if self.file_of_row[row] == file]
                 parts.append(f"{_plural('line', lines)} {', '.join(lines)} of {self.files[file]}")
             text += f" ({'; '.join(parts)})"
         return text + (f", {len(rows)} in all" if len(rows) > 1 else "")
 
     def to_bytes(self) -> bytes:
         """Return the bytes that are uploaded; `from_bytes` reads them."""
-        header: dict[str, object] = {
-            "names": list(self.names),
-            "units": list(self.units),
-            "starts": list(self.starts),
-            "files": list(self.files),
-            "skipped": list(self.skipped),
-            "read_as": self.read_as,
-        }
+        lists = ("names", "units", "starts", "files", "skipped")
+        header: dict[str, object] = {name: list(getattr(self, name)) for name in lists}
+        header["read_as"] = self.read_as
         if self.labels:
             header["labels"] = {name: list(texts) for name, texts in self.labels.items()}
         if self.origins:

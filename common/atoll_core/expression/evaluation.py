@@ -26,11 +26,7 @@ from atoll_core.expression.program import Program, dependent_nodes
 def _periodic(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatArray], FloatArray]:
     """Return sine or cosine as programs have it: not a number where the argument is too large to be reduced well."""
 
-    def limited(a: FloatArray) -> FloatArray:
-        values = function(a)
-        return np.where(np.abs(a) > TRIGONOMETRIC_LIMIT, np.nan, values)
-
-    return limited
+    return lambda a: np.where(np.abs(a) > TRIGONOMETRIC_LIMIT, np.nan, function(a))
 
 
 def _power(x: FloatArray, y: FloatArray) -> FloatArray:

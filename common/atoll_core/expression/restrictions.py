@@ -40,14 +40,6 @@ NONE = Restrictions()
 
 
 def restrictions_of(config: JobConfig, variable: str, names: Sequence[str]) -> Restrictions:
-    """Return the restrictions of the equation of `variable`.
-
-    Args:
-        config: resolved.
-        variable: whose equation it is.
-        names: the symbols of the variables that it may use; a bound on a term of others says nothing.
-    """
-    required = config.space.required_of.get(variable, ())
-    return Restrictions(
-        equation_bounds(config.prior.bounds, variable, names), frozenset(names.index(name) for name in required)
-    )
+    """Return the restrictions of the equation of `variable`, which may use the variables of these symbols."""
+    required = frozenset(map(names.index, config.space.required_of.get(variable, ())))
+    return Restrictions(equation_bounds(config.prior.bounds, variable, names), required)

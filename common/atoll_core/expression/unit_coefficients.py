@@ -38,12 +38,9 @@ def make_coefficients_explicit(program: Program) -> ExplicitCoefficients:
 
 
 def write_factors(explicit: ExplicitCoefficients, fitted: Program, chosen: Collection[int]) -> Program:
-    """Return the program as it was, with some factors written out.
+    """Return the program as it was, with the factors of the `chosen` terms written out; the other factors are one.
 
-    Args:
-        explicit: with all its factors of one as constants.
-        fitted: its program with other values of constants.
-        chosen: numbers of the terms whose factors are written; the other factors are one.
+    `fitted` is the program of `explicit` with other values of constants.
     """
     places = constant_places(fitted)
     factors = [place for place, origin in zip(places, explicit.origins, strict=True) if origin is None]
@@ -53,7 +50,7 @@ def write_factors(explicit: ExplicitCoefficients, fitted: Program, chosen: Colle
 
 def as_written(program: Program) -> ExplicitCoefficients:
     """Return `program` without any made explicit."""
-    return ExplicitCoefficients(program, tuple(range(int((program.operators == CONSTANT).sum()))), ())
+    return ExplicitCoefficients(program, tuple(range(len(constant_places(program)))), ())
 
 
 class _Draft:
@@ -61,9 +58,8 @@ class _Draft:
 
     def __init__(self, old: list[Node]) -> None:
         self._old = old
-        self._numbers = {
-            place: number for number, place in enumerate(index for index, node in enumerate(old) if node[0] == CONSTANT)
-        }
+        constants = (place for place, node in enumerate(old) if node[0] == CONSTANT)
+        self._numbers = {place: number for number, place in enumerate(constants)}
         self._new = ProgramBuilder()
         self._copies: dict[int, int] = {}
         self._origins: dict[int, int | None] = {}

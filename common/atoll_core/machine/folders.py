@@ -11,14 +11,8 @@ from atoll_core.errors import UsageError
 def user_folder(variable: str, usual: str) -> Path:
     """Return the folder that `variable` names, else `usual` in the home folder, else a temporary one of this user.
 
-    A user without an entry in the list of users, as a container may have, has no home folder.
-
-    Args:
-        variable: of the environment, such as ``XDG_CACHE_HOME``.
-        usual: such as ``.cache``.
-
-    Raises:
-        UsageError: there is no home folder, and the temporary one is somebody else's.
+    `variable` is one of the environment, such as ``XDG_CACHE_HOME``. A user without an entry in the list of users, as a
+    container may have, has no home folder. Raises UsageError where the temporary one is somebody else's.
     """
     chosen = os.environ.get(variable)
     if chosen:
@@ -36,13 +30,13 @@ def _own_temporary_folder(variable: str) -> Path:
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
     except OSError as error:
-        raise UsageError(_without_home(folder, variable, error.strerror or str(error))) from error
+        raise _without_home(folder, variable, error.strerror or str(error)) from error
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022:
-        raise UsageError(_without_home(folder, variable, "somebody else may write there"))
+        raise _without_home(folder, variable, "somebody else may write there")
     return folder
 
 
-def _without_home(folder: Path, variable: str, reason: str) -> str:
-    return (
+def _without_home(folder: Path, variable: str, reason: str) -> UsageError:
+    return UsageError(
         f"user {os.getuid()} has no home folder, and {folder} cannot be used instead ({reason}); set HOME or {variable}"
     )

@@ -144,12 +144,10 @@ def form_of(
     *,
     quotients: frozenset[int] = frozenset({TANGENT, COTANGENT}),
 ) -> Written:
-    """Return the form of a program.
+    """Return the form of a program; parts that are used twice are written twice.
 
-    Args:
-        program: any valid one; parts that are used twice are written twice.
-        constants: names of those constants that have one, by node.
-        quotients: which of `TANGENT` and `COTANGENT` the language has.
+    `constants` are the names of those that have one, by node; `quotients` what the language has of `TANGENT` and
+    `COTANGENT`.
     """
     writer = _Writer(quotients)
     operands: list[Signed] = []
@@ -165,14 +163,13 @@ def form_of(
     return Written(tuple(_needed(writer.forms, operands[-1].form)), operands[-1])
 
 
-def _needed(forms: Mapping[Hashable, Form], whole: Form) -> Iterator[Form]:
+def _needed(forms: dict[Hashable, Form], whole: Form) -> Iterator[Form]:
     """Yield the forms that a whole is made of, operands first."""
     needed = {whole}
-    made = list(forms.values())
-    for form in reversed(made):
+    for form in reversed(forms.values()):
         if form in needed:
             needed.update(part.form for part in form.parts)
-    yield from (form for form in made if form in needed)
+    yield from (form for form in forms.values() if form in needed)
 
 
 @dataclass(frozen=True)

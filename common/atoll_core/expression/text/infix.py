@@ -53,13 +53,8 @@ PRINTABLE_SIZE: Final = 5_000
 def to_infix(program: Program, names: Sequence[str], *, digits: int | None = None) -> str:
     """Return `program` as infix text over `names`, the symbols of the V input variables.
 
-    Args:
-        program: any valid program.
-        names: symbols, one for each input variable.
-        digits: significant digits of constants, for display; None prints exactly what is computed.
-
-    Raises:
-        ValueError: the text would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
+    With `digits`, the significant ones of constants, it is for display; else exactly what is computed. Raises
+    ValueError when the text would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
     """
     if digits is None:
         return _Text(names, repr).render(exact_form(program))
@@ -73,11 +68,7 @@ def exact_form(program: Program) -> Written:
 
 
 def displayed_form(program: Program, digits: int) -> Written:
-    """Return how `program` is shown with constants of so many significant digits, whatever it is shown in.
-
-    Raises:
-        ValueError: it is too large.
-    """
+    """Return how `program` is shown with so many significant digits; raises ValueError when it is too large."""
     _check_size(program)
     # Imported here: what is printed to the bit needs none of it.
     from atoll_core.expression.writing.shortest import shortest
@@ -90,14 +81,8 @@ def displayed_form(program: Program, digits: int) -> Written:
 def to_code(program: Program, names: Sequence[str], notation: Notation, constants: Mapping[int, str]) -> str:
     """Return `program` as an expression of another language, exactly as it is computed.
 
-    Args:
-        program: any valid program.
-        names: what the language calls the V input variables.
-        notation: how it writes functions and powers.
-        constants: names of those constants that have one, by node; all others are written with all their digits.
-
-    Raises:
-        ValueError: the text would have more than `PRINTABLE_SIZE` operations.
+    `names` is what it calls the V input variables, `constants` those constants that have a name, by node; all others
+    are written with all their digits. Raises ValueError as `to_infix` does.
     """
     _check_size(program)
     return _Text(names, repr, notation).render(form_of(program, constants, quotients=notation.quotients))
