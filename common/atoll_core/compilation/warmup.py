@@ -23,14 +23,9 @@ Report = Callable[[str], None]
 def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, report: Report) -> None:
     """Compile or load all kernels of `package`, which `exercise` runs. Does nothing with ``NUMBA_DISABLE_JIT``.
 
-    Args:
-        package: the package whose kernels these are.
-        exercise: runs every kernel with the types that it is used with.
-        kernels: how many kernels `exercise` compiles or loads.
-        report: called with a sentence before the first compilation and after each kernel, or when this process waits.
-
-    Raises:
-        AtollError: the cache of compiled kernels cannot be written, or this numba lacks a part that `jit` builds on.
+    `exercise` compiles or loads so many `kernels`, each with the types that it is used with. `report` is called with a
+    sentence before the first compilation and after each kernel, or when this process waits. Raises AtollError where the
+    cache of compiled kernels cannot be written, or this numba lacks a part that `jit` builds on.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return

@@ -43,16 +43,16 @@ _TOKEN: Final = re.compile(
     (?P<number>\d+\.?\d*(?:[eE][+-]?\d+)? | \.\d+(?:[eE][+-]?\d+)?) |
     \*\*\s*(?P<natural>\d{1,3})(?![\w.])(?!\s*\*\*) |
     (?P<operator>\*\*|[-+*/()]) |
+    (?P<blank>(?u:\s)+) |
     (?P<foreign>.)""",
     re.VERBOSE | re.ASCII | re.DOTALL,
 )
-_BLANKS: Final = re.compile(r"\s*")
 _OPENING: Final = re.compile(r"\s*\(")
-_CALLS: Final = {**{name: code for code, name in FUNCTIONS.items()}, "Abs": ABS}
+_CALLS: Final = {name: code for code, name in FUNCTIONS.items()} | {"Abs": ABS}
 _LEVELS: Final = {ADD: 1, SUBTRACT: 1, MULTIPLY: 2, DIVIDE: 2, POW: 4}
 _BINARY: Final = {OPERATORS[code].text: (level, code) for code, level in _LEVELS.items()}
 _UNARY_LEVEL: Final = 3
-_Kind = Literal["number", "call", "name", "natural", "operator", "foreign", "end"]
+_Kind = Literal["number", "call", "name", "natural", "operator", "blank", "foreign", "end"]
 _MINUS: Final = "unary minus"
 
 
@@ -210,11 +210,11 @@ def _level(token: _Token) -> int:
 
 
 def _tokens(text: str) -> Iterator[_Token]:
-    position = _after(_BLANKS, text, 0)
+    position = 0
     while position < len(text):
-        token, end = _named(text, position) if text[position].isidentifier() else _other(text, position)
-        yield token
-        position = _after(_BLANKS, text, end)
+        token, position = _named(text, position) if text[position].isidentifier() else _other(text, position)
+        if token.kind != "blank":
+            yield token
     yield _Token("end", "", len(text))
 
 
@@ -234,8 +234,3 @@ def _other(text: str, start: int) -> tuple[_Token, int]:
     assert match is not None  # any character is at least foreign
     kind = cast(_Kind, match.lastgroup)
     return _Token(kind, match[kind], match.start(kind)), match.end()
-
-
-def _after(pattern: re.Pattern[str], text: str, position: int) -> int:
-    match = pattern.match(text, position)
-    return match.end() if match else position

@@ -10,20 +10,11 @@ from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Final, TypeAlias
 
 from atoll_core.expression.builder import ProgramBuilder
-from atoll_core.expression.operators import (
-    ADD,
-    CONSTANT,
-    DIVIDE,
-    INVERSE,
-    MULTIPLY,
-    NEGATE,
-    POW,
-    SUBTRACT,
-    VARIABLE,
-)
+from atoll_core.expression.operators import ADD, CONSTANT, DIVIDE, INVERSE, MULTIPLY, NEGATE, POW, SUBTRACT, VARIABLE
 from atoll_core.expression.program import MAX_NODES, Program
 from atoll_core.expression.writing.failures import contained
 from atoll_core.expression.writing.layout import in_order
@@ -245,10 +236,7 @@ class _Builder(ProgramBuilder):
         return self.operate(DIVIDE, self._chained(above), divisor) if above else self.operate(INVERSE, divisor)
 
     def _chained(self, factors: Sequence[int]) -> int:
-        node = factors[0]
-        for factor in factors[1:]:
-            node = self.operate(MULTIPLY, node, factor)
-        return node
+        return reduce(lambda node, factor: self.operate(MULTIPLY, node, factor), factors)
 
     def _atom(self, atom: Atom, shape: Shape, path: Path, counts: Counter[str]) -> int:
         kind, *rest = atom

@@ -11,8 +11,7 @@ from atoll_core.expression.writing.sums_of_products import UndefinedError
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 FAILURES: Final[Counter[str]] = Counter()
-"""How often a rewriting failed in a way that nobody thought of, by function and kind: a mistake here, which is logged
-once of each."""
+"""How often, by function and kind of error."""
 
 
 def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
