@@ -68,26 +68,19 @@ def _number(value: float) -> Written:
 def _signed(negative: bool, cost: int, expression: Expression) -> Written:
     if not negative:
         return cost, expression
-    if isinstance(expression, float):
-        return cost + _SIGN, -expression
-    if isinstance(expression, tuple) and expression[0] in (MULTIPLY, DIVIDE) and _leads_with_number(expression):
-        return cost + _SIGN, _negated(expression)
-    return cost + _SIGN, (NEGATE, expression)
+    negated = _negated(expression)
+    return cost + _SIGN, (NEGATE, expression) if negated is None else negated
 
 
-def _leads_with_number(expression: Expression) -> bool:
-    while isinstance(expression, tuple) and expression[0] in (MULTIPLY, DIVIDE):
-        expression = expression[1]
-    return isinstance(expression, float)
-
-
-def _negated(expression: Expression) -> Expression:
-    """Return a product with its leading number negated."""
+def _negated(expression: Expression) -> "Expression | None":
+    """Return a number, or a product or quotient that begins with one, as its negative; None where none leads."""
     if isinstance(expression, float):
         return -expression
-    assert isinstance(expression, tuple)
-    code, first, *rest = expression
-    return (code, _negated(first), *rest)
+    if isinstance(expression, tuple) and expression[0] in (MULTIPLY, DIVIDE):
+        code, first, *rest = expression
+        negated = _negated(first)
+        return None if negated is None else (code, negated, *rest)
+    return None
 
 
 def _listed(terms: list[Term]) -> Written:
