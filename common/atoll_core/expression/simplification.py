@@ -62,9 +62,9 @@ class _Simplifier(ProgramBuilder):
 
     def key(self, code: int, left: int, right: int, value: float) -> Hashable:
         if code == MULTIPLY and left == right:
-            return super().key(SQUARE, left, 0, value)
-        if code in (ADD, MULTIPLY):
-            left, right = sorted((left, right))
+            code, right = SQUARE, 0
+        elif code in (ADD, MULTIPLY) and right < left:
+            left, right = right, left
         return super().key(code, left, right, value)
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
