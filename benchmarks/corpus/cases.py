@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -11,8 +11,10 @@ import numpy as np
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from benchmarks.corpus.qualities import measure, quality
-from benchmarks.corpus.systems import CorpusSystem, DivergedError, draw_system, named_system, solution
+from benchmarks.corpus.systems import CorpusSystem, draw_system, named_system, solution
+from benchmarks.harness.solving import DivergedError
 from benchmarks.harness.systems import Sampled, table_of
+from benchmarks.judging.generalisation import Field
 from benchmarks.noise.data import Path
 
 OURS: Final = "atoll"
@@ -172,11 +174,10 @@ def smallest_t(
     blocks = []
     for start, when, values in zip(starts, times, clean, strict=True):
         try:
-            by_constant = [_effect(system, start, when, values, {name: 1.0}, None) for name in names]
-            by_start = [_effect(system, start, when, values, {}, place) for place in range(len(start))]
+            shifted = [solution(field, state, when) for field, state in _shifted(system, start, values)]
         except DivergedError:
             return dict.fromkeys(system.states, 0.0)
-        columns = np.array([(weights * each).ravel() for each in (*by_constant, *by_start)]).T
+        columns = np.array([(weights * ((states - values) / _SHIFT)).ravel() for states in shifted]).T
         own = columns[:, len(names) :]
         blocks.append(columns[:, : len(names)] - own @ np.linalg.lstsq(own, columns[:, : len(names)], rcond=None)[0])
     stacked = np.concatenate(blocks)
@@ -201,17 +202,12 @@ def _weights(clean: Sequence[FloatArray], measured: Sequence[FloatArray]) -> Flo
     return weights
 
 
-def _effect(
-    system: CorpusSystem,
-    start: Sequence[float],
-    times: FloatArray,
-    values: FloatArray,
-    relative: Mapping[str, float],
-    place: int | None,
-) -> FloatArray:
-    """Return the change (n, S) of a solution by a relative change of a constant, or by one of an initial state."""
-    changes = {name: system.constants[name] * (1.0 + _SHIFT) for name in relative}
-    moved = list(start)
-    if place is not None:
-        moved[place] += _SHIFT * float(values[:, place].std() or 1.0)
-    return (solution(system.field(changes), moved, times) - values) / _SHIFT
+def _shifted(
+    system: CorpusSystem, start: Sequence[float], values: FloatArray
+) -> Iterator[tuple[Field, Sequence[float]]]:
+    """Yield right-hand sides and initial states, of which one is a little larger: first a constant, then a state."""
+    for name, constant in system.constants.items():
+        yield system.field({name: constant * (1.0 + _SHIFT)}), start
+    for place, state in enumerate(start):
+        moved = state + _SHIFT * float(values[:, place].std() or 1.0)
+        yield system.field(), [*start[:place], moved, *start[place + 1 :]]

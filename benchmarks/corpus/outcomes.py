@@ -1,18 +1,16 @@
 """How one job came out: form, extra terms, verdict and prediction of each equation, and what the job took."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
 from atoll_core.config import JobConfig
-from atoll_core.errors import UsageError
 from benchmarks.corpus.cases import LEAST_T, Case, Key
 from benchmarks.corpus.lengths import excess_of_truth
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.judging.forms import judge_form
-from benchmarks.judging.generalisation import GOOD_R2, field_of, simulated
+from benchmarks.judging.generalisation import GOOD_R2, foretold
 from benchmarks.judging.rules import Kind, right_ones
 
 MOST_LOOKED_AT: Final = 60
@@ -105,7 +103,8 @@ def judge_job(
     """
     equations = {equation["variable"]: equation for equation in result.get("equations", ())}
     truths = case.system.truths
-    r2 = fresh_r2([equations.get(state, {}).get("expression") for state in truths], case)
+    texts = {state: equations.get(state, {}).get("expression") for state in truths}
+    r2: Mapping[str, float | None] = foretold(texts, case.fresh) if case.fresh else dict.fromkeys(truths)
     judged = tuple(_equation(case, state, equations.get(state, {}), r2[state]) for state in truths)
     wall, cpu = ({}, {}) if stopwatch is None else (stopwatch.seconds, stopwatch.processor)
     excess = None
@@ -146,23 +145,3 @@ def _elsewhere(case: Case, truth: str, equation: Mapping[str, Any]) -> tuple[str
         for member in right_ones(rule, (equation.get(place) or [])[:MOST_LOOKED_AT]):
             return place, member.get("nats")
     return None, None
-
-
-def fresh_r2(expressions: Sequence[str | None], case: Case) -> dict[str, float | None]:
-    """Return R2 of each state over all fresh trajectories: squared errors over squares about the mean of all."""
-    states = case.system.states
-    if not case.fresh:
-        return dict.fromkeys(states)
-    try:
-        field = field_of([text for text in expressions if text], states)
-    except UsageError:
-        return dict.fromkeys(states, -math.inf)
-    solutions = [simulated(field, path) if all(expressions) else None for path in case.fresh]
-    if any(solution is None for solution in solutions):
-        return dict.fromkeys(states, -math.inf)
-    true = [path.states for path in case.fresh]
-    mean = sum(rows.sum(axis=0) for rows in true) / sum(len(rows) for rows in true)
-    pairs = zip(solutions, true, strict=True)
-    errors = sum(((found - sought) ** 2).sum(axis=0) for found, sought in pairs if found is not None)
-    spread = sum(((rows - mean) ** 2).sum(axis=0) for rows in true)
-    return {state: float(1.0 - errors[place] / max(float(spread[place]), 1e-300)) for place, state in enumerate(states)}

@@ -12,7 +12,6 @@ from itertools import count
 from typing import Final
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
@@ -20,6 +19,7 @@ from atoll_core.expression.program import Program
 from atoll_core.expression.text.parsing import from_infix
 from benchmarks.corpus.families import FAMILIES, NAMED, Box, Family
 from benchmarks.corpus.random_equations import random_family
+from benchmarks.harness.solving import DivergedError, solve
 from benchmarks.judging.generalisation import Field, field_of
 
 SIMPLE: Final = (0.1, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 8.0, 10.0, 20.0)
@@ -46,10 +46,6 @@ OPERATORS: Final = ("exp", "log", "sqrt")
 """Functions that are not among the operators of the default search."""
 
 _CONSTANT: Final = re.compile(r"\bk\d+\b")
-
-
-class DivergedError(Exception):
-    """Raised when a solution leaves the finite range or takes too many evaluations."""
 
 
 @dataclass(frozen=True)
@@ -100,30 +96,11 @@ def solution(
     field: Field, start: Sequence[float], times: FloatArray, method: str = "DOP853", rtol: float = 1e-11,
     atol: float = 1e-13,
 ) -> FloatArray:  # fmt: skip
-    """Return the states (n, S) from `start` at `times` (n,).
-
-    Raises:
-        DivergedError: it leaves the finite range, or takes too many evaluations.
-    """
-    evaluations = 0
-
-    def slope(_time: float, state: FloatArray) -> list[float]:
-        nonlocal evaluations
-        evaluations += 1
-        values = state.tolist()
-        if evaluations > MOST_EVALUATIONS or not all(abs(value) < LARGEST for value in values):
-            raise DivergedError
-        return field(values)
-
-    span = (float(times[0]), float(times[-1]))
-    try:
-        with np.errstate(all="ignore"):
-            found = solve_ivp(slope, span, start, method=method, t_eval=times, rtol=rtol, atol=atol)
-    except (ArithmeticError, ValueError) as error:
-        raise DivergedError from error
-    if not found.success or not np.isfinite(found.y).all():
-        raise DivergedError
-    return np.ascontiguousarray(found.y.T)
+    """Return the states (n, S) from `start` at `times` (n,), of which the first is 0; raises DivergedError."""
+    return solve(
+        lambda state: field(state.tolist()), start, times, limit=LARGEST, most_evaluations=MOST_EVALUATIONS,
+        method=method, rtol=rtol, atol=atol,
+    )  # fmt: skip
 
 
 def named_system(name: str) -> CorpusSystem:

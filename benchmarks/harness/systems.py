@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import solve_ivp
 
 from atoll_core.data.table import Table
 from benchmarks.harness.command_line import option, program
 from benchmarks.harness.jobs import table_of_columns
+from benchmarks.harness.solving import DivergedError, solve
 
 FloatArray = npt.NDArray[np.float64]
 Draw = Callable[[np.random.Generator], tuple[float, float]]
@@ -25,10 +25,6 @@ Draw = Callable[[np.random.Generator], tuple[float, float]]
 RUNS: Final = 4
 MAX_EVALUATIONS: Final = 2_000_000
 LIMIT: Final = 1e6
-
-
-class _DivergedError(Exception):
-    """Raised when a solution leaves the finite range or needs more evaluations than `MAX_EVALUATIONS`."""
 
 
 @dataclass(frozen=True)
@@ -160,28 +156,16 @@ def drawn(system: System, rng: np.random.Generator, times: FloatArray) -> FloatA
     while True:
         try:
             return _solved(system, system.draw(rng), times)
-        except _DivergedError:
+        except DivergedError:
             continue
 
 
 def _solved(system: System, start: Sequence[float], times: FloatArray) -> FloatArray:
-    """Return the solution from `start` at `times`, shape (n, 2); raises _DivergedError."""
-    evaluations = 0
-
-    def slope(_time: float, state: FloatArray) -> tuple[float, float]:
-        nonlocal evaluations
-        evaluations += 1
-        if evaluations > MAX_EVALUATIONS or not np.all(np.abs(state) < LIMIT):
-            raise _DivergedError
-        return system.field(state[0], state[1])
-
-    with np.errstate(all="ignore"):
-        solution = solve_ivp(
-            slope, (0.0, times[-1]), start, method="DOP853", t_eval=times, rtol=1e-11, atol=1e-13, max_step=0.05
-        )
-    if not solution.success or not np.all(np.isfinite(solution.y)):
-        raise _DivergedError
-    return np.ascontiguousarray(solution.y.T)
+    """Return the solution from `start` at `times`, shape (n, 2); raises DivergedError."""
+    return solve(
+        lambda state: system.field(state[0], state[1]), start, times, limit=LIMIT, most_evaluations=MAX_EVALUATIONS,
+        method="DOP853", rtol=1e-11, atol=1e-13, max_step=0.05,
+    )  # fmt: skip
 
 
 def table_of(sampled: Sampled) -> Table:

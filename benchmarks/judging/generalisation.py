@@ -5,30 +5,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-from atoll_core.expression.operators import (
-    ABS,
-    ADD,
-    CONSTANT,
-    COS,
-    DIVIDE,
-    EXP,
-    INVERSE,
-    LOG,
-    MULTIPLY,
-    NEGATE,
-    POW,
-    SIN,
-    SQRT,
-    SQUARE,
-    SUBTRACT,
-    TANH,
-    VARIABLE,
-)
+from atoll_core.expression import operators
 from atoll_core.expression.text.parsing import from_infix
+from benchmarks.harness.solving import DivergedError, solve
 from benchmarks.noise.data import Path
 
 GOOD_R2: Final = 0.9
@@ -42,27 +24,23 @@ STEP: Final = 0.25
 """Largest step of the solver: a jump must not be stepped over."""
 
 _FORMS: Final = {
-    ADD: "{0} + {1}",
-    SUBTRACT: "{0} - {1}",
-    MULTIPLY: "{0} * {1}",
-    DIVIDE: "{0} / {1}",
-    POW: "pow({0}, {1})",
-    SIN: "sin({0})",
-    COS: "cos({0})",
-    EXP: "exp({0})",
-    LOG: "log({0})",
-    SQRT: "sqrt({0})",
-    ABS: "abs({0})",
-    TANH: "tanh({0})",
-    INVERSE: "1.0 / {0}",
-    SQUARE: "{0} * {0}",
-    NEGATE: "-{0}",
+    operators.ADD: "{0} + {1}",
+    operators.SUBTRACT: "{0} - {1}",
+    operators.MULTIPLY: "{0} * {1}",
+    operators.DIVIDE: "{0} / {1}",
+    operators.POW: "pow({0}, {1})",
+    operators.SIN: "sin({0})",
+    operators.COS: "cos({0})",
+    operators.EXP: "exp({0})",
+    operators.LOG: "log({0})",
+    operators.SQRT: "sqrt({0})",
+    operators.ABS: "abs({0})",
+    operators.TANH: "tanh({0})",
+    operators.INVERSE: "1.0 / {0}",
+    operators.SQUARE: "{0} * {0}",
+    operators.NEGATE: "-{0}",
 }
 _NAMES: Final = {name: getattr(math, name) for name in ("sin", "cos", "exp", "log", "sqrt", "tanh", "pow")}
-
-
-class _RunawayError(Exception):
-    """Raised when a solution leaves the finite range or needs too many evaluations."""
 
 
 Field = Callable[[Sequence[float]], list[float]]
@@ -71,8 +49,7 @@ Field = Callable[[Sequence[float]], list[float]]
 def field_of(expressions: Sequence[str], names: Sequence[str]) -> Field:
     """Return the function from the values of `names` to those of `expressions`, as plain Python: one row at a time.
 
-    Raises:
-        UsageError: a text is no expression over `names`.
+    Raises UsageError where a text is no expression over `names`.
     """
     lines: list[str] = ["def slopes(values):"]
     results: list[str] = []
@@ -81,10 +58,10 @@ def field_of(expressions: Sequence[str], names: Sequence[str]) -> Field:
         columns = (program.operators, program.left, program.right, program.constants)
         for index, (code, left, right, value) in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
             arguments = (f"e{number}_{left}", f"e{number}_{right}")
-            if code == VARIABLE:
+            if code == operators.VARIABLE:
                 form = f"values[{left}]"
             else:
-                form = repr(value) if code == CONSTANT else _FORMS[code].format(*arguments)
+                form = repr(value) if code == operators.CONSTANT else _FORMS[code].format(*arguments)
             lines.append(f"    e{number}_{index} = {form}")
         results.append(f"e{number}_{len(program) - 1}")
     lines.append(f"    return [{', '.join(results)}]")
@@ -99,53 +76,36 @@ def simulated(field: Field, path: Path, max_evaluations: int = MAX_EVALUATIONS) 
 
     None when the solution does not reach the end: it runs away, or takes more than `max_evaluations`.
     """
-    evaluations = 0
-
-    def slope(_time: float, state: FloatArray) -> list[float]:
-        nonlocal evaluations
-        evaluations += 1
-        values = state.tolist()
-        if evaluations > max_evaluations or not all(abs(value) < LIMIT for value in values):
-            raise _RunawayError
-        return field(values)
-
-    span = (float(path.times[0]), float(path.times[-1]))
+    begin = float(path.times[0])
     try:
-        with np.errstate(all="ignore"):
-            solution = solve_ivp(
-                slope, span, path.states[0], method="LSODA", t_eval=path.times, rtol=1e-8, atol=1e-10, max_step=STEP
-            )
-    except (_RunawayError, ArithmeticError, ValueError):
+        return solve(
+            lambda state: field(state.tolist()), path.states[0], path.times, limit=LIMIT, begin=begin,
+            most_evaluations=max_evaluations, method="LSODA", rtol=1e-8, atol=1e-10, max_step=STEP,
+        )  # fmt: skip
+    except DivergedError:
         return None
-    states = np.ascontiguousarray(solution.y.T)
-    return states if solution.success and np.isfinite(states).all() else None
 
 
-def r_squared(found: FloatArray, true: FloatArray) -> list[float]:
-    """Return 1 - (sum of squared errors) / (sum of squares about the mean) of each column of (n, S) values."""
-    errors = ((found - true) ** 2).sum(axis=0)
-    spread = ((true - true.mean(axis=0)) ** 2).sum(axis=0)
-    return [float(value) for value in 1.0 - errors / np.maximum(spread, 1e-300)]
+def foretold(expressions: Mapping[str, str | None], paths: Sequence[Path]) -> dict[str, float]:
+    """Return R² of each state over all `paths`: 1 - squared errors / squares about the mean of all rows.
 
-
-def foretold(expressions: Mapping[str, str | None], names: Sequence[str], path: Path) -> dict[str, float | None]:
-    """Return R² of each variable when the equations are solved along `path`, None where that is not possible.
-
-    Args:
-        expressions: right-hand sides by state, in the order of the states; None where there is no equation.
-        names: variables of expressions, the states first.
-        path: the true trajectory.
+    `expressions` are right-hand sides by state, in the order of the states, None where there is no equation; R² is -inf
+    where a path cannot be solved.
     """
-    texts = list(expressions.values())
-    if any(text is None for text in texts):
-        return dict.fromkeys(expressions)
+    texts = [text for text in expressions.values() if text]
     try:
-        states = simulated(field_of([text for text in texts if text], names), path)
+        field = field_of(texts, tuple(expressions))
     except UsageError:  # too long to be read back
-        states = None
-    if states is None:
-        return dict.fromkeys(expressions)
-    return dict(zip(expressions, r_squared(states, path.states), strict=True))
+        return dict.fromkeys(expressions, -math.inf)
+    solutions = [simulated(field, path) for path in paths] if len(texts) == len(expressions) else [None]
+    if any(states is None for states in solutions):
+        return dict.fromkeys(expressions, -math.inf)
+    true = [path.states for path in paths]
+    mean = sum(rows.sum(axis=0) for rows in true) / sum(len(rows) for rows in true)
+    pairs = zip(solutions, true, strict=True)
+    errors = sum(((states - sought) ** 2).sum(axis=0) for states, sought in pairs if states is not None)
+    spread = sum(((rows - mean) ** 2).sum(axis=0) for rows in true)
+    return dict(zip(expressions, (1.0 - errors / np.maximum(spread, 1e-300)).tolist(), strict=True))
 
 
 def is_foretold(r2: float | None) -> bool:

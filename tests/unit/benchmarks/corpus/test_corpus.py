@@ -16,9 +16,10 @@ from benchmarks.corpus.lengths import excess_of_truth
 from benchmarks.corpus.outcomes import Outcome, judge_job
 from benchmarks.corpus.qualities import QUALITIES, quality
 from benchmarks.corpus.random_equations import random_family
-from benchmarks.corpus.systems import CorpusSystem, DivergedError, draw_system, named_system, solution
+from benchmarks.corpus.systems import CorpusSystem, draw_system, named_system, solution
 from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
 from benchmarks.harness.journal import Journal
+from benchmarks.harness.solving import DivergedError
 
 KEY = Key("lotka_volterra", 2, 1, "even", "noise-0.01", 0)
 RANDOM = Key("random", 1, 4, "even", "exact", 3)
