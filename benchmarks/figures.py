@@ -76,7 +76,7 @@ def _count(part: Sequence[bool]) -> str:
 
 
 def _seconds(value: float) -> str:
-    return f"{value:.2g} s" if value >= 0.095 else f"{value:.3f} s" if value >= 0.0095 else f"{value:.2g} s"
+    return f"{value:.3f} s" if 0.0095 <= value < 0.095 else f"{value:.2g} s"
 
 
 def _table3(runs: Runs) -> dict[str, str]:
@@ -274,14 +274,9 @@ class Campaign:
 
     def has(self, its: Measurement, chosen: str) -> bool:
         """Return whether the file holds figures of this measurement by this revision and these seeds, to their end."""
-        found = [each for name, each in self.known.items() if name.startswith(f"{its.name}.")]
-        asked = (self.revision, chosen, True)
-        is_clean = not self.revision.endswith("+")
-        return (
-            is_clean
-            and bool(found)
-            and all((each["revision"], each["seeds"], each["complete"]) == asked for each in found)
-        )
+        known = [figure for name, figure in self.known.items() if name.startswith(f"{its.name}.")]
+        measured = {(figure["revision"], figure["seeds"], figure["complete"]) for figure in known}
+        return not self.revision.endswith("+") and measured == {(self.revision, chosen, True)}
 
 
 def measure(options: Namespace) -> int:
@@ -337,7 +332,7 @@ def quoted(text: str, known: Figures) -> str:
     return MARK.sub(replaced, text)
 
 
-def quote() -> int:
+def quote() -> None:
     """Write the figures of the file into all pages, and say which changed."""
     known = load_figures()
     for page in documents():
@@ -348,7 +343,6 @@ def quote() -> int:
             old, new = ([mark["text"] for mark in MARK.finditer(each)] for each in (text, following))
             moved = [f"{one} -> {other}" for one, other in zip(old, new, strict=True) if one != other]
             say(f"{page.relative_to(ROOT)}: {', '.join(moved)}")
-    return 0
 
 
 def _seeds_of(text: str) -> tuple[str, str]:
@@ -385,8 +379,9 @@ def main(options: Namespace) -> int:
     if options.verb == "measure":
         return measure(options)
     if options.verb == "quote":
-        return quote()
-    say(shown(load_figures()))
+        quote()
+    else:
+        say(shown(load_figures()))
     return 0
 
 

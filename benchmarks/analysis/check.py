@@ -40,16 +40,17 @@ class Timer:
     def check(self, part: str, quantity: str, limit: float | None) -> Check:
         """Return the check that the wall time lies below a limit, if there is one."""
         wall, processor = time.monotonic() - self._wall, time.process_time() - self._processor
-        found = f"{wall:.1f} s (processor {processor:.1f} s)"
-        if limit is None:
-            return Check(part, quantity, found, "", "", None)
-        return Check(part, quantity, found, f"below {limit:g} s", "", wall < limit)
+        return _limited(part, quantity, f"{wall:.1f} s (processor {processor:.1f} s)", wall, limit)
 
 
 def seconds(part: str, quantity: str, times: list[float], limit: float | None) -> Check:
-    """Return the check of times: their median lies below a limit."""
+    """Return the check of times: their median lies below a limit, if there is one."""
     middle = float(np.median(times))
     spread = f"{middle:.2f} s ({min(times):.2f} to {max(times):.2f}, {len(times)} times)"
+    return _limited(part, quantity, spread, middle, limit)
+
+
+def _limited(part: str, quantity: str, text: str, time_s: float, limit: float | None) -> Check:
     if limit is None:
-        return Check(part, quantity, spread, "", "", None)
-    return Check(part, quantity, spread, f"below {limit:g} s", "", middle < limit)
+        return Check(part, quantity, text, "", "", None)
+    return Check(part, quantity, text, f"below {limit:g} s", "", time_s < limit)

@@ -8,7 +8,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -59,29 +58,15 @@ print(json.dumps({"first": first[0], "times": times, "digests": sorted(digests),
 """
 
 
-@dataclass(frozen=True)
-class _Times:
-    """Wall times of a command, and the processor time of all of its processes, in seconds."""
-
-    wall: list[float]
-    processor: list[float]
-
-    def checks(self, quantity: str, limit: float) -> Iterator[Check]:
-        """Yield both."""
-        yield seconds(PART, quantity, self.wall, limit)
-        yield seconds(PART, f"{quantity}: processor time", self.processor, None)
-
-
 def checks(calls: int, repeats: int) -> Iterator[Check]:
     """Yield the times of so many `repeats`, and what so many `calls` in one interpreter leave behind."""
-    yield from _times([sys.executable, "-c", "import atoll"], repeats).checks("import atoll", 0.3)
-    help_words = [sys.executable, "-m", "atoll", "--help"]
-    yield from _times(help_words, repeats).checks("coordinator --help", 0.3)
+    yield from _times("import atoll", 0.3, [sys.executable, "-c", "import atoll"], repeats, Path.cwd())
+    yield from _times("coordinator --help", 0.3, [sys.executable, "-m", "atoll", "--help"], repeats, Path.cwd())
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        _run([sys.executable, "-c", _SIX_LINES.format(data=str(DATA))], place)  # compiles what is not yet
         script = [sys.executable, "-c", _SIX_LINES.format(data=str(DATA))]
-        yield from _times(script, repeats, place).checks("six lines find Lotka-Volterra, whole interpreter", 5.0)
+        _run(script, place)  # compiles what is not yet
+        yield from _times("six lines find Lotka-Volterra, whole interpreter", 5.0, script, repeats, place)
         found = json.loads(_run([sys.executable, "-c", _CALLS, str(DATA), str(calls)], place))
         yield from _calls(found, calls)
         run = _digest_of([sys.executable, "-m", "atoll", "run", str(DATA), "--out", "run"], place / "run")
@@ -98,14 +83,16 @@ def _calls(found: dict[str, Any], calls: int) -> Iterator[Check]:
     yield same(PART, f"after {calls} calls: {what}", found["after"], found["before"], "as before them")
 
 
-def _times(words: list[str], repeats: int, place: Path | None = None) -> _Times:
+def _times(quantity: str, limit: float, words: list[str], repeats: int, place: Path) -> Iterator[Check]:
+    """Yield the wall times of a command, and the processor time of all of its processes."""
     wall, processor = [], []
     for _ in range(repeats):
         began, spent = time.monotonic(), _spent()
-        _run(words, place or Path.cwd())
+        _run(words, place)
         wall.append(time.monotonic() - began)
         processor.append(_spent() - spent)
-    return _Times(wall, processor)
+    yield seconds(PART, quantity, wall, limit)
+    yield seconds(PART, f"{quantity}: processor time", processor, None)
 
 
 def _spent() -> float:

@@ -51,11 +51,7 @@ class Quality:
 
 
 def quality(name: str) -> Quality:
-    """Return the quality of a name.
-
-    Raises:
-        UsageError: there is none of that name.
-    """
+    """Return the quality of a name; raises UsageError where there is none."""
     kind, _, size = name.partition("-")
     try:
         found = Quality(kind, float(size) if size else 0.0)

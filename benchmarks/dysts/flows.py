@@ -9,6 +9,7 @@ import numpy as np
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError
+from benchmarks.harness.jobs import table_of_columns
 
 NEVER_POLYNOMIAL: Final = ("+", "-", "*", "/", "sin", "cos", "exp", "abs", "tanh")
 """Operators of flows that are not polynomial: one list for all of them."""
@@ -40,11 +41,8 @@ class Flow:
         size = float(np.sqrt((self.train**2).mean(axis=(0, 1))).mean())
         values = self.train + 0.01 * percent * size * generator.standard_normal(self.train.shape)
         count, rows, states = values.shape
-        columns = np.vstack([np.tile(self.times, count), values.reshape(count * rows, states).T])
-        names = ("t", *self.states)
-        zero = np.zeros(count * rows, np.int64)
-        starts = tuple(rows * index for index in range(count))
-        return Table(names, ("",) * len(names), np.ascontiguousarray(columns), starts, (self.name,), zero, zero + 1)
+        measured = dict(zip(self.states, values.reshape(count * rows, states).T, strict=True))
+        return table_of_columns({"t": np.tile(self.times, count), **measured}, self.name, range(0, count * rows, rows))
 
 
 def available(folder: Path) -> tuple[str, ...]:

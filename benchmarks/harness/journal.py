@@ -42,9 +42,8 @@ class Journal(Generic[Ended]):
     ) -> None:
         """Begin the file `path` (None: no file), or continue it.
 
-        Raises:
-            UsageError: the file exists and is not to be resumed, or cannot be read or written.
-            DataError: the file to be resumed holds something else.
+        Raises UsageError where it exists and is not to be resumed, or cannot be read or written; DataError where it
+        holds something else.
         """
         self.outcomes: Final[dict[Any, Ended]] = {}
         self.answers: Final[dict[Any, Mapping[str, Any]]] = {}
@@ -85,9 +84,7 @@ class Journal(Generic[Ended]):
 def read(path: Path, kind: type[Ended]) -> dict[Any, Ended]:
     """Return the searches that a file holds by key; a last line that was not written to its end is left out.
 
-    Raises:
-        UsageError: the file cannot be read.
-        DataError: it holds something else.
+    Raises UsageError where it cannot be read, DataError where it holds something else.
     """
     return {outcome.key: outcome for outcome, _ in _searches(path, kind)}
 

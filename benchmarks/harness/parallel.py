@@ -22,10 +22,7 @@ def in_parallel(function: Callable[[Task], Run], tasks: Sequence[Task], workers:
     """Yield ``function(task)`` for every task as they end, in `workers` processes.
 
     Kernels are made ready first, so that no two processes compile them. `function` is one of a module. Whatever
-    happens here, the processes end.
-
-    Raises:
-        AtollError: a process was lost.
+    happens here, the processes end. Raises AtollError where one was lost.
     """
     warm_up(WarmUpDisplay())
     context = multiprocessing.get_context("spawn")

@@ -35,11 +35,7 @@ class Record:
         self.write()
 
     def write(self, **figures: Any) -> None:
-        """Write the runs, and `figures` by name beside them; a number that is not finite is written as null.
-
-        Raises:
-            UsageError: the file cannot be written.
-        """
+        """Write the runs, and `figures` by name beside them, null for what is not finite; raises UsageError."""
         if self._out is None:
             return
         runs = {"runs": self._runs} if self._runs else {}

@@ -67,7 +67,7 @@ class JobEndedError(AtollError):
 class Searches:
     """Gives jobs to a coordinator, one after the other."""
 
-    def __init__(self, client: Client, machines: "Machines | None" = None) -> None:
+    def __init__(self, client: Client, machines: "Machines") -> None:
         """Use a `client` of the coordinator of `machines`."""
         self._client = client
         self._machines = machines
@@ -75,7 +75,6 @@ class Searches:
     @property
     def address(self) -> str:
         """Where the coordinator listens."""
-        assert self._machines is not None
         return self._machines.address
 
     def solve(
@@ -83,15 +82,8 @@ class Searches:
     ) -> dict[str, Any]:
         """Submit a job on `table`, follow it to its end and return what its result.json holds.
 
-        Args:
-            name: for people.
-            table: what was measured.
-            config: of the search.
-            watch: called with the state of the job ten times a second; a TimeoutError of its cancels
-                the job.
-
-        Raises:
-            AtollError: the job failed, or a process ended.
+        `name` is for people. `watch` is called with the state of the job ten times a second; its TimeoutError cancels
+        the job. Raises AtollError where the job failed, or a process ended.
         """
         job = f"bench-{uuid.uuid4().hex[:12]}"
         digest = self._client.upload(table.to_bytes())
@@ -144,8 +136,7 @@ class Searches:
 
     def check(self) -> None:
         """Raise AtollError when a program has ended."""
-        if self._machines is not None:
-            self._machines.check()
+        self._machines.check()
 
 
 def wait_until(
@@ -258,10 +249,7 @@ class Machines:
         self._networks[name].set_up(True)
 
     def wait_until_it_listens(self, name: str) -> None:
-        """Read until the line that says how to go on; nothing that these programs print fills a pipe.
-
-        Raises AtollError when the program ends before.
-        """
+        """Read until the line that says how to go on, which fills no pipe; raises AtollError when the program ends."""
         process = self._processes[name]
         assert process.stdout is not None
         for line in process.stdout:

@@ -29,11 +29,7 @@ class Stopwatch:
     _last_processor: float = 0.0
 
     def watch(self, view: JobView) -> None:
-        """Add the time since the last look to the state that the job is in.
-
-        Raises:
-            TimeoutError: the job takes longer than the limit.
-        """
+        """Add the time since the last look to the job's state; raises TimeoutError when it takes too long."""
         now, processor = time.monotonic(), processor_seconds() if self.counts else 0.0
         if self._last is not None and view.state not in FINAL_STATES:
             self.seconds[view.state] = self.seconds.get(view.state, 0.0) + now - self._last

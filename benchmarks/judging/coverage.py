@@ -95,7 +95,7 @@ def covered(
         return []
     used = sorted({entry for entry, _ in structure.owners})
     for field in ("fitted", "value"):
-        start = [_number(each.get(field), float(each["value"])) for each in constants]
+        start = [float(each["value"] if each.get(field) is None else each[field]) for each in constants]
         values = _exact_fit(structure, np.array(start), used, truth[kept])
         if values is not None:
             return [_covered(constants[entry], float(values[entry])) for entry in used]
@@ -165,7 +165,3 @@ def _covered(entry: Mapping[str, Any], truth: float) -> Covered:
     low, high = entry.get("interval") or (None, None)
     identifiable = entry.get("identifiable")
     return Covered(float(entry["value"]), entry.get("fitted"), truth, low, high, identifiable is not False)
-
-
-def _number(value: Any, otherwise: float) -> float:
-    return otherwise if value is None else float(value)

@@ -19,7 +19,7 @@ from argparse import Namespace
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -51,6 +51,7 @@ from atoll_core.machine.cores import usable_cores
 from atoll_core.search.pareto import FrontEntry
 from benchmarks.harness.campaign import journal_of
 from benchmarks.harness.command_line import option, program, whole
+from benchmarks.harness.jobs import table_of_columns
 from benchmarks.harness.parallel import in_parallel
 
 SECONDS: Final = (0.1, 0.2, 0.2, 0.5, 2.0)
@@ -165,12 +166,10 @@ def table_of(draw: np.random.Generator) -> Table:
             columns[name] = _spoilt(draw, values) * draw.choice(SIZES)
     runs = np.repeat([1.0, 2.0], [rows // 2, rows - rows // 2])
     whole = {"t": times, **columns, "run": runs, "w": draw.choice([0.0, 0.5, 1.0, 1.0, 1e6], rows)}
-    values = np.ascontiguousarray([*whole.values()])
-    numbers = np.arange(rows, dtype=np.int64)
     starts = (0, rows // 2) if draw.uniform() < 0.2 and rows > 11 else (0,)
     units = {"x": "m", "t": "s", "y": "m/s"} if draw.uniform() < 0.2 else {}
-    return Table(tuple(whole), tuple(units.get(name, "") for name in whole), values, starts, ("drawn.csv",),
-                 0 * numbers, numbers + 2)  # fmt: skip
+    table = table_of_columns(whole, "drawn.csv", starts)
+    return replace(table, units=tuple(units.get(name, "") for name in whole))
 
 
 def _spoilt(draw: np.random.Generator, values: FloatArray) -> FloatArray:

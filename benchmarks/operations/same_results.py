@@ -81,8 +81,7 @@ class Side:
     def found(self, job: str, address: str) -> Found:
         """Have a job done by the service at `address`, from a folder of its own, so that all trees see the same paths.
 
-        Raises:
-            AtollError: the service is not there any more.
+        Raises AtollError where the service is not there any more.
         """
         with TemporaryDirectory(prefix="atoll-same-") as name:
             folder = Path(name)
@@ -139,11 +138,7 @@ def _hash(parts: Iterable[bytes]) -> str:
 
 
 def journal_of(side: Side, path: Path | None, words: Sequence[str]) -> Journal[Found]:
-    """Begin a file of what a side finds, or go on with it.
-
-    Raises:
-        UsageError: the file holds what other code found.
-    """
+    """Begin a file of what a side finds, or go on with it; raises UsageError where other code has written it."""
     journal = Journal(NAME, Found, path, words, resume=path is not None and path.exists())
     if any(each.sources != side.sources for each in journal.outcomes.values()):
         raise UsageError(f"{path} holds what another state of the code found; name another file with --record")

@@ -176,18 +176,15 @@ def load_of(
     """Return the mean over a time between two accounts of a coordinator, with what its workers counted meanwhile."""
     before, after = accounts
     seconds = after.at - before.at
-    rate = {name: sum(line[name] for line in lines) / seconds for name in _RATES}
+    epochs, *rates = (sum(line[name] for line in lines) / seconds for name in ("epochs", *_RATES))
     waits = np.array([wait for line in lines for wait in line["waits"]] or [math.nan])
     return Load(
         islands=islands,
         workers=workers,
         archipelagos=archipelagos,
         seconds=seconds,
-        epochs=rate["epochs"] / islands,
-        reports=rate["reports"],
-        mails=rate["mails"],
-        mail_bytes=rate["mail_bytes"],
-        report_bytes=rate["report_bytes"],
+        epochs=epochs / islands,
+        **dict(zip(_RATES, rates, strict=True)),
         cores=(after.cpu_s - before.cpu_s) / seconds,
         loop=(after.loop_s - before.loop_s) / seconds,
         resident=after.resident,
@@ -197,7 +194,7 @@ def load_of(
     )
 
 
-_RATES: Final = ("epochs", "reports", "mails", "mail_bytes", "report_bytes")
+_RATES: Final = ("reports", "mails", "mail_bytes", "report_bytes")
 
 
 def _has(client: Client, workers: int) -> bool:

@@ -77,9 +77,7 @@ class Beside:
 def program_of(revision: str) -> Path:
     """Return the ``coordinator`` of a revision, in an environment of its own, which is made when there is none.
 
-    Raises:
-        UsageError: there is no such revision.
-        AtollError: its environment cannot be made.
+    Raises UsageError where there is no such revision, AtollError where its environment cannot be made.
     """
     if revision == TREE:
         return Path(sys.executable).parent / "coordinator"
@@ -104,9 +102,7 @@ def _make(folder: Path, revision: str) -> None:
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
     pinned.write_text(_done([*pip, "freeze", "--exclude-editable"]), encoding="utf-8")
     _done([sys.executable, "-m", "venv", str(folder / ".venv")])
-    _done(
-        [str(folder / ".venv/bin/python"), *pip[1:], "install", "-q", "-c", str(pinned), "-e", str(folder)],
-    )
+    _done([str(folder / ".venv/bin/python"), *pip[1:], "install", "-q", "-c", str(pinned), "-e", str(folder)])
 
 
 def _done(command: Sequence[str]) -> str:

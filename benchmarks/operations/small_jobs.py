@@ -21,6 +21,7 @@ from benchmarks.many.systems import SYSTEMS as MANY
 from benchmarks.many.systems import lorenz96, sampled
 from benchmarks.operations.side_by_side import write_labels
 from benchmarks.peers.strogatz_files import LABEL, NAMES
+from benchmarks.stochastic import processes
 from benchmarks.stochastic.processes import PROCESSES, simulate
 
 Words = tuple[str, ...]
@@ -141,10 +142,7 @@ def _of_many(system: str, path: Path) -> None:
 
 
 def _of_process(process: str, path: Path) -> None:
-    its = PROCESSES[process]
-    paths = simulate(its, 1, STEPS)
-    times = its.step * np.arange(paths[0].shape[1], dtype=np.float64)
-    write_csv(path, Sampled(its.names, (times,) * len(paths), tuple(each.T for each in paths)))
+    write_csv(path, processes.sampled(PROCESSES[process], simulate(PROCESSES[process], 1, STEPS)))
 
 
 def _of_case(case: str, path: Path) -> None:

@@ -12,7 +12,6 @@ import sys
 import time
 from argparse import Namespace
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final
@@ -72,16 +71,12 @@ class Soak:
 
     def run(self, seconds: float) -> None:
         """Let it happen for so long."""
-        for number in self._rounds(seconds):
+        number = 0
+        while time.monotonic() - self._began < seconds:
             self._guest()
             with connected(self.machines.address, CONNECT_S) as client:
                 self._job(client, number)
             self._rest()
-
-    def _rounds(self, seconds: float) -> Iterator[int]:
-        number = 0
-        while time.monotonic() - self._began < seconds:
-            yield number
             number += 1
 
     def _job(self, client: Client, number: int) -> None:
@@ -217,12 +212,9 @@ def main(options: Namespace) -> int:
             soak.run(60.0 * options.minutes)
         finally:
             is_well = soak.show()
-            figures = {
-                "samples": [asdict(sample) for sample in soak.samples],
-                "jobs": dict(soak.jobs),
-                "wrong": soak.wrong,
-            }
-            Record("soak", options.words, options.out).write(**figures)
+            samples = [asdict(sample) for sample in soak.samples]
+            record = Record("soak", options.words, options.out)
+            record.write(samples=samples, jobs=dict(soak.jobs), wrong=soak.wrong)
     return int(not is_well)
 
 

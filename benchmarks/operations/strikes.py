@@ -1,10 +1,11 @@
 """What strikes a program on a machine of its own, whom and when, drawn from a seed; and what came of it."""
 
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from atoll_core.errors import UsageError
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.messages.views import JobView
 from benchmarks.harness.service import COORDINATOR, ROUTER, Machines
@@ -35,21 +36,18 @@ class Strike:
 
     def carry_out(self, machines: Machines) -> None:
         """Strike."""
-        if self.kind.startswith("kill"):
-            machines.kill(self.who)
-        elif self.kind.startswith("stop"):
-            machines.stop(self.who)
-        else:
-            machines.cut(self.who)
+        self._ways(machines)[0](self.who)
 
     def undo(self, machines: Machines) -> None:
         """Start again who was killed, let go on who was stopped, mend the line."""
+        self._ways(machines)[1](self.who)
+
+    def _ways(self, machines: Machines) -> tuple[Callable[[str], None], Callable[[str], None]]:
         if self.kind.startswith("kill"):
-            machines.start(self.who)
-        elif self.kind.startswith("stop"):
-            machines.resume(self.who)
-        else:
-            machines.heal(self.who)
+            return machines.kill, machines.start
+        if self.kind.startswith("stop"):
+            return machines.stop, machines.resume
+        return machines.cut, machines.heal
 
 
 class Strikes:
@@ -64,9 +62,8 @@ class Strikes:
         """Return the next one."""
         kind = self._kinds[self._stream.below(len(self._kinds))]
         low, high = LASTING_S[kind]
-        place = kind.partition("-")[2]
-        who = {"coordinator": COORDINATOR, "router": ROUTER}.get(place)
-        if who is None:
+        who = kind.partition("-")[2]
+        if who not in (COORDINATOR, ROUTER):
             who = self._workers[self._stream.below(len(self._workers))]
         return Strike(kind, who, self.between(low, high))
 
@@ -110,18 +107,16 @@ class Standing:
 
 
 def kinds_of(names: Iterable[str]) -> tuple[Kind, ...]:
-    """Return the kinds of these names; raises ValueError for one that there is not."""
-    chosen = tuple(lasting_ for lasting_ in LASTING_S if lasting_ in set(names))
-    unknown = sorted(set(names) - set(chosen))
+    """Return the kinds of these names; raises UsageError for one that there is not."""
+    unknown = sorted(set(names) - set(LASTING_S))
     if unknown:
-        raise ValueError(f"{', '.join(LASTING_S)} were expected, but {unknown[0]!r} was given")
-    return chosen
+        raise UsageError(f"--kinds: {', '.join(LASTING_S)} were expected, but {unknown[0]!r} was given")
+    return tuple(kind for kind in LASTING_S if kind in set(names))
 
 
 def rows(blows: Sequence[Blow]) -> list[tuple[str, ...]]:
     """Return for each kind, and for all, how many there were and the median and worst time lost."""
-    kinds = [lasting_ for lasting_ in LASTING_S if any(blow.kind == lasting_ for blow in blows)]
-    groups = [(str(kind), [blow for blow in blows if blow.kind == kind]) for kind in kinds]
+    groups = [(str(kind), [blow for blow in blows if blow.kind == kind]) for kind in LASTING_S]
     return [_row(name, group) for name, group in [*groups, ("all", list(blows))] if group]
 
 

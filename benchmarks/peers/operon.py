@@ -112,17 +112,14 @@ class _Parts:
         self.problem.TestRange = op.Range(self.dataset.Rows - 1, self.dataset.Rows)
         self.problem.Target = target
         self.problem.InputHashes = self.hashes
-        self.problem.ConfigurePrimitiveSet(self._symbols())
+        kind = op.NodeType
+        kinds = (kind.Add, kind.Sub, kind.Mul, kind.Div, kind.Sin, kind.Cos, kind.Constant, kind.Variable)
+        self.problem.ConfigurePrimitiveSet(sum(map(int, kinds)))
         self.table = op.DispatchTable()
         self.evaluator = op.Evaluator(self.problem, self.table, op.NMSE(), True)
         self.evaluator.Budget = _NEVER
         self.random = op.RandomGenerator(np.uint64(seed))
         self._assemble(seed, generations)
-
-    def _symbols(self) -> int:
-        kind = self.op.NodeType
-        kinds = (kind.Add, kind.Sub, kind.Mul, kind.Div, kind.Sin, kind.Cos, kind.Constant, kind.Variable)
-        return sum(int(each) for each in kinds)
 
     def _assemble(self, seed: int, generations: int) -> None:
         op = self.op
@@ -229,11 +226,7 @@ def require() -> None:
 
 
 def search_apart(file: Path, seed: int, target_error: float, limit: float) -> Run:
-    """Search in a process of its own, so that nothing else runs and nothing of it remains.
-
-    Raises:
-        AtollError: the process failed, or did not end.
-    """
+    """Search in a process of its own, of which nothing remains; raises AtollError where it fails, or does not end."""
     options = ["--seed", str(seed), "--target-error", repr(target_error), "--max-time", repr(limit)]
     command = [sys.executable, "-m", "benchmarks.peers.operon", str(file), *options]
     try:

@@ -43,8 +43,7 @@ _ENDLESS: Final = 10**9
 def solve(table: Table, operators: Sequence[str], seed: int, config: JobConfig = PRESETS["default"]) -> dict[str, Any]:
     """Return Operon's equations in the form of a result.json; ``front`` has the others of its front.
 
-    Raises:
-        DataError: the derivatives of `table` cannot be estimated.
+    Raises DataError where the derivatives of `table` cannot be estimated.
     """
     begun = time.perf_counter()
     dataset = prepare(table, config).dataset

@@ -19,10 +19,10 @@ from atoll_core.data.dataset import FloatArray
 from benchmarks.harness.command_line import OUT, option, program, seeds_of, workers
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching
+from benchmarks.harness.systems import table_of
 from benchmarks.harness.tables import grouped
 from benchmarks.stochastic.judging import Judged, judge
-from benchmarks.stochastic.processes import PROCESSES, SUBSTEPS, simulate
-from benchmarks.stochastic.processes import table as table_of
+from benchmarks.stochastic.processes import PROCESSES, SUBSTEPS, sampled, simulate
 
 HEADS = ("process", "equation", "seeds", "right", "said good", "good but wrong", "covered", "of", "error")
 
@@ -30,11 +30,12 @@ HEADS = ("process", "equation", "seeds", "right", "said good", "good but wrong",
 def _judged(searches: Searches | None, case: str, seed: int, substeps: int) -> list[Judged]:
     """Return what is made of the paths of one seed, by a search or by the choice of equations alone, and say it."""
     process, began = PROCESSES[case], time.process_time()
-    paths, config = simulate(process, seed, substeps=substeps), _config(seed)
+    paths = simulate(process, seed, substeps=substeps)
+    measured, config = table_of(sampled(process, paths)), JobConfig(seed=seed, data=DataConfig(stochastic=True))
     if searches is not None:
-        result = searches.solve(f"{case} {seed}", table_of(process, paths), config)
+        result = searches.solve(f"{case} {seed}", measured, config)
         return _said(case, seed, paths, result["equations"], result["seconds"])
-    preparation = prepare(table_of(process, paths), config)
+    preparation = prepare(measured, config)
     refinement = refine_all(preparation, config, {})
     outcomes = [
         VariableOutcome(name, (), 0, refined=refinement.equations.get(name)) for name in preparation.dataset.variables
@@ -43,10 +44,6 @@ def _judged(searches: Searches | None, case: str, seed: int, substeps: int) -> l
     chosen = build_result(f"{case} {seed}", config, preparation, outcomes, account, refinement)
     equations: Any = chosen.as_dict()["equations"]
     return _said(case, seed, paths, equations, time.process_time() - began)
-
-
-def _config(seed: int) -> JobConfig:
-    return JobConfig(seed=seed, data=DataConfig(stochastic=True))
 
 
 def _said(

@@ -9,10 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from atoll_core.data.dataset import FloatArray
-from atoll_core.data.table import Table
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
-from benchmarks.harness.systems import Sampled, table_of
+from benchmarks.harness.systems import Sampled
 
 SUBSTEPS: Final = 50
 STEPS: Final = 10_000
@@ -123,7 +122,7 @@ def _path(process: Process, rows: int, random: np.random.Generator, substeps: in
     return np.ascontiguousarray(np.array(found).T)
 
 
-def table(process: Process, paths: Sequence[FloatArray]) -> Table:
-    """Return the table that a file with these paths would be read as."""
+def sampled(process: Process, paths: Sequence[FloatArray]) -> Sampled:
+    """Return paths (S, R) with their times."""
     times = tuple(process.step * np.arange(path.shape[1], dtype=np.float64) for path in paths)
-    return table_of(Sampled(process.names, times, tuple(path.T for path in paths)))
+    return Sampled(process.names, times, tuple(path.T for path in paths))

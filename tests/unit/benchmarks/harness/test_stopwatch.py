@@ -55,15 +55,15 @@ def test_time_is_kept_by_state():
     assert stopwatch.seconds["running"] >= 0.0
 
 
-def test_a_job_that_takes_too_long_is_cancelled():
+def test_a_job_that_takes_too_long_is_cancelled(tmp_path):
     client = Client("refining")
     with pytest.raises(AtollError, match=r"was cancelled: it was still refining after 0 s"):
-        Searches(client).solve("n", case(KEY).table, None, Stopwatch(limit_s=0.0).watch)
+        Searches(client, Machines(tmp_path, 0)).solve("n", case(KEY).table, None, Stopwatch(limit_s=0.0).watch)
     assert client.cancelled == [client.job]
 
 
-def test_a_failed_job_is_an_outcome_without_equations():
-    outcome, result = search(Searches(Client("failed", "no rows")), KEY, case(KEY), None)
+def test_a_failed_job_is_an_outcome_without_equations(tmp_path):
+    outcome, result = search(Searches(Client("failed", "no rows"), Machines(tmp_path, 0)), KEY, case(KEY), None)
     assert (outcome.found, result) == (0, None)
     assert "no rows" in outcome.failure
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from atoll_core.errors import UsageError
 from atoll_core.wire.messages.views import JobState, JobView, VariableView
 from benchmarks.operations.faults import main
 from benchmarks.operations.strikes import LASTING_S, Blow, Standing, Strikes, kinds_of, rows
@@ -37,7 +38,7 @@ def test_strikes_are_drawn_from_their_seed() -> None:
 
 def test_kinds_that_there_are_not_are_refused() -> None:
     assert kinds_of(["stop-worker", "kill-worker"]) == ("kill-worker", "stop-worker")
-    with pytest.raises(ValueError, match="'kill-time'"):
+    with pytest.raises(UsageError, match="'kill-time'"):
         kinds_of(["kill-time"])
 
 
