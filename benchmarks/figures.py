@@ -80,50 +80,52 @@ def _seconds(value: float) -> str:
 
 
 def _table3(runs: Runs) -> dict[str, str]:
-    took = sorted(each["search_seconds"] for each in runs if each["exact"])
-    its = {"found": _count([each["exact"] for each in runs])}
-    return its | ({"seconds": f"{took[0]:.2g} to {took[-1]:.2g} s"} if took else {})
+    took = sorted(run["search_seconds"] for run in runs if run["exact"])
+    figures = {"found": _count([run["exact"] for run in runs])}
+    return figures | ({"seconds": f"{took[0]:.2g} to {took[-1]:.2g} s"} if took else {})
 
 
 def _race(runs: Runs) -> dict[str, str]:
     ours, peers = (
-        statistics.geometric_mean(12.0 if each[who] is None else max(each[who], 1e-3) for each in runs)
+        statistics.geometric_mean(12.0 if run[who] is None else max(run[who], 1e-3) for run in runs)
         for who in ("ours", "peers")
     )
     return {
-        "met": _count([each["ours"] is not None for each in runs]),
+        "met": _count([run["ours"] is not None for run in runs]),
         "seconds": _seconds(ours),
-        "operon": _count([each["peers"] is not None for each in runs]),
+        "operon": _count([run["peers"] is not None for run in runs]),
         "ratio": f"{ours / peers:.2g}",
     }
 
 
 def _labels(runs: Runs) -> dict[str, str]:
-    return {"right": _count([each["srbench"] for each in runs]), "strict": _count([each["strict"] for each in runs])}
+    return {"right": _count([run["srbench"] for run in runs]), "strict": _count([run["strict"] for run in runs])}
 
 
 def _equations(runs: Runs) -> Iterator[Mapping[str, Any]]:
-    return (equation for each in runs for equation in each["equations"])
+    return (equation for run in runs for equation in run["equations"])
 
 
 def _identifiable(runs: Runs) -> dict[str, str]:
-    able = [its for its in _equations(runs) if its["t"] is None or its["t"] >= LEAST_T]
-    return {"right": _count([its["form"] == "right" for its in able])}
+    able = [equation for equation in _equations(runs) if equation["t"] is None or equation["t"] >= LEAST_T]
+    return {"right": _count([equation["form"] == "right" for equation in able])}
 
 
 def _verdicts(runs: Runs) -> dict[str, str]:
-    shown = [its for its in _equations(runs) if its["grade"]]
-    good = [its["r2"] > GOOD_R2 for its in shown if its["grade"] == "good" and its["r2"] is not None]
-    exact = [its["form"] == "right" for its in shown if its["grade"] == "exact"]
+    shown = [equation for equation in _equations(runs) if equation["grade"]]
+    good = [
+        equation["r2"] > GOOD_R2 for equation in shown if equation["grade"] == "good" and equation["r2"] is not None
+    ]
+    exact = [equation["form"] == "right" for equation in shown if equation["grade"] == "exact"]
     return {"good": _count(good), "exact": _count(exact), **_identifiable(runs)}
 
 
 def _flows(runs: Runs) -> dict[str, str]:
-    return {"right": _count([each["error"] is not None and each["error"] < 0.01 for each in runs])}
+    return {"right": _count([run["error"] is not None and run["error"] < 0.01 for run in runs])}
 
 
 def _systems(runs: Runs) -> dict[str, str]:
-    return {"right": _count([form == "right" for each in runs for form in each["forms"]])}
+    return {"right": _count([form == "right" for run in runs for form in run["forms"]])}
 
 
 PLAN: Final = (
@@ -178,9 +180,9 @@ def runs_of(path: Path) -> Runs:
     return runs
 
 
-def missing(its: Measurement, folders: Mapping[str, Path | None]) -> str | None:
+def missing(measurement: Measurement, folders: Mapping[str, Path | None]) -> str | None:
     """Return what a benchmark needs and is not there, None if nothing."""
-    for need in its.needs:
+    for need in measurement.needs:
         if need in folders:
             if folders[need] is None:
                 return f"--{need} DIR was not given"
@@ -189,11 +191,11 @@ def missing(its: Measurement, folders: Mapping[str, Path | None]) -> str | None:
     return None
 
 
-def command(its: Measurement, chosen: str, out: Path, folders: Mapping[str, Path | None]) -> list[str]:
+def command(measurement: Measurement, chosen: str, out: Path, folders: Mapping[str, Path | None]) -> list[str]:
     """Return the command of one benchmark with the seeds `chosen`, its figures to `out`."""
-    words = [sys.executable, "-m", *its.command.format_map({name: str(path) for name, path in folders.items()}).split()]
-    option = its.resumes if its.resumes and out.exists() else "--out"
-    return [*words, *(["--seeds", chosen] if chosen else []), option, str(out)]
+    asked = measurement.command.format_map({name: str(path) for name, path in folders.items()})
+    option = measurement.resumes if measurement.resumes and out.exists() else "--out"
+    return [sys.executable, "-m", *asked.split(), *(["--seeds", chosen] if chosen else []), option, str(out)]
 
 
 def run(words: Sequence[str], limit_s: float | None) -> None:
@@ -227,10 +229,10 @@ def revision() -> str:
 def load_figures(path: Path = FILE) -> Figures:
     """Return the figures of the file by name; raises DataError."""
     try:
-        found: Figures = json.loads(path.read_text("utf-8"))
+        figures: Figures = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise DataError(f"{path} cannot be read ({error}); measure or check it out again") from error
-    return found
+    return figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,21 +244,21 @@ class Campaign:
     file: Path
     known: Figures
 
-    def measure(self, its: Measurement, chosen: str, limit_s: float | None) -> list[str]:
+    def measure(self, measurement: Measurement, chosen: str, limit_s: float | None) -> list[str]:
         """Run one benchmark and write its figures to the file; return a line where it did not come to its end."""
-        out = FOLDER / f"{its.name}-{chosen}-{self.revision}.json{'l' if its.resumes else ''}"
+        out = FOLDER / f"{measurement.name}-{chosen}-{self.revision}.json{'l' if measurement.resumes else ''}"
         out.parent.mkdir(parents=True, exist_ok=True)
-        words = command(its, chosen, out, self.folders)
+        words = command(measurement, chosen, out, self.folders)
         bound = "" if limit_s is None else f", {limit_s / 60.0:.1f} minutes at most"
-        note(f"{its.name}: {' '.join(words[2:])}{bound}")
-        about = head(its.name, words[2:])
+        note(f"{measurement.name}: {' '.join(words[2:])}{bound}")
+        about = head(measurement.name, words[2:])
         run(words, limit_s)
         runs = runs_of(out)
-        is_complete = len(runs) == its.per_seed * (len(seeds(chosen)) if chosen else 1)
-        for name, figure in its.figures(runs).items() if runs else ():
+        is_complete = len(runs) == measurement.per_seed * (len(seeds(chosen)) if chosen else 1)
+        for name, figure in measurement.figures(runs).items() if runs else ():
             if figure == NONE:
                 continue
-            self.known[f"{its.name}.{name}"] = {
+            self.known[f"{measurement.name}.{name}"] = {
                 "figure": figure,
                 "runs": len(runs),
                 "seeds": chosen,
@@ -267,14 +269,14 @@ class Campaign:
                 "processor": about["machine"]["processor"],
                 "cores": about["machine"]["cores"],
                 "load": round(about["load_before"], 1),
-                "command": f"python -m {its.command}",
+                "command": f"python -m {measurement.command}",
             }
         self.file.write_text(json.dumps(self.known, indent=1, ensure_ascii=False, sort_keys=True) + "\n", "utf-8")
-        return [] if is_complete else [f"{its.name}: ended after {len(runs)} runs"]
+        return [] if is_complete else [f"{measurement.name}: ended after {len(runs)} runs"]
 
-    def has(self, its: Measurement, chosen: str) -> bool:
+    def has(self, measurement: Measurement, chosen: str) -> bool:
         """Return whether the file holds figures of this measurement by this revision and these seeds, to their end."""
-        known = [figure for name, figure in self.known.items() if name.startswith(f"{its.name}.")]
+        known = [figure for name, figure in self.known.items() if name.startswith(f"{measurement.name}.")]
         measured = {(figure["revision"], figure["seeds"], figure["complete"]) for figure in known}
         return not self.revision.endswith("+") and measured == {(self.revision, chosen, True)}
 
@@ -283,23 +285,28 @@ def measure(options: Namespace) -> int:
     """Run the plan; return 1 where a benchmark was left out or did not come to its end, else 0."""
     folders = {"strogatz": options.strogatz, "dysts": options.dysts}
     campaign = Campaign(folders, revision(), options.file, load_figures())
-    asked = [each for each in PLAN if not options.only or each.name in options.only]
+    asked = [measurement for measurement in PLAN if not options.only or measurement.name in options.only]
     seeds_of = dict(options.seeds)
-    chosen = {each.name: seeds_of.get(each.name, each.few if options.quick else each.seeds) for each in asked}
+    chosen = {
+        measurement.name: seeds_of.get(measurement.name, measurement.few if options.quick else measurement.seeds)
+        for measurement in asked
+    }
     plan, left = [], list[str]()
-    for its in asked:
-        why = "it has no quick part" if options.quick and not chosen[its.name] else missing(its, folders)
+    for measurement in asked:
+        why = (
+            "it has no quick part" if options.quick and not chosen[measurement.name] else missing(measurement, folders)
+        )
         if why:
-            left.append(f"{its.name}: {why}")
-        elif campaign.has(its, chosen[its.name]):
-            note(f"{its.name}: measured already at {campaign.revision}")
+            left.append(f"{measurement.name}: {why}")
+        elif campaign.has(measurement, chosen[measurement.name]):
+            note(f"{measurement.name}: measured already at {campaign.revision}")
         else:
-            plan.append(its)
+            plan.append(measurement)
     end = None if options.minutes is None else time.monotonic() + 60.0 * options.minutes
-    for number, its in enumerate(plan):
-        share = its.minutes[options.quick] / math.fsum(each.minutes[options.quick] for each in plan[number:])
+    for number, measurement in enumerate(plan):
+        share = measurement.minutes[options.quick] / math.fsum(later.minutes[options.quick] for later in plan[number:])
         limit = None if end is None else max(share * (end - time.monotonic()), 0.0)
-        left += campaign.measure(its, chosen[its.name], limit)
+        left += campaign.measure(measurement, chosen[measurement.name], limit)
     say(shown(campaign.known))
     say("\n" + "\n".join(["not measured, or not to the end:", *left] if left else ["all of the plan is measured"]))
     return 1 if left else 0
@@ -340,16 +347,16 @@ def quote() -> None:
         following = quoted(text, known)
         if following != text:
             page.write_text(following, "utf-8")
-            old, new = ([mark["text"] for mark in MARK.finditer(each)] for each in (text, following))
+            old, new = ([mark["text"] for mark in MARK.finditer(version)] for version in (text, following))
             moved = [f"{one} -> {other}" for one, other in zip(old, new, strict=True) if one != other]
             say(f"{page.relative_to(ROOT)}: {', '.join(moved)}")
 
 
 def _seeds_of(text: str) -> tuple[str, str]:
     name, _, chosen = text.partition("=")
-    if name not in {each.name for each in PLAN}:
+    if name not in {measurement.name for measurement in PLAN}:
         raise argparse.ArgumentTypeError(
-            f"one of {', '.join(each.name for each in PLAN)} was expected before =, but {text!r} was given"
+            f"one of {', '.join(known.name for known in PLAN)} was expected before =, but {text!r} was given"
         )
     seeds(chosen)
     return name, chosen
@@ -364,7 +371,7 @@ def _seeds_of(text: str) -> tuple[str, str]:
             "run the benchmarks, write the figures to the file",
             option("--strogatz", type=Path, metavar="DIR", help="folder with the Strogatz label files"),
             option("--dysts", type=Path, metavar="DIR", help="chaotic flows, by benchmarks.dysts make --seed 2000"),
-            option("--only", choices=[each.name for each in PLAN], nargs="+", help="default: all"),
+            option("--only", choices=[measurement.name for measurement in PLAN], nargs="+", help="default: all"),
             option("--quick", action="store_true", help="with few seeds: about half an hour"),
             option("--minutes", type=positive, help="bound of all of it, of which each benchmark has its share"),
             option("--seeds", type=_seeds_of, action="append", default=[], metavar="NAME=SEEDS", help="of one of them"),

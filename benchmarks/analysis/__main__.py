@@ -41,11 +41,11 @@ def main(options: Namespace) -> int:
     """Measure what the options ask for; return the exit code."""
     record = Record("analysis", options.words, options.out)
     has_failed = False
-    for each in _checks(options):
-        record.add(each)
-        has_failed = has_failed or each.passes is False
-        verdict = {True: "ok    ", False: "FAILED", None: "      "}[each.passes]
-        say(f"{verdict} {each.quantity}: {each.found}" + (f" (expected {each.expected})" if each.expected else ""))
+    for check in _checks(options):
+        record.add(check)
+        has_failed = has_failed or check.passes is False
+        verdict = {True: "ok    ", False: "FAILED", None: "      "}[check.passes]
+        say(f"{verdict} {check.quantity}: {check.found}" + (f" (expected {check.expected})" if check.expected else ""))
     say(f"load {load():.1f}")
     return int(has_failed)
 

@@ -33,8 +33,8 @@ def _along(
 
 
 def _cubic() -> Iterator[Check]:
-    found = _along({"x": "0.1 + x - x**3"}, ((-2.0, 2.0),), "c1", (-1.0, 1.0))
-    folds = [each.value for each in special_points(found.branches)]
+    analysis = _along({"x": "0.1 + x - x**3"}, ((-2.0, 2.0),), "c1", (-1.0, 1.0))
+    folds = [point.value for point in special_points(analysis.branches)]
     for value, expected in zip(folds, (-2.0 / 27.0**0.5, 2.0 / 27.0**0.5), strict=True):
         yield near(PART, "fold of c + x - x**3", value, expected, "zero of the derivative", 1e-6)
 
@@ -42,15 +42,15 @@ def _cubic() -> Iterator[Check]:
 def _nerve() -> Iterator[Check]:
     equations = {"v": "0.5 + v - v**3/3.0 - w", "w": "0.08*(v + 0.7 - 0.8*w)"}
     timer = Timer()
-    found = _along(equations, ((-3.0, 3.0), (-2.0, 3.0)), "c1", (-0.5, 2.0))
+    analysis = _along(equations, ((-3.0, 3.0), (-2.0, 3.0)), "c1", (-0.5, 2.0))
     v = np.sqrt(1.0 - 0.8 * 0.08) * np.array([-1.0, 1.0])
     currents = (v + 0.7) / 0.8 - v + v**3 / 3.0
-    points = [each for each in special_points(found.branches) if each.kind == "Hopf"]
+    points = [point for point in special_points(analysis.branches) if point.kind == "Hopf"]
     for point, current in zip(points, currents.tolist(), strict=True):
         yield near(PART, "Hopf point of the FitzHugh-Nagumo nerve", point.value, current, "zero of the trace", 1e-6)
-    (branch,) = found.cycle_branches
+    (branch,) = analysis.cycle_branches
     yield same(PART, "its cycles go from one to the other", branch.ends, ("Hopf point", "Hopf point"), "")
-    folds = [each.value for each in branch.special]
+    folds = [fold.value for fold in branch.special]
     yield near(PART, "sum of the currents at its two folds of cycles", sum(folds), 1.75, "by symmetry", 1e-6)
     yield timer.check(PART, "nerve: whole analysis", _LIMIT_S)
 
@@ -58,10 +58,10 @@ def _nerve() -> Iterator[Check]:
 def _normal_forms() -> Iterator[Check]:
     hopf = {"x": "0.5*x - y - x*(x**2 + y**2)", "y": "x + 0.5*y - y*(x**2 + y**2)"}
     (branch,) = _along(hopf, _SQUARE, "c1,c2", (-1.0, 1.0)).cycle_branches
-    radii = np.array([np.hypot(*each.points.T).max() for each in branch.cycles])
+    radii = np.array([np.hypot(*cycle.points.T).max() for cycle in branch.cycles])
     off = float(np.abs(radii / np.sqrt(branch.values) - 1.0).max())
     yield near(PART, "Hopf normal form: largest error of the radius", off, 0.0, "sqrt(mu)", 1e-6)
-    periods = max(abs(each.period / (2.0 * np.pi) - 1.0) for each in branch.cycles)
+    periods = max(abs(cycle.period / (2.0 * np.pi) - 1.0) for cycle in branch.cycles)
     yield near(PART, "Hopf normal form: largest error of the period", periods, 0.0, "2 pi", 1e-6)
     r = "(x**2 + y**2)"
     bautin = {"x": f"0.5*x - y + x*({r} - {r}**2)", "y": f"x + 0.5*y + y*({r} - {r}**2)"}
@@ -71,16 +71,16 @@ def _normal_forms() -> Iterator[Check]:
 
 def _van_der_pol() -> Iterator[Check]:
     equations = {"x": "y", "y": "(1.0 - x**2)*y - x"}
-    found = _along(equations, ((-3.0, 3.0), (-20.0, 20.0)), "c1,y:x**2*y", (0.5, 10.0))
-    cycle = found.cycle_branches[0].cycles[-1]
+    analysis = _along(equations, ((-3.0, 3.0), (-20.0, 20.0)), "c1,y:x**2*y", (0.5, 10.0))
+    cycle = analysis.cycle_branches[0].cycles[-1]
     yield near(PART, "van der Pol, period at mu = 10", cycle.period, 19.07837, "Andersen and Geer 1982", 1e-3)
 
 
 def _roessler() -> Iterator[Check]:
     equations = {"x": "-y - z", "y": "x + 0.2*y", "z": "0.2 + z*(x - 2.5)"}
     timer = Timer()
-    found = _along(equations, ((-8.0, 8.0), (-8.0, 8.0), (0.0, 12.0)), "c3", (2.0, 5.7))
-    first, second = found.cycle_branches[:2]
+    analysis = _along(equations, ((-8.0, 8.0), (-8.0, 8.0), (0.0, 12.0)), "c3", (2.0, 5.7))
+    first, second = analysis.cycle_branches[:2]
     yield near(PART, "Rössler: first period doubling", _first(first), 2.83, "simulations", 5e-3)
     for name, branch, period, multiplier in (
         ("one turn", first, 5.88108845586, -2.403953527),

@@ -19,15 +19,15 @@ class Check:
     passes: bool | None
 
 
-def near(part: str, quantity: str, found: float, expected: float, source: str, tolerance: float) -> Check:
+def near(part: str, quantity: str, value: float, expected: float, source: str, tolerance: float) -> Check:
     """Return the check of a number that may be off by `tolerance`, as a share of the expected one or of 1."""
-    off = abs(found - expected) / (abs(expected) or 1.0)
-    return Check(part, quantity, f"{found:.9g}", f"{expected:.9g} to {tolerance:g}", source, bool(off <= tolerance))
+    off = abs(value - expected) / (abs(expected) or 1.0)
+    return Check(part, quantity, f"{value:.9g}", f"{expected:.9g} to {tolerance:g}", source, bool(off <= tolerance))
 
 
-def same(part: str, quantity: str, found: Any, expected: Any, source: str) -> Check:
+def same(part: str, quantity: str, value: Any, expected: Any, source: str) -> Check:
     """Return the check of what must be equal."""
-    return Check(part, quantity, str(found), str(expected), source, bool(found == expected))
+    return Check(part, quantity, str(value), str(expected), source, bool(value == expected))
 
 
 @dataclass

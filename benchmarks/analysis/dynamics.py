@@ -16,7 +16,7 @@ from benchmarks.harness.systems import SYSTEMS
 PART: Final = "dynamics"
 PI: Final = float(np.pi)
 _GLIDER: Final = ((1.0 + 0.05**2) ** -0.25, -float(np.arctan(0.05)))
-_PREY: Final = next(float(each.real) for each in np.roots([-1.0, 2.0, 7.0 - 1.0 / 0.075, 4.0]) if abs(each.imag) < 1e-9)
+_PREY: Final = next(float(root.real) for root in np.roots([-1.0, 2.0, 7.0 - 1.0 / 0.075, 4.0]) if abs(root.imag) < 1e-9)
 _COEXISTING: Final = (_PREY, (4.0 - _PREY) * (1.0 + _PREY))
 """Where y = (4 - x) (1 + x) = x/(0.075 (1 + x))."""
 
@@ -51,14 +51,14 @@ KNOWN: Final[dict[str, tuple[tuple[tuple[float, float], ...], dict[tuple[float, 
 
 def checks() -> Iterator[Check]:
     """Yield the figures of the seven systems, of van der Pol's oscillator with mu = 1, and of Lorenz's flow."""
-    found = {}
+    analyses = {}
     for name, (sides, expected, source) in KNOWN.items():
         timer = Timer()
-        found[name] = analyse(VectorField.of(SYSTEMS[name].truth), box_of(*sides))
-        yield from _fixed_points(name, found[name], expected, source)
+        analyses[name] = analyse(VectorField.of(SYSTEMS[name].truth), box_of(*sides))
+        yield from _fixed_points(name, analyses[name], expected, source)
         yield timer.check(PART, f"{name}: time", _LIMIT_S)
-    yield from _van_der_pol(found["van_der_pol"])
-    yield from _basins(found["lotka_volterra"])
+    yield from _van_der_pol(analyses["van_der_pol"])
+    yield from _basins(analyses["lotka_volterra"])
     yield from _lorenz()
 
 
@@ -68,12 +68,14 @@ def box_of(*sides: tuple[float, float]) -> Box:
     return Box(ends[:, 0], ends[:, 1])
 
 
-def _fixed_points(name: str, found: Analysis, expected: dict[tuple[float, float], str], source: str) -> Iterator[Check]:
-    points = sorted(found.fixed_points.points, key=lambda each: tuple(np.round(each.point, 3) + 0.0))
+def _fixed_points(
+    name: str, analysis: Analysis, expected: dict[tuple[float, float], str], source: str
+) -> Iterator[Check]:
+    points = sorted(analysis.fixed_points.points, key=lambda point: tuple(np.round(point.point, 3) + 0.0))
     kinds = [kind for _, kind in sorted(expected.items())]
-    yield same(PART, f"{name}: fixed points", [each.kind for each in points], kinds, source)
+    yield same(PART, f"{name}: fixed points", [point.kind for point in points], kinds, source)
     if len(points) == len(expected):
-        places = np.array([each.point for each in points])
+        places = np.array([point.point for point in points])
         off = float(np.abs(places - np.array(sorted(expected))).max())
         yield near(PART, f"{name}: largest error of a coordinate", off, 0.0, source, 1e-3)
 
@@ -81,8 +83,8 @@ def _fixed_points(name: str, found: Analysis, expected: dict[tuple[float, float]
 def _van_der_pol(stiff: Analysis) -> Iterator[Check]:
     source = "Andersen and Geer 1982"
     mild = analyse(VectorField.of({"x": "y", "y": "(1.0 - x**2)*y - x"}), box_of((-3.0, 3.0), (-3.0, 3.0)))
-    for its, mu, period in ((mild, 1, 6.66328686), (stiff, 10, 19.07837)):
-        (cycle,) = its.cycles.cycles
+    for analysis, mu, period in ((mild, 1, 6.66328686), (stiff, 10, 19.07837)):
+        (cycle,) = analysis.cycles.cycles
         yield near(PART, f"van der Pol, mu = {mu}: period", cycle.period, period, source, 1e-3)
         x = cycle.points[:, 0]
         mean = float(np.mean(mu * (1.0 - x**2)))  # of the divergence, by the rectangle rule over a period
@@ -92,20 +94,22 @@ def _van_der_pol(stiff: Analysis) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _basins(found: Analysis) -> Iterator[Check]:
-    both = [found.basins.fraction(index)[0] for index in range(len(found.attractors))]
+def _basins(analysis: Analysis) -> Iterator[Check]:
+    both = [analysis.basins.fraction(index)[0] for index in range(len(analysis.attractors))]
     yield same(PART, "lotka_volterra: basins", len(both), 2, f"{_STROGATZ}, section 6.4")
     yield near(PART, "lotka_volterra: share of both basins", sum(both), 1.0, f"{_STROGATZ}, section 6.4", 1e-3)
-    x, y = found.basins.starts.T
-    left, right = found.basins.reached[(x < 1.0) & (y > 1.0)], found.basins.reached[(x > 1.0) & (y < 1.0)]
+    x, y = analysis.basins.starts.T
+    left, right = analysis.basins.reached[(x < 1.0) & (y > 1.0)], analysis.basins.reached[(x > 1.0) & (y < 1.0)]
     sides = len({*left.tolist()}), len({*right.tolist()})
     yield same(PART, "lotka_volterra: attractors on either side of the saddle", sides, (1, 1), "isoclines")
 
 
 def _lorenz() -> Iterator[Check]:
     lorenz = Flow.of(VectorField.of({"x": "10.0*(y - x)", "y": "x*(28.0 - z) - y", "z": "x*y - 8.0/3.0*z"}))
-    found = lyapunov_spectrum(lorenz, box_of((-25.0, 25.0), (-25.0, 25.0), (0.0, 50.0)))
-    assert found is not None
-    for number, (exponent, expected) in enumerate(zip(found.exponents, (0.9056, 0.0, -14.5723), strict=True), start=1):
-        name = f"Lorenz: exponent {number} (± {found.standard_errors[number - 1]:.1g})"
+    spectrum = lyapunov_spectrum(lorenz, box_of((-25.0, 25.0), (-25.0, 25.0), (0.0, 50.0)))
+    assert spectrum is not None
+    for number, (exponent, expected) in enumerate(
+        zip(spectrum.exponents, (0.9056, 0.0, -14.5723), strict=True), start=1
+    ):
+        name = f"Lorenz: exponent {number} (± {spectrum.standard_errors[number - 1]:.1g})"
         yield near(PART, name, float(exponent), expected, "Sprott 2003", 0.02)

@@ -67,20 +67,20 @@ def checks(calls: int, repeats: int) -> Iterator[Check]:
         script = [sys.executable, "-c", _SIX_LINES.format(data=str(DATA))]
         _run(script, place)  # compiles what is not yet
         yield from _times("six lines find Lotka-Volterra, whole interpreter", 5.0, script, repeats, place)
-        found = json.loads(_run([sys.executable, "-c", _CALLS, str(DATA), str(calls)], place))
-        yield from _calls(found, calls)
+        figures = json.loads(_run([sys.executable, "-c", _CALLS, str(DATA), str(calls)], place))
+        yield from _calls(figures, calls)
         run = _digest_of([sys.executable, "-m", "atoll", "run", str(DATA), "--out", "run"], place / "run")
         submit = _submitted(place)
-        digests = {*found["digests"], run, submit}
+        digests = {*figures["digests"], run, submit}
         yield same(PART, "digests of the API, of run and of submit", len(digests), 1, "one seed, one answer")
 
 
-def _calls(found: dict[str, Any], calls: int) -> Iterator[Check]:
-    yield seconds(PART, "first call", [found["first"]], None)
-    yield seconds(PART, "second call", found["times"][:1], 1.0)
-    yield seconds(PART, f"{calls} further calls, each", found["times"][1:], 1.0)
+def _calls(figures: dict[str, Any], calls: int) -> Iterator[Check]:
+    yield seconds(PART, "first call", [figures["first"]], None)
+    yield seconds(PART, "second call", figures["times"][:1], 1.0)
+    yield seconds(PART, f"{calls} further calls, each", figures["times"][1:], 1.0)
     what = "tasks, threads of Python, open files, child processes, files in the folder"
-    yield same(PART, f"after {calls} calls: {what}", found["after"], found["before"], "as before them")
+    yield same(PART, f"after {calls} calls: {what}", figures["after"], figures["before"], "as before them")
 
 
 def _times(quantity: str, limit: float, words: list[str], repeats: int, place: Path) -> Iterator[Check]:

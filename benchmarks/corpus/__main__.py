@@ -38,19 +38,19 @@ def keys(options: Namespace) -> list[Key]:
     if options.named is not None:
         names = options.named or [name for name in NAMED if name not in CHAOTIC]
         return [
-            Key(name, NAMED_STATES[name], 1, "even", each, seed, method)
+            Key(name, NAMED_STATES[name], 1, "even", quality, seed, method)
             for seed in options.seeds
             for name in names
-            for each in qualities
+            for quality in qualities
             for method in options.methods
         ]
     return [
-        Key("random", states, trajectories, sampling, each, seed, method)
+        Key("random", states, trajectories, sampling, quality, seed, method)
         for seed in options.seeds
         for states in options.states
         for trajectories in options.trajectories
         for sampling in options.samplings
-        for each in ([qualities[(seed + states) % len(qualities)]] if options.in_turn else qualities)
+        for quality in ([qualities[(seed + states) % len(qualities)]] if options.in_turn else qualities)
         for method in options.methods
     ]
 

@@ -86,7 +86,7 @@ def make_case(key: Key) -> Case:
     table = table_of(Sampled(system.states, tuple(times), tuple(measured)))
     columns = dict(zip(system.states, np.concatenate(clean).T, strict=True))
     data = {"robust": True} if key.quality.startswith("outliers") else {}
-    fresh = _fresh(system, columns, max(times, key=lambda each: float(each[-1])), rng)
+    fresh = _fresh(system, columns, max(times, key=lambda instants: float(instants[-1])), rng)
     return Case(system, table, columns, fresh, smallest_t(system, starts, times, clean, measured), data)
 
 
@@ -130,15 +130,15 @@ def _fresh(
     """
     box = [(float(values.min()), float(values.max())) for values in columns.values()]
     deviations = np.array([values.std() for values in columns.values()])
-    found: list[Path] = []
+    paths: list[Path] = []
     for _ in range(_ATTEMPTS):
         start = np.array([rng.uniform(low, high) for low, high in box])
         path = _predictable(system, start, 1e-3 * deviations, times)
         if path is not None:
-            found.append(path)
-        if len(found) == FRESH:
+            paths.append(path)
+        if len(paths) == FRESH:
             break
-    return tuple(found)
+    return tuple(paths)
 
 
 def _predictable(system: CorpusSystem, start: FloatArray, change: FloatArray, times: FloatArray) -> Path | None:

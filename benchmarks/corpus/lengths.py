@@ -35,15 +35,15 @@ def excess_of_truth(
             return None
         names, variables = preparation.dataset.names, [*truths]
         task = ModellingTask(preparation.dataset, preparation.recording, config, dict.fromkeys(truths, CandidateSet()))
-        systems = [[shortest(from_infix(text, names)) for text in each] for each in (truths.values(), texts)]
+        systems = [[shortest(from_infix(text, names)) for text in side] for side in (truths.values(), texts)]
         with np.errstate(all="ignore"):
             if task.is_nearly_clean:
                 task = in_stretches(task, systems[1])
             comparison = task.compare(task.measurements(variables), variables)
-            models = [comparison.fit_model(each, 40) for each in systems]
-            found = [model for model in models if model is not None]
-            if found:
-                comparison.calibrate(min(found, key=lambda model: model.nats))
+            models = [comparison.fit_model(system, 40) for system in systems]
+            fitted = [model for model in models if model is not None]
+            if fitted:
+                comparison.calibrate(min(fitted, key=lambda model: model.nats))
                 models = [None if model is None else comparison.measure(model.fit) for model in models]
     except AtollError:
         return None

@@ -54,37 +54,37 @@ def quality(name: str) -> Quality:
     """Return the quality of a name; raises UsageError where there is none."""
     kind, _, size = name.partition("-")
     try:
-        found = Quality(kind, float(size) if size else 0.0)
+        parsed = Quality(kind, float(size) if size else 0.0)
     except ValueError:
-        found = Quality("", 0.0)
-    known = found.kind in _MEASURED or found.is_solved or found.kind in ("exact", "float32", "digits")
+        parsed = Quality("", 0.0)
+    known = parsed.kind in _MEASURED or parsed.is_solved or parsed.kind in ("exact", "float32", "digits")
     if not known or (kind in ("exact", "float32")) == bool(size):
         raise UsageError(f"{name!r} is no quality of the corpus; name one such as {', '.join(QUALITIES[:6])}")
-    return found
+    return parsed
 
 
 def measure(
-    its: Quality, system: CorpusSystem, starts: Sequence[Sequence[float]], times: Sequence[FloatArray],
+    quality: Quality, system: CorpusSystem, starts: Sequence[Sequence[float]], times: Sequence[FloatArray],
     clean: Sequence[FloatArray], rng: np.random.Generator,
 ) -> list[FloatArray]:  # fmt: skip
     """Return what is measured of the solutions `clean`, an array (n, S) for each of `starts` at `times` (n,)."""
-    if its.is_solved:
-        return [_solve(its, system, start, when) for start, when in zip(starts, times, strict=True)]
-    if its.kind == "exact":
-        return [each.copy() for each in clean]
-    if its.kind == "float32":
-        return [each.astype(np.float32).astype(np.float64) for each in clean]
-    if its.kind == "digits":
-        return [_in_digits(each, round(its.size)) for each in clean]
-    return _MEASURED[its.kind](list(clean), its.size, rng)
+    if quality.is_solved:
+        return [_solve(quality, system, start, when) for start, when in zip(starts, times, strict=True)]
+    if quality.kind == "exact":
+        return [states.copy() for states in clean]
+    if quality.kind == "float32":
+        return [states.astype(np.float32).astype(np.float64) for states in clean]
+    if quality.kind == "digits":
+        return [_in_digits(states, round(quality.size)) for states in clean]
+    return _MEASURED[quality.kind](list(clean), quality.size, rng)
 
 
-def _solve(its: Quality, system: CorpusSystem, start: Sequence[float], times: FloatArray) -> FloatArray:
+def _solve(quality: Quality, system: CorpusSystem, start: Sequence[float], times: FloatArray) -> FloatArray:
     field = system.field()
-    if its.kind == "euler":
-        return _by_euler(field, start, times, round(its.size))
-    atol = DEFAULT_ATOL if its.size >= DEFAULT_ATOL else its.size
-    return solution(field, start, times, its.kind.upper(), its.size, atol)
+    if quality.kind == "euler":
+        return _by_euler(field, start, times, round(quality.size))
+    atol = DEFAULT_ATOL if quality.size >= DEFAULT_ATOL else quality.size
+    return solution(field, start, times, quality.kind.upper(), quality.size, atol)
 
 
 def _by_euler(field: Callable[[Sequence[float]], list[float]], start: Sequence[float], times: FloatArray,
@@ -108,16 +108,16 @@ def _deviations(clean: Sequence[FloatArray]) -> FloatArray:
 
 def _noise(clean: list[FloatArray], size: float, rng: np.random.Generator) -> list[FloatArray]:
     spread = size * _deviations(clean)
-    return [each + spread * rng.standard_normal(each.shape) for each in clean]
+    return [states + spread * rng.standard_normal(states.shape) for states in clean]
 
 
 def _proportional(clean: list[FloatArray], size: float, rng: np.random.Generator) -> list[FloatArray]:
-    return [each * (1.0 + size * rng.standard_normal(each.shape)) for each in clean]
+    return [states * (1.0 + size * rng.standard_normal(states.shape)) for states in clean]
 
 
 def _correlated(clean: list[FloatArray], size: float, rng: np.random.Generator) -> list[FloatArray]:
     spread = size * _deviations(clean)
-    return [each + spread * _autoregressive(rng.standard_normal(each.shape)) for each in clean]
+    return [states + spread * _autoregressive(rng.standard_normal(states.shape)) for states in clean]
 
 
 def _autoregressive(shocks: FloatArray) -> FloatArray:
@@ -130,37 +130,37 @@ def _autoregressive(shocks: FloatArray) -> FloatArray:
 
 def _drifting(clean: list[FloatArray], size: float, rng: np.random.Generator) -> list[FloatArray]:
     spread = size * _deviations(clean)
-    found = []
-    for each in _noise(clean, size, rng):
-        along = np.linspace(-1.0, 1.0, len(each))[:, None]
-        slope, bend = rng.standard_normal((2, 1, each.shape[1]))
-        found.append(each + spread * (slope * along + bend * (along**2 - 1.0 / 3.0)))
-    return found
+    drifted = []
+    for states in _noise(clean, size, rng):
+        along = np.linspace(-1.0, 1.0, len(states))[:, None]
+        slope, bend = rng.standard_normal((2, 1, states.shape[1]))
+        drifted.append(states + spread * (slope * along + bend * (along**2 - 1.0 / 3.0)))
+    return drifted
 
 
 def _with_outliers(clean: list[FloatArray], size: float, rng: np.random.Generator) -> list[FloatArray]:
     spread = size * _deviations(clean)
-    found = []
-    for each in _noise(clean, size, rng):
-        is_out = rng.random(each.shape) < OUTLIERS
-        found.append(each + is_out * FAR * spread * rng.choice((-1.0, 1.0), each.shape))
-    return found
+    disturbed = []
+    for states in _noise(clean, size, rng):
+        is_out = rng.random(states.shape) < OUTLIERS
+        disturbed.append(states + is_out * FAR * spread * rng.choice((-1.0, 1.0), states.shape))
+    return disturbed
 
 
 def _quantised(clean: list[FloatArray], size: float, _rng: np.random.Generator) -> list[FloatArray]:
     step = size * _deviations(clean)
-    return [np.round(each / step) * step for each in clean]
+    return [np.round(states / step) * step for states in clean]
 
 
 def _filtered(clean: list[FloatArray], size: float, rng: np.random.Generator) -> list[FloatArray]:
     share = 1.0 - np.exp(-1.0)
-    found = []
-    for each in _noise(clean, size, rng):
-        rows = each.copy()
+    filtered = []
+    for states in _noise(clean, size, rng):
+        rows = states.copy()
         for row in range(1, len(rows)):
-            rows[row] = rows[row - 1] + share * (each[row] - rows[row - 1])
-        found.append(rows)
-    return found
+            rows[row] = rows[row - 1] + share * (states[row] - rows[row - 1])
+        filtered.append(rows)
+    return filtered
 
 
 _MEASURED: Final[dict[str, _Disturb]] = {

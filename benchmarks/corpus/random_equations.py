@@ -39,7 +39,7 @@ def random_family(rng: np.random.Generator, states: int) -> Family:
 
 def _terms(rng: np.random.Generator, name: str, names: tuple[str, ...]) -> list[str]:
     """Return two to four terms, one of them a loss and, with other states, at least one with another state."""
-    others = [each for each in names if each != name]
+    others = [other for other in names if other != name]
     terms = [_filled(rng, _LOSSES, name, others)]
     terms.append(_filled(rng, _FOREIGN if others else _OWN, name, others))
     for _ in range(int(rng.choice(3, p=(0.5, 0.35, 0.15)))):

@@ -76,8 +76,8 @@ class CorpusSystem:
     def operators(self) -> tuple[str, ...]:
         """Functions that a search needs beside the default ones."""
         text = " ".join(self.equations.values())
-        found = [name for name in OPERATORS if f"{name}(" in text]
-        return (*found, *(["pow"] if "**k" in text else []))
+        functions = [name for name in OPERATORS if f"{name}(" in text]
+        return (*functions, *(["pow"] if "**k" in text else []))
 
     def field(self, changes: Mapping[str, float] | None = None) -> Field:
         """Return the right-hand sides as a function of the states, some constants with other values."""
@@ -130,7 +130,7 @@ def draw_system(seed: int, states: int) -> CorpusSystem:
 def _plausible(name: str, family: Family, rng: np.random.Generator) -> CorpusSystem | None:
     is_simple = rng.random() < 0.5
     constants = {key: _constant(rng, low, high, is_simple) for key, (low, high) in family.constants.items()}
-    box = tuple(_scaled(each, constants) for each in family.box)
+    box = tuple(_scaled(side, constants) for side in family.box)
     system = CorpusSystem(name, family.equations, constants, box, 1.0)
     field = system.field()
     starts = [system.draw_start(rng) for _ in range(TRIALS)]
@@ -150,9 +150,9 @@ def _plausible(name: str, family: Family, rng: np.random.Generator) -> CorpusSys
 def _constant(rng: np.random.Generator, low: float, high: float, is_simple: bool) -> float:
     value = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     if is_simple:
-        allowed = [each for each in SIMPLE if low <= each <= high]
+        allowed = [value for value in SIMPLE if low <= value <= high]
         if allowed:
-            return min(allowed, key=lambda each: abs(np.log(each / value)))
+            return min(allowed, key=lambda simple: abs(np.log(simple / value)))
     return float(f"{value:.3g}")
 
 
@@ -213,7 +213,7 @@ def _matter(system: CorpusSystem, values: FloatArray) -> bool:
 
         def at(shift: float, name: str, names: tuple[str, ...] = names, program: Program = program) -> FloatArray:
             shifted = {**system.constants, name: system.constants[name] * (1.0 + shift)} if name else system.constants
-            columns = [*values.T, *(np.full(len(values), shifted[each]) for each in names)]
+            columns = [*values.T, *(np.full(len(values), shifted[constant]) for constant in names)]
             return values_of(program, np.array(columns))
 
         with np.errstate(all="ignore"):

@@ -36,8 +36,10 @@ def _kind(outcome: Outcome) -> tuple[str, str, str]:
 
 def _row(kind: tuple[str, str, str], outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     equations = [equation for outcome in outcomes for equation in outcome.equations]
-    able = [its for its in equations if its.is_identifiable]
-    judged = [its for its in equations if its.is_foretold is not None]
+    able = [equation for equation in equations if equation.is_identifiable]
+    judged = [equation for equation in equations if equation.is_foretold is not None]
+
+    shorter = [equation for outcome in outcomes if (outcome.excess or 0.0) < 0.0 for equation in outcome.equations]
 
     def count(condition: Callable[[EquationOutcome], bool]) -> str:
         return str(sum(map(condition, equations)))
@@ -46,15 +48,15 @@ def _row(kind: tuple[str, str, str], outcomes: Sequence[Outcome]) -> tuple[str, 
         *kind,
         str(len(equations)),
         str(len(able)),
-        share(sum(its.is_right for its in able), len(able)),
-        count(lambda its: its.form == "extra"),
-        count(lambda its: its.form == "missing"),
-        count(lambda its: its.form in ("other", "none")),
-        count(lambda its: its.elsewhere is not None),
-        str(sum(not its.is_right for each in outcomes if (each.excess or 0.0) < 0.0 for its in each.equations)),
-        share(sum(bool(its.is_foretold) for its in judged), len(judged)),
-        _quantiles([each.seconds for each in outcomes]),
-        _quantiles([each.cpu_seconds for each in outcomes]),
+        share(sum(equation.is_right for equation in able), len(able)),
+        count(lambda equation: equation.form == "extra"),
+        count(lambda equation: equation.form == "missing"),
+        count(lambda equation: equation.form in ("other", "none")),
+        count(lambda equation: equation.elsewhere is not None),
+        str(sum(not equation.is_right for equation in shorter)),
+        share(sum(bool(equation.is_foretold) for equation in judged), len(judged)),
+        _quantiles([outcome.seconds for outcome in outcomes]),
+        _quantiles([outcome.cpu_seconds for outcome in outcomes]),
     )
 
 
@@ -68,7 +70,8 @@ def by_grade(outcomes: Sequence[Outcome]) -> str:
     equations = [equation for outcome in outcomes for equation in outcome.equations]
     for grade, graded in tables.by_grade(equations).items():
         judged = [equation for equation in graded if equation.is_foretold is not None]
-        right, foretold = sum(each.is_right for each in graded), sum(bool(each.is_foretold) for each in judged)
+        right = sum(equation.is_right for equation in graded)
+        foretold = sum(bool(equation.is_foretold) for equation in judged)
         rows.append((grade, str(len(graded)), share(right, len(graded)), share(foretold, len(judged))))
     return markdown(("verdict", "equations", "right in form", "R2 > 0.9 from fresh states"), rows)
 

@@ -42,13 +42,13 @@ def _parser() -> argparse.ArgumentParser:
     running.add_argument("--resume", type=Path, metavar="FILE", help="such a file, to go on with")
     showing = verbs.add_parser("show", help="print the tables of a file")
     showing.add_argument("resume", type=Path, metavar="FILE")
-    for each in (making, running, showing):
-        each.add_argument("--systems", nargs="+", help="default: all")
-        each.add_argument(
+    for verb in (making, running, showing):
+        verb.add_argument("--systems", nargs="+", help="default: all")
+        verb.add_argument(
             "--polynomial", dest="systems", action="store_const", const=POLYNOMIAL, help="the 70 of the published table"
         )
-    for each in (running, showing):
-        each.add_argument("--published", type=Path, metavar="CSV", help="published errors by flow")
+    for verb in (running, showing):
+        verb.add_argument("--published", type=Path, metavar="CSV", help="published errors by flow")
     return parser
 
 

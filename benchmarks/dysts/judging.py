@@ -74,8 +74,8 @@ class Outcome:
 
 def outcome(flow: Flow, noise: float, result: Mapping[str, Any], phases: Mapping[str, float]) -> Outcome:
     """Judge the contents of a result.json."""
-    found = {equation["variable"]: equation for equation in result["equations"]}
-    texts = tuple(found.get(state, {}).get("expression") for state in flow.states)
+    equations = {equation["variable"]: equation for equation in result["equations"]}
+    texts = tuple(equations.get(state, {}).get("expression") for state in flow.states)
     answers = [None if text is None else polynomial(text, flow.states) for text in texts]
     truths = [polynomial(text, flow.states) for text in flow.equations]
     rate_error = _rate_error(flow, texts)
@@ -85,12 +85,12 @@ def outcome(flow: Flow, noise: float, result: Mapping[str, Any], phases: Mapping
         coefficient_error(answers, truths),
         tuple(map(_is_in_form, answers, truths)),
         rate_error,
-        tuple(found.get(state, {}).get("verdict") for state in flow.states),
+        tuple(equations.get(state, {}).get("verdict") for state in flow.states),
         texts,
         float(result.get("seconds") or 0.0),
         phases,
         result.get("reason"),
-        tuple(found.get(state, {}).get("reason") for state in flow.states),
+        tuple(equations.get(state, {}).get("reason") for state in flow.states),
     )
 
 
@@ -117,14 +117,15 @@ def polynomial(text: str, states: Sequence[str]) -> Coefficients | None:
 def coefficient_error(answers: Sequence[Coefficients | None], truths: Sequence[Coefficients | None]) -> float | None:
     """Return the spectral norm of the difference over that of the truth; None where one is no polynomial."""
     ours = [answer for answer in answers if answer is not None]
-    those = [each for each in truths if each is not None]
+    those = [truth for truth in truths if truth is not None]
     if len(ours) < len(answers) or len(those) < len(truths):
         return None
-    monomials = sorted({powers for each in (*ours, *those) for powers in each})
-    found, truth = (
-        np.array([[each.get(powers, 0.0) for powers in monomials] for each in all_]) for all_ in (ours, those)
+    monomials = sorted({powers for coefficients in (*ours, *those) for powers in coefficients})
+    answered, truth = (
+        np.array([[coefficients.get(powers, 0.0) for powers in monomials] for coefficients in all_])
+        for all_ in (ours, those)
     )
-    return float(np.linalg.norm(found - truth, 2) / np.linalg.norm(truth, 2))
+    return float(np.linalg.norm(answered - truth, 2) / np.linalg.norm(truth, 2))
 
 
 def _is_in_form(answer: Coefficients | None, truth: Coefficients | None) -> bool:

@@ -58,7 +58,7 @@ def _made(module: Any, name: str, seed: int) -> dict[str, Any]:
     reference = _integrated(flow, np.asarray(flow.ic, float), np.linspace(0.0, _REFERENCE_PERIODS * flow.period, 1000))
     chosen = generator.choice(len(reference), 2 * TRAJECTORIES, replace=False)
     values = np.array([_integrated(flow, reference[row], times) for row in chosen])
-    rates = np.array([[np.asarray(flow.rhs(point, 0.0), float) for point in each] for each in values])
+    rates = np.array([[np.asarray(flow.rhs(point, 0.0), float) for point in path] for path in values])
     return {
         "times": times,
         "train": values[:TRAJECTORIES],
@@ -91,11 +91,11 @@ def _integrated(flow: Any, start: Any, times: Any) -> Any:
         calls = 0
         try:
             options = {"rtol": _TOLERANCE, "atol": _TOLERANCE * scale}
-            found = solve_ivp(rates, (times[0], times[-1]), start, method, times, **options)
+            solution = solve_ivp(rates, (times[0], times[-1]), start, method, times, **options)
         except _TooManyCallsError:
             continue
-        if found.success and np.isfinite(found.y).all():
-            return found.y.T
+        if solution.success and np.isfinite(solution.y).all():
+            return solution.y.T
     raise ValueError("it could not be integrated")
 
 
@@ -125,7 +125,7 @@ def _symbolic(numpy: Any, sympy: Any) -> types.SimpleNamespace:
     def lifted(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
         def apply(value: Any, *_: Any) -> Any:
             if isinstance(value, np.ndarray):
-                return np.array([function(each) for each in value.ravel()], dtype=object).reshape(value.shape)
+                return np.array([function(symbol) for symbol in value.ravel()], dtype=object).reshape(value.shape)
             return function(value)
 
         return apply

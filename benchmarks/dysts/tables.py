@@ -45,18 +45,18 @@ def summary(outcomes: Sequence[Outcome], path: Path | None) -> str:
     known = published(path)
     rows = []
     for noise in sorted({outcome.noise for outcome in outcomes}):
-        here = [each for each in outcomes if each.noise == noise and each.system in POLYNOMIAL]
-        errors = [each.error for each in here]
-        seconds = statistics.median([each.seconds for each in here] or [0.0])
-        exact = sum(each.is_exact for each in here)
+        here = [outcome for outcome in outcomes if outcome.noise == noise and outcome.system in POLYNOMIAL]
+        errors = [outcome.error for outcome in here]
+        seconds = statistics.median([outcome.seconds for outcome in here] or [0.0])
+        exact = sum(outcome.is_exact for outcome in here)
         rows.append(_counted("atoll", noise, errors, f"{exact}", f"{seconds:.0f}"))
         for method in METHODS if known else ():
-            theirs = [known.get(each.system, {}).get(f"{method} at {noise:.2f} %") for each in here]
+            theirs = [known.get(outcome.system, {}).get(f"{method} at {noise:.2f} %") for outcome in here]
             rows.append(_counted(method, noise, theirs, "", ""))
-        others = [each for each in outcomes if each.noise == noise and each.system not in POLYNOMIAL]
+        others = [outcome for outcome in outcomes if outcome.noise == noise and outcome.system not in POLYNOMIAL]
         if others:
             right = sum(is_right(other) for other in others)
-            seconds = statistics.median(each.seconds for each in others)
+            seconds = statistics.median(outcome.seconds for outcome in others)
             rows.append(
                 ("atoll, others", f"{noise:g}", f"{len(others)}", "", "", "", "", f"{right} right", f"{seconds:.0f}")
             )

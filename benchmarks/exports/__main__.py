@@ -32,15 +32,15 @@ def main() -> None:
         print(f"PEtab: {missing} is not installed")
 
 
-def _difference(found: np.ndarray, model: Model) -> float:
+def _difference(states: np.ndarray, model: Model) -> float:
     expected = model.simulate(has_bands=False).x
-    return float(np.abs(found - expected).max() / np.abs(expected).max())
+    return float(np.abs(states - expected).max() / np.abs(expected).max())
 
 
 def _linted(model: Model) -> str:
-    its = model.simulate(has_bands=False)
+    simulated = model.simulate(has_bands=False)
     with tempfile.TemporaryDirectory() as folder:
-        model.to_petab(folder, data=[its.columns()])
+        model.to_petab(folder, data=[simulated.columns()])
         lint_petab(Path(folder))
     return "passes"
 

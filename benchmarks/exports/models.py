@@ -12,18 +12,18 @@ from benchmarks.harness.systems import SYSTEMS, drawn
 
 def published(system: str, seed: int = 1, until: float = 10.0, rows: int = 101) -> Model:
     """Return the model of one of `SYSTEMS`, beginning where a solution stays finite for so long."""
-    its = SYSTEMS[system]
+    chosen = SYSTEMS[system]
     times = np.linspace(0.0, until, rows)
-    start = drawn(its, np.random.default_rng(seed), times)[0]
-    simulated = {"name": "1", "start": dict(zip(its.states, start.tolist(), strict=True)), "times": times.tolist()}
+    start = drawn(chosen, np.random.default_rng(seed), times)[0]
+    simulated = {"name": "1", "start": dict(zip(chosen.states, start.tolist(), strict=True)), "times": times.tolist()}
     return Model(
         {
             "schema": 1,
             "job": system,
             "seed": seed,
             "digest": "",
-            "equations": [_equation(name, text, its.states) for name, text in its.truth.items()],
-            "symbols": {name: name for name in its.states},
+            "equations": [_equation(name, text, chosen.states) for name, text in chosen.truth.items()],
+            "symbols": {name: name for name in chosen.states},
             "system": {"time": "t", "units": {}, "ranges": {}},
             "simulation": {"trajectories": [simulated]},
         }
@@ -33,8 +33,8 @@ def published(system: str, seed: int = 1, until: float = 10.0, rows: int = 101) 
 def _equation(name: str, text: str, names: tuple[str, ...]) -> dict[str, Any]:
     program = from_infix(text, names)
     values = program.constants[constant_places(program)].tolist()
-    found = {"variable": name, "lhs": f"d{name}/dt", "expression": text, "candidates": [], "front": []}
-    return {**found, "constants": [_constant(value) for value in values], "verdict": "exact", "reason": "As published."}
+    shown = {"variable": name, "lhs": f"d{name}/dt", "expression": text, "candidates": [], "front": []}
+    return {**shown, "constants": [_constant(value) for value in values], "verdict": "exact", "reason": "As published."}
 
 
 def _constant(value: float) -> dict[str, Any]:

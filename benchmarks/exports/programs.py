@@ -104,10 +104,10 @@ def pymoca(model: Model) -> FloatArray:
     """Parse the Modelica model by pymoca's grammar, and integrate its syntax tree here."""
     tree = _imported("pymoca.parser").parse(model.to_modelica())
     assert tree is not None
-    its = tree.classes["AtollModel"]
-    symbols = its.symbols
-    numbers = {name: _number(each) for name, each in symbols.items() if "parameter" in each.prefixes}
-    states = {equation.left.operands[0].name: equation.right for equation in its.equations}
+    model_class = tree.classes["AtollModel"]
+    symbols = model_class.symbols
+    numbers = {name: _number(symbol) for name, symbol in symbols.items() if "parameter" in symbol.prefixes}
+    states = {equation.left.operands[0].name: equation.right for equation in model_class.equations}
     start = np.array([_number(symbols[name]) for name in states])
 
     def rates(t: float, x: FloatArray) -> list[float]:
@@ -197,9 +197,9 @@ def _imported(name: str) -> Any:
 
 def _run(command: list[str], folder: str) -> str:
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    found = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, env=environment)
-    assert found.returncode == 0, f"{command[0]}: {found.stderr[-2000:]}"
-    return found.stdout
+    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, env=environment)
+    assert ended.returncode == 0, f"{command[0]}: {ended.stderr[-2000:]}"
+    return ended.stdout
 
 
 def _csv(text: str) -> FloatArray:

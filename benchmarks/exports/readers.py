@@ -42,7 +42,7 @@ class Reading:
         """Return the states (N, D) at `times` (N,), in the order of the rates."""
         compiled = [compile(text.replace("^", "**"), name, "eval") for name, text in self.rates.items()]
         start = np.array([self.start[name] for name in self.rates])
-        return integrated(lambda t, x: [eval(each, {}, self._names(t, x)) for each in compiled], start, times)
+        return integrated(lambda t, x: [eval(code, {}, self._names(t, x)) for code in compiled], start, times)
 
     def _names(self, t: float, x: FloatArray) -> dict[str, Any]:
         return {**_FUNCTIONS, **self.numbers, self.time: t, **dict(zip(self.rates, x, strict=True))}
@@ -51,11 +51,11 @@ class Reading:
 def integrated(rates: Callable[[float, FloatArray], Any], start: FloatArray, times: FloatArray) -> FloatArray:
     """Return the solution (N, D) of dx/dt = rates(t, x) at `times` (N,), far more accurate than what is compared."""
     least = TOLERANCE * np.where(start == 0.0, np.abs(start).max(), np.abs(start))
-    found = solve_ivp(
+    solution = solve_ivp(
         rates, (float(times[0]), float(times[-1])), start, "DOP853", t_eval=times, rtol=TOLERANCE, atol=least
     )
-    assert found.success, found.message
-    return np.ascontiguousarray(found.y.T)
+    assert solution.success, solution.message
+    return np.ascontiguousarray(solution.y.T)
 
 
 def read_xppaut(text: str) -> Reading:

@@ -50,9 +50,11 @@ def _one(searches: Searches, case: Case, limit_s: float) -> tuple[Outcome, Answe
     end: End
     with TemporaryDirectory() as folder:
         try:
-            its = request(case, Path(folder))
+            asked = request(case, Path(folder))
             begun = time.monotonic()
-            answer = searches.solve(case.name, read_table(its.files, its.config.data), its.config, stopwatch.watch)
+            answer = searches.solve(
+                case.name, read_table(asked.files, asked.config.data), asked.config, stopwatch.watch
+            )
             broken = [warning for warning in answer["warnings"] if BROKE in warning]
             end, sentence = ("broke", broken[0]) if broken else ("done", "")
         except (DataError, UsageError) as error:
@@ -77,9 +79,15 @@ def line(outcome: Outcome) -> str:
     return f"{outcome.case}, {outcome.seconds:.1f} s, {outcome.end}{said}; {'; '.join(marks)}"
 
 
-def _mark(its: EquationOutcome) -> str:
-    kind = "none to find" if its.law is None else "FOUND" if its.is_found else f"not {its.law}, {its.form}"
-    return f"{kind}, {its.verdict or '-'}"
+def _mark(equation: EquationOutcome) -> str:
+    kind = (
+        "none to find"
+        if equation.law is None
+        else "FOUND"
+        if equation.is_found
+        else f"not {equation.law}, {equation.form}"
+    )
+    return f"{kind}, {equation.verdict or '-'}"
 
 
 def figures(outcomes: Sequence[Outcome]) -> str:
@@ -88,7 +96,7 @@ def figures(outcomes: Sequence[Outcome]) -> str:
     rows = [
         _row(title, [outcome for outcome in outcomes if group_of[outcome.case] == title])
         for title in GROUPS
-        if any(group_of[each.case] == title for each in outcomes)
+        if any(group_of[outcome.case] == title for outcome in outcomes)
     ]
     heads = ("tables", "number", "broke", "refused", "identified laws found", "right ones relied on",
              "others relied on", "no law, relied on", "median s", "longest s")  # fmt: skip
@@ -97,20 +105,20 @@ def figures(outcomes: Sequence[Outcome]) -> str:
 
 def _row(title: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     equations = [equation for outcome in outcomes for equation in outcome.equations]
-    identified = [its for its in equations if its.is_identified]
-    found = [its for its in identified if its.is_found]
-    others = [its for its in equations if its.law is not None and not its.is_found]
-    lawless = [its for its in equations if its.law is None]
-    seconds = [each.seconds for each in outcomes]
+    identified = [equation for equation in equations if equation.is_identified]
+    right = [equation for equation in identified if equation.is_found]
+    others = [equation for equation in equations if equation.law is not None and not equation.is_found]
+    lawless = [equation for equation in equations if equation.law is None]
+    seconds = [outcome.seconds for outcome in outcomes]
     return (
         title,
         str(len(outcomes)),
-        str(sum(each.end in ("broke", "late") for each in outcomes)),
-        str(sum(each.end == "refused" for each in outcomes)),
-        _share(len(found), len(identified)),
-        _share(sum(its.is_confident for its in found), len(found)),
+        str(sum(outcome.end in ("broke", "late") for outcome in outcomes)),
+        str(sum(outcome.end == "refused" for outcome in outcomes)),
+        _share(len(right), len(identified)),
+        _share(sum(equation.is_confident for equation in right), len(right)),
         _share(sum(other.is_confident for other in others), len(others)),
-        _share(sum(its.is_confident for its in lawless), len(lawless)),
+        _share(sum(equation.is_confident for equation in lawless), len(lawless)),
         f"{np.median(seconds):.1f}",
         f"{max(seconds):.0f}",
     )

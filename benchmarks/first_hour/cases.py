@@ -103,8 +103,8 @@ def _charged(rows: int = 200) -> Columns:
     times = grid(rows, 0.05)
     u = np.where((times >= 2.0 - 1e-9) & (times < 6.0 - 1e-9), 1.0, 0.0)
     x, states = 0.5, [0.5]
-    for each in u[:-1].tolist():
-        x = 2.0 * each + (x - 2.0 * each) * math.exp(-0.05)
+    for switch in u[:-1].tolist():
+        x = 2.0 * switch + (x - 2.0 * switch) * math.exp(-0.05)
         states.append(x)
     return {"t": times, "x": np.array(states), "u": u}
 

@@ -36,8 +36,8 @@ def closed(times: FloatArray, **forms: Callable[[FloatArray], FloatArray]) -> Co
 
 def solved(rates: Rates, names: str, start: Sequence[float], times: FloatArray) -> Columns:
     """Return the solution of differential equations, to eleven digits; `names` has one letter for each state."""
-    its = solve_ivp(rates, (times[0], times[-1]), start, "DOP853", times, rtol=1e-11, atol=1e-13)
-    return {"t": times, **dict(zip(names, its.y, strict=True))}
+    solution = solve_ivp(rates, (times[0], times[-1]), start, "DOP853", times, rtol=1e-11, atol=1e-13)
+    return {"t": times, **dict(zip(names, solution.y, strict=True))}
 
 
 def noisy(columns: Columns, share: float, seed: int) -> Columns:
@@ -61,7 +61,7 @@ def joined(columns: Columns, **others: FloatArray) -> Columns:
 
 def without(columns: Columns, name: str) -> Columns:
     """Return the same without one of them."""
-    return {each: values for each, values in columns.items() if each != name}
+    return {other: values for other, values in columns.items() if other != name}
 
 
 def drawn(rows: int, seed: int, **kinds: str) -> Columns:
@@ -81,15 +81,15 @@ def _drawn(draw: np.random.Generator, rows: int, kind: str) -> FloatArray:
     if kind == "white":
         return white
     if kind == "red":
-        return _iterated(lambda state, each: 0.9 * state + each, 0.0, white)
+        return _iterated(lambda state, shock: 0.9 * state + shock, 0.0, white)
     walk = np.cumsum(white)
     return walk if kind == "walk" else np.exp(0.05 * walk)
 
 
 def _iterated(step: Callable[[float, float], float], start: float, drive: FloatArray) -> FloatArray:
     states = [start]
-    for each in drive.tolist()[1:]:
-        states.append(step(states[-1], each))
+    for shock in drive.tolist()[1:]:
+        states.append(step(states[-1], shock))
     return np.array(states)
 
 

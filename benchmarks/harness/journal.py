@@ -117,5 +117,7 @@ def kept_of(answer: Mapping[str, Any]) -> dict[str, Any]:
     if kept.get("simulation"):
         trajectories = kept["simulation"].get("trajectories") or []
         fields = ("name", "held_out", "r2")
-        kept["simulation"] = {"trajectories": [{name: each.get(name) for name in fields} for each in trajectories]}
+        kept["simulation"] = {
+            "trajectories": [{name: trajectory.get(name) for name in fields} for trajectory in trajectories]
+        }
     return kept

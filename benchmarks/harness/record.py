@@ -82,7 +82,7 @@ def load() -> float:
 def _finite(value: Any) -> Any:
     """Return `value` with null in place of every number that JSON cannot hold, at any depth."""
     if isinstance(value, Mapping):
-        return {key: _finite(each) for key, each in value.items()}
+        return {key: _finite(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
+        return [_finite(part) for part in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

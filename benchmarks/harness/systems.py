@@ -135,19 +135,19 @@ def trajectories(system: str, step: float = 0.1, seed: int = 0, noise: float = 0
     noisy = with_noise(solutions(chosen, [times] * RUNS, rng), noise, rng)
     measured = chosen.measured or chosen.states
     kept = [chosen.states.index(name) for name in measured]
-    return Sampled(measured, tuple(times for _ in noisy), tuple(each[:, kept] for each in noisy))
+    return Sampled(measured, tuple(times for _ in noisy), tuple(states[:, kept] for states in noisy))
 
 
 def solutions(system: System, times: Sequence[FloatArray], rng: np.random.Generator) -> list[FloatArray]:
     """Return a solution (n, 2) at each of `times` (n,), from the fixed initial conditions and then from drawn ones."""
-    fixed = [_solved(system, start, its) for start, its in zip(system.starts, times, strict=False)]
-    return fixed + [drawn(system, rng, its) for its in times[len(fixed) :]]
+    fixed = [_solved(system, start, grid) for start, grid in zip(system.starts, times, strict=False)]
+    return fixed + [drawn(system, rng, grid) for grid in times[len(fixed) :]]
 
 
 def with_noise(clean: Sequence[FloatArray], noise: float, rng: np.random.Generator) -> list[FloatArray]:
     """Return `clean` with Gaussian noise of `noise` times the standard deviation of each state, all pooled."""
     spread = np.concatenate(clean).std(axis=0)
-    return [each + noise * spread * rng.standard_normal(each.shape) for each in clean]
+    return [states + noise * spread * rng.standard_normal(states.shape) for states in clean]
 
 
 def drawn(system: System, rng: np.random.Generator, times: FloatArray) -> FloatArray:

@@ -90,12 +90,12 @@ def covered(
     """
     kept = np.isfinite(truth)
     rows = {name: values[kept] for name, values in columns.items()}
-    structure = _structure(expression, [float(each["value"]) for each in constants], rows)
+    structure = _structure(expression, [float(constant["value"]) for constant in constants], rows)
     if not structure.owners:
         return []
     used = sorted({entry for entry, _ in structure.owners})
     for field in ("fitted", "value"):
-        start = [float(each["value"] if each.get(field) is None else each[field]) for each in constants]
+        start = [float(constant["value"] if constant.get(field) is None else constant[field]) for constant in constants]
         values = _exact_fit(structure, np.array(start), used, truth[kept])
         if values is not None:
             return [_covered(constants[entry], float(values[entry])) for entry in used]

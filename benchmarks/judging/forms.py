@@ -71,7 +71,7 @@ _REASONS: Final[Mapping[Kind, str]] = {
 _APPROXIMATE: Final = "it only approximates the truth"
 
 
-def compare(found: str | None, truth: str, columns: Mapping[str, FloatArray], tolerance: float = 0.01) -> Form:
+def compare(text: str | None, truth: str, columns: Mapping[str, FloatArray], tolerance: float = 0.01) -> Form:
     """Tell whether `found` is exact in form: the truth with constants that differ by at most a relative `tolerance`.
 
     Both are infix text over the names of `columns`, (R,) values without errors.
@@ -79,14 +79,14 @@ def compare(found: str | None, truth: str, columns: Mapping[str, FloatArray], to
     Raises:
         UsageError: one of the texts is no expression over these names.
     """
-    if found is None:
+    if text is None:
         return NO_EQUATION
     with np.errstate(all="ignore"):
-        function_error = _function_error(found, truth, columns)
+        function_error = _function_error(text, truth, columns)
         points = _points(columns)
         model = _Model(truth, points)
         try:
-            tree = _parsed(found)
+            tree = _parsed(text)
             kind = model.match(_evaluated(tree, points))
             is_flat = _flat_calls(tree, points) > _flat_calls(_parsed(truth), points)
             if kind == "right" and (is_flat or not model.agrees(tree, _far_points(columns))):
@@ -101,23 +101,23 @@ def compare(found: str | None, truth: str, columns: Mapping[str, FloatArray], to
     return Form("right" if is_within else "near", None, reason, difference, function_error)
 
 
-def judge_form(found: str | None, truth: str, columns: Mapping[str, FloatArray], *, with_extra: bool = True) -> Form:
+def judge_form(text: str | None, truth: str, columns: Mapping[str, FloatArray], *, with_extra: bool = True) -> Form:
     """Compare the form of `found` with that of `truth`, both over the names of `columns`, (R,) values without errors.
 
     Without `with_extra`, extra terms are not looked for.
     """
-    if found is None:
+    if text is None:
         return NO_EQUATION
     points = _points(columns)
     with np.errstate(all="ignore"):
         model = _Model(truth, points)
         try:
-            values = _evaluated(_parsed(found), points)
+            values = _evaluated(_parsed(text), points)
             kind = model.match(values)
             if kind == "right":
-                needless = _needless(model, _parsed(found), points)
+                needless = _needless(model, _parsed(text), points)
                 return Form("extra" if needless else "right", needless)
-            extra = None if not with_extra else _extra(model, _parsed(found), points)
+            extra = None if not with_extra else _extra(model, _parsed(text), points)
         except (SyntaxError, RecursionError, ValueError, KeyError, TypeError, MemoryError):
             return Form("other")
     return Form(kind) if extra is None else Form("extra", extra)
@@ -125,8 +125,8 @@ def judge_form(found: str | None, truth: str, columns: Mapping[str, FloatArray],
 
 def _extra(model: "_Model", tree: ast.expr, points: Mapping[str, FloatArray]) -> int | None:
     """Return the number of smallest summands without which the form is right; None when there is none."""
-    summands = _merged([_evaluated(each, points) for each in _expanded(tree)][:MOST_SUMMANDS])
-    summands.sort(key=lambda each: -model.size(each))
+    summands = _merged([_evaluated(summand, points) for summand in _expanded(tree)][:MOST_SUMMANDS])
+    summands.sort(key=lambda summand: -model.size(summand))
     for left_out in range(1, min(MOST_EXTRA, len(summands) - 1) + 1):
         if model.match(sum(summands[: len(summands) - left_out], np.zeros(1))) == "right":
             return left_out
@@ -135,15 +135,15 @@ def _extra(model: "_Model", tree: ast.expr, points: Mapping[str, FloatArray]) ->
 
 def _needless(model: "_Model", tree: ast.expr, points: Mapping[str, FloatArray]) -> int:
     """Return how many summands and factors can be left out, one after the other, with little effect."""
-    found = 0
+    count = 0
     values = _evaluated(tree, points)
     while True:
         for shorter in _shorter(tree):
             if model.has_little_effect(values, _evaluated(shorter, points)):
-                tree, found = shorter, found + 1
+                tree, count = shorter, count + 1
                 break
         else:
-            return found
+            return count
 
 
 def _shorter(node: ast.expr) -> Iterator[ast.expr]:
@@ -156,12 +156,12 @@ def _shorter(node: ast.expr) -> Iterator[ast.expr]:
             elif isinstance(operator, ast.Mult | ast.Div):
                 yield from [left] if not _is_number(right) else []
                 yield from [right] if isinstance(operator, ast.Mult) and not _is_number(left) else []
-            yield from (ast.BinOp(each, operator, right) for each in _shorter(left))
-            yield from (ast.BinOp(left, operator, each) for each in _shorter(right))
+            yield from (ast.BinOp(shorter, operator, right) for shorter in _shorter(left))
+            yield from (ast.BinOp(left, operator, shorter) for shorter in _shorter(right))
         case ast.UnaryOp(operator, operand):
-            yield from (ast.UnaryOp(operator, each) for each in _shorter(operand))
+            yield from (ast.UnaryOp(operator, shorter) for shorter in _shorter(operand))
         case ast.Call(function, [argument]):
-            yield from (ast.Call(function, [each], []) for each in _shorter(argument))
+            yield from (ast.Call(function, [shorter], []) for shorter in _shorter(argument))
 
 
 def _is_number(node: ast.expr) -> bool:
@@ -223,10 +223,10 @@ class _Model:
     def agrees(self, tree: ast.expr, points: Mapping[str, FloatArray]) -> bool:
         """Tell whether the truth with the factors of the last match has the values of an equation at other points."""
         sought = self._run({**points, **dict(zip(self._names, self._factors.tolist(), strict=True))})
-        found = _evaluated(tree, points)
+        values = _evaluated(tree, points)
         scale = self._scale + np.abs(sought)
-        seen = np.isfinite(scale) & np.isfinite(found)
-        return bool((np.abs(found - sought)[seen] <= NEGLIGIBLE * scale[seen]).all())
+        seen = np.isfinite(scale) & np.isfinite(values)
+        return bool((np.abs(values - sought)[seen] <= NEGLIGIBLE * scale[seen]).all())
 
     def largest_difference(self) -> float:
         """Return the largest difference from 1 of the factors that the last match, which was right, has found.
@@ -261,7 +261,7 @@ def _points(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 def _flat_calls(tree: ast.expr, points: Mapping[str, FloatArray]) -> int:
     """Return the number of functions whose argument varies, but hardly."""
     calls = [node.args[0] for node in ast.walk(tree) if isinstance(node, ast.Call) and node.args]
-    spans = [float(np.ptp(values[np.isfinite(values)])) for values in (_evaluated(each, points) for each in calls)]
+    spans = [float(np.ptp(values[np.isfinite(values)])) for values in (_evaluated(call, points) for call in calls)]
     return sum(0.0 < span < FLAT for span in spans)
 
 
@@ -338,13 +338,13 @@ def _expanded(node: ast.expr) -> Iterator[ast.expr]:
             yield from _expanded(right)
         case ast.BinOp(left, ast.Sub(), right):
             yield from _expanded(left)
-            yield from (ast.UnaryOp(ast.USub(), each) for each in _expanded(right))
+            yield from (ast.UnaryOp(ast.USub(), summand) for summand in _expanded(right))
         case ast.UnaryOp(ast.USub(), operand):
-            yield from (ast.UnaryOp(ast.USub(), each) for each in _expanded(operand))
+            yield from (ast.UnaryOp(ast.USub(), summand) for summand in _expanded(operand))
         case ast.BinOp(left, ast.Mult(), right):
             yield from _products([*_expanded(left)], [*_expanded(right)])
         case ast.BinOp(left, ast.Div(), right):
-            yield from (ast.BinOp(each, ast.Div(), right) for each in _expanded(left))
+            yield from (ast.BinOp(summand, ast.Div(), right) for summand in _expanded(left))
         case ast.BinOp(left, ast.Pow(), ast.Constant(int(times))) if 1 < times <= 4:
             parts = [*_expanded(left)]
             total = parts
@@ -363,15 +363,15 @@ def _products(left: Sequence[ast.expr], right: Sequence[ast.expr]) -> Iterator[a
 
 def _merged(summands: Sequence[FloatArray]) -> list[FloatArray]:
     """Add up summands that are multiples of one another."""
-    found: list[FloatArray] = []
+    merged: list[FloatArray] = []
     for values in summands:
-        for place, other in enumerate(found):
+        for place, other in enumerate(merged):
             if _is_multiple(values, other):
-                found[place] = other + values
+                merged[place] = other + values
                 break
         else:
-            found.append(values)
-    return found
+            merged.append(values)
+    return merged
 
 
 def _is_multiple(left: FloatArray, right: FloatArray) -> bool:
@@ -380,13 +380,13 @@ def _is_multiple(left: FloatArray, right: FloatArray) -> bool:
     return norms > 0.0 and abs(float(left[kept] @ right[kept])) >= (1.0 - 1e-12) * norms
 
 
-def _function_error(found: str, truth: str, columns: Mapping[str, FloatArray]) -> float | None:
+def _function_error(text: str, truth: str, columns: Mapping[str, FloatArray]) -> float | None:
     """Return the root mean square difference over the truth's deviation, on fresh points of the range of each column.
 
     None where it is not finite.
     """
     generator = np.random.default_rng(0)
     fresh = {name: generator.uniform(values.min(), values.max(), FRESH_POINTS) for name, values in columns.items()}
-    values_on(found, fresh)  # raises UsageError, which `error_on` takes for no error
+    values_on(text, fresh)  # raises UsageError, which `error_on` takes for no error
     defined = np.isfinite(values_on(truth, fresh))
-    return error_on(found, truth, {name: values[defined] for name, values in fresh.items()}) if defined.any() else None
+    return error_on(text, truth, {name: values[defined] for name, values in fresh.items()}) if defined.any() else None

@@ -126,7 +126,7 @@ def _table(outcomes: Iterable[Outcome]) -> str:
 def _cells(outcome: Outcome) -> tuple[str, ...]:
     processor = ", ".join(f"{state} {seconds:.0f}" for state, seconds in outcome.processor.items())
     verdicts = [verdict or "none" for verdict in outcome.verdicts]
-    counts = ", ".join(f"{verdicts.count(each)} {each}" for each in sorted(set(verdicts)))
+    counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in sorted(set(verdicts)))
     return (
         outcome.system,
         f"{outcome.noise:g}",

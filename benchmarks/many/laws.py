@@ -19,18 +19,18 @@ def run(options: Namespace) -> None:
 
 
 def _judged(name: str, noise: float, seed: int, options: Namespace) -> tuple[str, ...]:
-    its = case(name, noise, seed, options)
+    searched = case(name, noise, seed, options)
     begun = time.process_time()
-    preparation = prepare(its.table, its.config)
+    preparation = prepare(searched.table, searched.config)
     assert preparation.recording is not None
-    config, names = with_screened_variables(preparation, its.config), preparation.dataset.names
+    config, names = with_screened_variables(preparation, searched.config), preparation.dataset.names
 
-    found = dict(find_all_laws(preparation, config, {}))
-    texts = [to_infix(found[state][0].program, names) if found[state] else None for state in its.equations]
+    laws = dict(find_all_laws(preparation, config, {}))
+    texts = [to_infix(laws[state][0].program, names) if laws[state] else None for state in searched.equations]
     seconds = time.process_time() - begun
     right = 0
-    for text, (state, truth) in zip(texts, its.equations.items(), strict=True):
-        form = judge_form(text, truth, its.columns, with_extra=False)
+    for text, (state, truth) in zip(texts, searched.equations.items(), strict=True):
+        form = judge_form(text, truth, searched.columns, with_extra=False)
         right += form.is_right
         if not form.is_right:
             note(f"{name} seed {seed} {state}: {form.kind}: {text}")

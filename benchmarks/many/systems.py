@@ -70,18 +70,18 @@ def sampled(system: System, seed: int, percent: float = 0.0) -> tuple[Sampled, F
     times = system.step * np.arange(system.points, dtype=np.float64)
 
     def field(_: float, values: FloatArray) -> FloatArray:
-        found = right_sides(values)
-        return found if system.order == 1 else np.concatenate([values[count:], found])
+        slopes = right_sides(values)
+        return slopes if system.order == 1 else np.concatenate([values[count:], slopes])
 
     runs = []
     for number in range(system.runs):
         start = system.draw(generator, number)
-        found = solve_ivp(field, (0.0, times[-1]), start, "LSODA", times, rtol=_TOLERANCE, atol=_TOLERANCE)
-        runs.append(found.y)
+        solution = solve_ivp(field, (0.0, times[-1]), start, "LSODA", times, rtol=_TOLERANCE, atol=_TOLERANCE)
+        runs.append(solution.y)
     whole = np.concatenate(runs, axis=1)
     deviations = whole[:count].std(axis=1)[:, None]
     noisy = [run[:count] + 0.01 * percent * deviations * generator.standard_normal((count, len(times))) for run in runs]
-    return Sampled(system.states, (times,) * len(runs), tuple(each.T for each in noisy)), whole
+    return Sampled(system.states, (times,) * len(runs), tuple(states.T for states in noisy)), whole
 
 
 _FLUX: Final = "x1*x6/(1 + (x6/0.52)^4)"
@@ -150,10 +150,10 @@ def _pendulums(count: int) -> System:
     """Return pendulums in a row, neighbours coupled by springs, in air."""
     equations: dict[str, str] = {}
     for place in range(count):
-        its = f"a{place + 1}"
+        angle = f"a{place + 1}"
         near = [f"a{other + 1}" for other in (place - 1, place + 1) if 0 <= other < count]
-        springs = f"2*({' + '.join(near)}) - {2 * len(near)}*{its}"
-        equations[its] = f"-9.81*sin({its}) - 0.1*{its}_dot + {springs}"
+        springs = f"2*({' + '.join(near)}) - {2 * len(near)}*{angle}"
+        equations[angle] = f"-9.81*sin({angle}) - 0.1*{angle}_dot + {springs}"
 
     def draw(generator: np.random.Generator, _: int) -> FloatArray:
         return np.concatenate([generator.uniform(-2.0, 2.0, count), generator.normal(size=count)])

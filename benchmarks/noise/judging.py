@@ -79,11 +79,6 @@ class Outcome:
     digest: str | None = None
     failure: str | None = None
 
-    @property
-    def found(self) -> int:
-        """Number of equations found."""
-        return sum(equation.found for equation in self.equations)
-
 
 def outcome(key: Key, case: Case, result: Mapping[str, Any], phases: Mapping[str, float]) -> Outcome:
     """Judge `result`, the contents of a result.json (parts that a version does not have may be missing)."""

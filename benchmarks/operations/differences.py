@@ -36,8 +36,8 @@ class Difference:
 def masked(value: Any) -> Any:
     """Return `value` without the keys `NOT_COMPARED`, at any depth."""
     if isinstance(value, Mapping):
-        return {key: masked(each) for key, each in value.items() if key not in NOT_COMPARED}
-    return [masked(each) for each in value] if isinstance(value, list) else value
+        return {key: masked(part) for key, part in value.items() if key not in NOT_COMPARED}
+    return [masked(part) for part in value] if isinstance(value, list) else value
 
 
 def masked_line(line: str) -> str:
@@ -76,10 +76,10 @@ def _written(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, sort_keys=True)
 
 
-def report(name: str, found: Sequence[Difference], places: int) -> str:
+def report(name: str, differing: Sequence[Difference], places: int) -> str:
     """Return what is to be said of one job: that both are equal, or the first `places` where they differ."""
-    if not found:
+    if not differing:
         return f"{name}: equal"
-    rest = [f"and {len(found) - places} more"] if len(found) > places else []
-    lines = [f"{name}: DIFFERS", *(each.shown(80) for each in found[:places]), *rest]
+    rest = [f"and {len(differing) - places} more"] if len(differing) > places else []
+    lines = [f"{name}: DIFFERS", *(difference.shown(80) for difference in differing[:places]), *rest]
     return "\n    ".join(lines)

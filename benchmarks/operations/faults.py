@@ -183,7 +183,7 @@ class Campaign:
     def show(self) -> None:
         """Print what came of it."""
         say(table(("strike", "number", "median lost s", "worst lost s", "longest s"), rows(self.blows)))
-        equal = sum(each.is_equal for each in self.jobs)
+        equal = sum(job.is_equal for job in self.jobs)
         per_strike = [job.lost_s for job in self.jobs if job.strikes]
         lines = [
             f"{len(self.blows)} strikes on {len(self.jobs)} jobs: {equal} of {len(self.jobs)} with the calm digest"
@@ -194,7 +194,7 @@ class Campaign:
                 f"{max(per_strike):.2f} s"
             )
         lines.append(
-            f"calm jobs took {statistics.median(each.seconds for each in self.calm.values()):.1f} s; load {load():.1f}"
+            f"calm jobs took {statistics.median(calm.seconds for calm in self.calm.values()):.1f} s; load {load():.1f}"
         )
         say("\n".join(["", *lines]))
 

@@ -62,10 +62,13 @@ def sampled(noise: float = 0.0) -> Samples:
     for epoch in range(EPOCHS):
         keys = [TaskKey(_JOB, variable, 1, island, epoch) for island in range(ISLANDS)]
         done = [_computed(engine, Task(key, blocks[key.island], False, commit_order)) for key in keys]
-        blocks = {to: {at: each.emigrants[to] for at, each in enumerate(done) if to in each.emigrants} for to in blocks}
-        islands = tuple(each.report for each in done)
+        blocks = {
+            to: {at: computed.emigrants[to] for at, computed in enumerate(done) if to in computed.emigrants}
+            for to in blocks
+        }
+        islands = tuple(computed.report for computed in done)
         reports.append(EpochReport(job=_JOB, variable=variable, term=1, epoch=epoch, islands=islands))
-    sent = sum(len(block) for each in done for block in each.emigrants.values())
+    sent = sum(len(block) for computed in done for block in computed.emigrants.values())
     key = TaskKey(_JOB, variable, 1, 0, EPOCHS)
     last = engine.begin(Task(key, blocks[0], False, commit_order, takes_snapshot=True))
     return Samples(tuple(reports), round(sent / (ISLANDS * config.evolution.population)), len(last.snapshot or b""))

@@ -192,40 +192,40 @@ def config_of(draw: np.random.Generator, table: Table) -> JobConfig:
     is_unfit = bool(draw.uniform() < UNFIT)
     moving = [name for name in named if is_unfit or _changes(columns[name])] or named
     some = tuple(moving[: int(draw.integers(1, len(moving) + 1))])
-    its: dict[str, Any] = {"states": some}
+    fields: dict[str, Any] = {"states": some}
     rest = tuple(name for name in named if name not in some)
     if rest and draw.uniform() < 0.7:
-        its["inputs"] = rest
+        fields["inputs"] = rest
     is_timed = False
     if draw.uniform() < 0.1:
-        its = {"target": moving[0], "inputs": tuple(each for each in named if each != moving[0]) or ("run",)}
+        fields = {"target": moving[0], "inputs": tuple(name for name in named if name != moving[0]) or ("run",)}
     elif draw.uniform() < 0.1 and len(moving) > 1:
-        its = {"states": (moving[0],), "derivatives": (moving[1],)}
+        fields = {"states": (moving[0],), "derivatives": (moving[1],)}
     else:
         is_timed = True
-        its["order"] = int(draw.choice([1, 1, 1, 2]))
-        if draw.uniform() < STOCHASTIC and its["order"] == 1:
-            noisy = _moved_by_noise({name: columns[name] for name in (*some, *its.get("inputs", ()))}, some)
-            its |= {"states": noisy, "stochastic": True} if noisy else {}
+        fields["order"] = int(draw.choice([1, 1, 1, 2]))
+        if draw.uniform() < STOCHASTIC and fields["order"] == 1:
+            noisy = _moved_by_noise({name: columns[name] for name in (*some, *fields.get("inputs", ()))}, some)
+            fields |= {"states": noisy, "stochastic": True} if noisy else {}
             some = noisy or some
         if draw.uniform() < 0.15:
-            its["angles"] = (Angle(column=some[0], degrees=bool(draw.integers(2))),)
+            fields["angles"] = (Angle(column=some[0], degrees=bool(draw.integers(2))),)
         if draw.uniform() < 0.1:
-            its["offsets"] = some[:1]
+            fields["offsets"] = some[:1]
     choices: dict[str, Any] = {"robust": True, "missing": "drop", "weights": "w"}
-    its |= {name: value for name, value in choices.items() if draw.uniform() < (0.95 if name == "missing" else 0.06)}
-    its |= _parts_of(draw, len(table.starts) > 1, is_timed and table.rows > 11, is_unfit)
-    if "stochastic" in its:
-        its = {name: value for name, value in its.items() if name not in NO_PROCESS}
+    fields |= {name: value for name, value in choices.items() if draw.uniform() < (0.95 if name == "missing" else 0.06)}
+    fields |= _parts_of(draw, len(table.starts) > 1, is_timed and table.rows > 11, is_unfit)
+    if "stochastic" in fields:
+        fields = {name: value for name, value in fields.items() if name not in NO_PROCESS}
     preset = PRESETS["paper" if draw.uniform() < 0.1 else "default"]
     operators = (("+", "-", "*", "/", "sin", "cos"), ("+", "*"), ("+", "-", "*", "/", "exp", "log", "sqrt", "pow"))
     space = preset.space.model_copy(update={"operators": operators[int(draw.choice([0, 0, 1, 2]))]})
     prior = {}
-    if draw.uniform() < 0.1 and "target" not in its:
+    if draw.uniform() < 0.1 and "target" not in fields:
         prior["guesses"] = {some[0]: (f"{some[0]}*0.3",)}
     if draw.uniform() < 0.1:
         prior["bounds"] = {"*": ("c > 0",)}
-    update = {"seed": 1, "data": DataConfig(**its), "space": space, "prior": preset.prior.model_copy(update=prior)}
+    update = {"seed": 1, "data": DataConfig(**fields), "space": space, "prior": preset.prior.model_copy(update=prior)}
     return preset.model_copy(update=update)
 
 
@@ -234,7 +234,7 @@ def _parts_of(draw: np.random.Generator, is_cut: bool, may_differ: bool, is_unfi
     marked = {"trajectory": "run"}
     kinds: list[dict[str, Any]] = [{"holdout": 1}, {"group": "run"}, {"per_trajectory": True}]
     if is_unfit:
-        return {name: value for each in (marked, *kinds) for name, value in each.items() if draw.uniform() < 0.3}
+        return {name: value for options in (marked, *kinds) for name, value in options.items() if draw.uniform() < 0.3}
     if not may_differ or draw.uniform() < 0.75:
         return {}
     chosen = kinds[int(draw.integers(3))] if draw.uniform() < 0.8 else {}
@@ -248,7 +248,7 @@ def _moved_by_noise(columns: Mapping[str, FloatArray], states: Sequence[str]) ->
         return ()
     kept = {name: columns[name][is_known] for name in states}
     steps = {name: np.diff(values) for name, values in kept.items() if 1e-60 < np.ptp(values) < 1e60}
-    return tuple(name for name, each in steps.items() if np.median(abs(np.diff(each))) > np.median(abs(each)) > 0.0)
+    return tuple(name for name, step in steps.items() if np.median(abs(np.diff(step))) > np.median(abs(step)) > 0.0)
 
 
 def _changes(values: FloatArray) -> bool:
@@ -267,8 +267,8 @@ def pools_of(draw: np.random.Generator, prepared: Prepared) -> dict[str, Pool]:
         programs = [from_infix(FRONTS[place].format(**names), dataset.names) for place in chosen]
         size = problem.target.standard_deviation
         front = [
-            FrontEntry(1 + place, size / (1 + place), size * size / (1 + place), 0, 1, 0, each.to_bytes())
-            for place, each in enumerate(programs)
+            FrontEntry(1 + place, size / (1 + place), size * size / (1 + place), 0, 1, 0, program.to_bytes())
+            for place, program in enumerate(programs)
         ]
         pools[problem.target.variable] = Pool(tuple(front[:2]), tuple(front[2:]))
     return pools
@@ -323,7 +323,7 @@ def play(seed: int) -> Outcome:
 
 
 def _where() -> str:
-    frames = [each for each in traceback.extract_tb(sys.exc_info()[2]) if "atoll" in each.filename]
+    frames = [frame for frame in traceback.extract_tb(sys.exc_info()[2]) if "atoll" in frame.filename]
     return " < ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in reversed(frames[-6:]))
 
 
@@ -370,13 +370,13 @@ def tell(seed: int) -> int:
 
 
 def _summed(outcomes: Sequence[Outcome]) -> int:
-    ends = Counter(each.end for each in outcomes)
+    ends = Counter(outcome.end for outcome in outcomes)
     bad = [outcome for outcome in outcomes if outcome.end in ("broke", "late")]
-    seconds = sorted(each.processor for each in outcomes)
+    seconds = sorted(outcome.processor for outcome in outcomes)
     say(f"{len(outcomes)} cases: {', '.join(f'{count} {end}' for end, count in sorted(ends.items()))}; "
         f"{seconds[len(seconds) // 2]:.2f} s of processor time in the median, {seconds[-1]:.0f} s at most")  # fmt: skip
-    for each in bad:
-        say(f"seed {each.seed} {each.end}: {each.sentence}")
+    for outcome in bad:
+        say(f"seed {outcome.seed} {outcome.end}: {outcome.sentence}")
     return int(bool(bad))
 
 

@@ -61,8 +61,8 @@ class Found:
         """Return what is to be the same by another revision."""
         printed = [masked_line(line) for line in self.printed]
         messages = without_progress(self.messages)
-        its = {"given": self.given, "exit_code": self.exit_code, "printed": printed, "messages": messages}
-        return {"digest": self.result.get("digest"), **its, "result": masked(self.result)}
+        compared = {"given": self.given, "exit_code": self.exit_code, "printed": printed, "messages": messages}
+        return {"digest": self.result.get("digest"), **compared, "result": masked(self.result)}
 
 
 @dataclass(frozen=True)
@@ -76,17 +76,17 @@ class Side:
     def given(self, job: str) -> str:
         """Return the hash of a job's words and files."""
         words = JOBS[job]
-        return _hash([json.dumps(words).encode(), *((self.files / each).read_bytes() for each in files_of(words))])
+        return _hash([json.dumps(words).encode(), *((self.files / file).read_bytes() for file in files_of(words))])
 
-    def found(self, job: str, address: str) -> Found:
+    def run(self, job: str, address: str) -> Found:
         """Have a job done by the service at `address`, from a folder of its own, so that all trees see the same paths.
 
         Raises AtollError where the service is not there any more.
         """
         with TemporaryDirectory(prefix="atoll-same-") as name:
             folder = Path(name)
-            for each in files_of(JOBS[job]):
-                shutil.copyfile(self.files / each, folder / each)
+            for file in files_of(JOBS[job]):
+                shutil.copyfile(self.files / file, folder / file)
             number = f"same-{list(JOBS).index(job)}"
             command = [str(self.program), "submit", *JOBS[job], "--id", number, "--out", "out", "--connect", address]
             ended = subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True)
@@ -94,7 +94,7 @@ class Side:
                 raise AtollError(f"{job}: {ended.stderr.strip()[-300:]}")
             path = folder / "out/result.json"
             written = path.read_text("utf-8") if path.exists() else "{}"
-        printed, messages, result = (each.replace(address, "ADDRESS") for each in (ended.stdout, ended.stderr, written))
+        printed, messages, result = (text.replace(address, "ADDRESS") for text in (ended.stdout, ended.stderr, written))
         code, lines = ended.returncode, (printed.splitlines(), messages.splitlines())
         return Found(job, self.given(job), self.sources, code, *lines, json.loads(result))
 
@@ -140,7 +140,7 @@ def _hash(parts: Iterable[bytes]) -> str:
 def journal_of(side: Side, path: Path | None, words: Sequence[str]) -> Journal[Found]:
     """Begin a file of what a side finds, or go on with it; raises UsageError where other code has written it."""
     journal = Journal(NAME, Found, path, words, resume=path is not None and path.exists())
-    if any(each.sources != side.sources for each in journal.outcomes.values()):
+    if any(outcome.sources != side.sources for outcome in journal.outcomes.values()):
         raise UsageError(f"{path} holds what another state of the code found; name another file with --record")
     return journal
 
@@ -151,10 +151,10 @@ def run_all(side: Side, names: Sequence[str], journal: Journal[Found], processes
     missing = [name for name in names if name not in known or known[name].given != side.given(name)]
     note(f"{len(names)} jobs, {len(names) - len(missing)} of them done before")
 
-    def found(job: str) -> Found:
+    def run_job(job: str) -> Found:
         address = free.get()
         try:
-            return side.found(job, address)
+            return side.run(job, address)
         finally:
             free.put(address)
 
@@ -163,41 +163,41 @@ def run_all(side: Side, names: Sequence[str], journal: Journal[Found], processes
         for _ in range(min(processes, len(missing))):
             free.put(stack.enter_context(serving(side.program)))
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)  # before services end, and what runs with them
-        for number, ended in enumerate(as_completed([pool.submit(found, each) for each in missing]), start=1):
+        for number, ended in enumerate(as_completed([pool.submit(run_job, name) for name in missing]), start=1):
             journal.add(ended.result())
             note(f"{number} of {len(missing)}: {told(ended.result())}")
 
 
-def told(found: Found) -> str:
+def told(outcome: Found) -> str:
     """Return how a job ended."""
-    seconds, search = (found.result.get(key, 0.0) for key in ("seconds", "search_seconds"))
-    return f"{found.job}: {seconds:.1f} s, of search {search:.1f} s, exit code {found.exit_code}"
+    seconds, search = (outcome.result.get(key, 0.0) for key in ("seconds", "search_seconds"))
+    return f"{outcome.job}: {seconds:.1f} s, of search {search:.1f} s, exit code {outcome.exit_code}"
 
 
 def compare(ours: Mapping[str, Found], theirs: Mapping[str, Found]) -> dict[str, list[Difference]]:
     """Return where the two differ, by job of ours; a job that theirs do not have differs as a whole."""
     return {
-        name: list(differences(each.compared(), theirs[name].compared() if name in theirs else None))
-        for name, each in ours.items()
+        name: list(differences(outcome.compared(), theirs[name].compared() if name in theirs else None))
+        for name, outcome in ours.items()
     }
 
 
 def other_versions(ours: Mapping[str, Found], theirs: Mapping[str, Found]) -> list[str]:
     """Return which versions of packages differ; where some do, results may."""
     pairs = [
-        (each.result.get("versions"), theirs[name].result.get("versions"))
-        for name, each in ours.items()
+        (outcome.result.get("versions"), theirs[name].result.get("versions"))
+        for name, outcome in ours.items()
         if name in theirs
     ]
-    return list(dict.fromkeys(its.shown(40) for pair in pairs for its in differences(*pair)))
+    return list(dict.fromkeys(difference.shown(40) for pair in pairs for difference in differences(*pair)))
 
 
-def summed(found: Mapping[str, Sequence[Difference]], places: int) -> str:
+def summed(by_job: Mapping[str, Sequence[Difference]], places: int) -> str:
     """Return a report of each job, and how many differ."""
-    differing = [its for its in found.values() if its]
-    digests = sum(each.place in ("", "digest") for its in differing for each in its)
-    lines = [report(name, its, places) for name, its in found.items()]
-    return "\n".join([*lines, f"\n{len(differing)} of {len(found)} jobs differ, {digests} of them in their digests"])
+    differing = [job_differences for job_differences in by_job.values() if job_differences]
+    digests = sum(difference.place in ("", "digest") for job_differences in differing for difference in job_differences)
+    lines = [report(name, job_differences, places) for name, job_differences in by_job.items()]
+    return "\n".join([*lines, f"\n{len(differing)} of {len(by_job)} jobs differ, {digests} of them in their digests"])
 
 
 @program(
@@ -219,7 +219,7 @@ def main(options: Namespace) -> int:
     with raising_interrupts(), TemporaryDirectory(prefix="atoll-same-") as name:
         FOLDER.mkdir(parents=True, exist_ok=True)
         names, files = _chosen(options.only), Path(name)
-        write_files(files, {each for job in names for each in files_of(JOBS[job])}, options.strogatz)
+        write_files(files, {file for job in names for file in files_of(JOBS[job])}, options.strogatz)
         ours = _found(options.other, options.record, names, files, options)
         if options.against:
             theirs = read(options.against, Found)
@@ -227,11 +227,11 @@ def main(options: Namespace) -> int:
             theirs = _found(options.revision, None, names, files, options)
         else:
             return 0
-    found = compare(ours, theirs)
-    for each in other_versions(ours, theirs):
-        note(f"versions differ: {each}")
-    say(summed(found, options.places))
-    return int(any(found.values()))
+    by_job = compare(ours, theirs)
+    for version in other_versions(ours, theirs):
+        note(f"versions differ: {version}")
+    say(summed(by_job, options.places))
+    return int(any(by_job.values()))
 
 
 def _chosen(word: str | None) -> list[str]:

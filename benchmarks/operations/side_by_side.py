@@ -70,7 +70,7 @@ class Beside:
 
     def ratio(self, what: str) -> float:
         """Return ours over theirs of one of the times of `Took`."""
-        ours, theirs = (max(float(getattr(each, what)), _LEAST_S) for each in (self.ours, self.theirs))
+        ours, theirs = (max(float(getattr(side, what)), _LEAST_S) for side in (self.ours, self.theirs))
         return ours / theirs
 
 
@@ -136,7 +136,7 @@ def jobs(folder: Path, strogatz: Path | None, seeds: Sequence[int]) -> dict[str,
         for seed in seeds
         for name, path in files
     }
-    return labels | {name: (str(Path(each[0]).absolute()), *each[1:]) for name, each in EXAMPLES.items()}
+    return labels | {name: (str(Path(words[0]).absolute()), *words[1:]) for name, words in EXAMPLES.items()}
 
 
 def run(program: Path, options: Sequence[str], folder: Path) -> Took:
@@ -160,7 +160,7 @@ def run(program: Path, options: Sequence[str], folder: Path) -> Took:
         command=seconds,
         processor=used.ru_utime + used.ru_stime,
         digest=str(result["digest"]),
-        equations=tuple(str(each["expression"]) for each in result["equations"]),
+        equations=tuple(str(equation["expression"]) for equation in result["equations"]),
         point_evaluations=result["point_evaluations"],
     )
 
@@ -176,55 +176,56 @@ def in_turn(
 
     A job that both have not run is left out.
     """
-    found: dict[str, tuple[list[Took], list[Took]]] = {}
+    runs: dict[str, tuple[list[Took], list[Took]]] = {}
     turn = count()
     for name in [name for _ in range(rounds) for name in names]:
         if not has_time():
             break
         pair = (ours, theirs) if next(turn) % 2 == 0 else (theirs, ours)
-        took = [each(name) for each in pair]
+        took = [side(name) for side in pair]
         mine, others = took if pair[0] is ours else reversed(took)
         note(f"{name}: search {mine.search:.3f} s, theirs {others.search:.3f} s")
-        found.setdefault(name, ([], []))[0].append(mine)
-        found[name][1].append(others)
-    return [Beside(name, median(mine), median(others)) for name, (mine, others) in found.items()]
+        runs.setdefault(name, ([], []))[0].append(mine)
+        runs[name][1].append(others)
+    return [Beside(name, median(mine), median(others)) for name, (mine, others) in runs.items()]
 
 
 def median(runs: Sequence[Took]) -> Took:
     """Return the medians of the times; all else is the first's, and the digest says so where it was not the same."""
-    times = {
-        what: statistics.median(getattr(each, what) for each in runs) for what in ("search", "command", "processor")
-    }
-    digests = dict.fromkeys(each.digest for each in runs)
+    times = {what: statistics.median(getattr(run, what) for run in runs) for what in ("search", "command", "processor")}
+    digests = dict.fromkeys(run.digest for run in runs)
     return Took(
         **times, digest=" ".join(digests), equations=runs[0].equations, point_evaluations=runs[0].point_evaluations
     )
 
 
-def shown(found: Sequence[Beside]) -> str:
+def shown(jobs_run: Sequence[Beside]) -> str:
     """Return a row for each job, and the geometric means."""
     rows = [
         (
-            each.job,
-            *(cell for what in ("search", "command", "processor") for cell in _cells(each, what)),
-            "same" if each.is_same else "DIFFERS",
-            "same" if each.ours.equations == each.theirs.equations else "DIFFER",
+            job.job,
+            *(cell for what in ("search", "command", "processor") for cell in _cells(job, what)),
+            "same" if job.is_same else "DIFFERS",
+            "same" if job.ours.equations == job.theirs.equations else "DIFFER",
         )
-        for each in found
+        for job in jobs_run
     ]
-    means = ("geometric mean", *(cell for what in ("search", "command", "processor") for cell in _means(found, what)))
+    means = (
+        "geometric mean",
+        *(cell for what in ("search", "command", "processor") for cell in _means(jobs_run, what)),
+    )
     heads = ("job", "search s", "theirs", "ratio", "command s", "theirs", "ratio", "cpu s", "theirs", "ratio")
     return table((*heads, "digest", "equations"), [*rows, (*means, "", "")])
 
 
-def _cells(each: Beside, what: str) -> tuple[str, str, str]:
-    return f"{getattr(each.ours, what):.3f}", f"{getattr(each.theirs, what):.3f}", f"{each.ratio(what):.2f}"
+def _cells(job: Beside, what: str) -> tuple[str, str, str]:
+    return f"{getattr(job.ours, what):.3f}", f"{getattr(job.theirs, what):.3f}", f"{job.ratio(what):.2f}"
 
 
-def _means(found: Sequence[Beside], what: str) -> tuple[str, str, str]:
+def _means(jobs_run: Sequence[Beside], what: str) -> tuple[str, str, str]:
     mine, others = (
         statistics.geometric_mean(max(getattr(side, what), _LEAST_S) for side in sides)
-        for sides in ([each.ours for each in found], [each.theirs for each in found])
+        for sides in ([job.ours for job in jobs_run], [job.theirs for job in jobs_run])
     )
     return f"{mine:.3f}", f"{others:.3f}", f"{mine / others:.3f}"
 
@@ -247,7 +248,7 @@ def main(options: Namespace) -> int:
         FOLDER.mkdir(parents=True, exist_ok=True)
         programs = [program_of(revision) for revision in (options.other, options.revision)]
         chosen = jobs(Path(name), options.strogatz, range(options.seeds))
-        kept = [each for each in chosen if options.only is None or options.only in each]
+        kept = [job for job in chosen if options.only is None or options.only in job]
         if not kept:
             raise UsageError(
                 f"no job has {options.only!r} in its name; the first of {len(chosen)} is {next(iter(chosen))!r}"
@@ -260,18 +261,20 @@ def main(options: Namespace) -> int:
 
         ours, theirs = map(runner, programs)
         note("kernels are compiled, and files read, before times are taken")
-        for each in (ours, theirs):
-            each(kept[0])
+        for side in (ours, theirs):
+            side(kept[0])
         end = time.monotonic() + 60.0 * options.minutes
-        found = in_turn(kept, ours, theirs, options.rounds, lambda: time.monotonic() < end)
-        if not found:
+        jobs_run = in_turn(kept, ours, theirs, options.rounds, lambda: time.monotonic() < end)
+        if not jobs_run:
             raise UsageError(f"no job ended within {options.minutes:g} minutes; give --minutes more")
-        record.write(jobs=[asdict(each) for each in found])
-    say(shown(found))
-    differing = sum(not each.is_same for each in found)
-    say(f"\n{options.other} beside {options.revision}: {differing} of {len(found)} digests differ; load {load():.1f}")
-    if len(found) < len(kept):
-        say(f"left out for lack of time: {len(kept) - len(found)} of {len(kept)} jobs")
+        record.write(jobs=[asdict(job) for job in jobs_run])
+    say(shown(jobs_run))
+    differing = sum(not job.is_same for job in jobs_run)
+    say(
+        f"\n{options.other} beside {options.revision}: {differing} of {len(jobs_run)} digests differ; load {load():.1f}"
+    )
+    if len(jobs_run) < len(kept):
+        say(f"left out for lack of time: {len(kept) - len(jobs_run)} of {len(kept)} jobs")
     return 1 if differing else 0
 
 

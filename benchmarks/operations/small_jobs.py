@@ -125,20 +125,20 @@ def write_files(folder: Path, names: Iterable[str], strogatz: Path | None) -> No
 def _write_labels(folder: Path, wanted: set[str], strogatz: Path | None) -> None:
     with TemporaryDirectory() as name:
         made = [path for _, path in write_labels(Path(name))] if wanted and strogatz is None else []
-        files = dict(zip((f"{each}.csv" for each in NAMES), made, strict=False))
-        for each in wanted:
-            shutil.copyfile(files[each] if strogatz is None else strogatz / each, folder / each)
+        files = dict(zip((f"{label}.csv" for label in NAMES), made, strict=False))
+        for file in wanted:
+            shutil.copyfile(files[file] if strogatz is None else strogatz / file, folder / file)
 
 
 def _of_system(system: str, percent: int, path: Path) -> None:
-    its = trajectories(system, 0.2, seed=1, noise=percent / 100)
-    write_csv(path, replace(its, times=its.times[:2], values=its.values[:2]))
+    system_data = trajectories(system, 0.2, seed=1, noise=percent / 100)
+    write_csv(path, replace(system_data, times=system_data.times[:2], values=system_data.values[:2]))
 
 
 def _of_many(system: str, path: Path) -> None:
-    its = lorenz96(6) if system == "lorenz96-6" else MANY[system]
-    found, _ = sampled(replace(its, runs=4, points=101), 1)
-    write_csv(path, found)
+    chosen = lorenz96(6) if system == "lorenz96-6" else MANY[system]
+    measured, _ = sampled(replace(chosen, runs=4, points=101), 1)
+    write_csv(path, measured)
 
 
 def _of_process(process: str, path: Path) -> None:
@@ -153,7 +153,7 @@ def _of_times(lengths: Sequence[int], is_even: bool, path: Path) -> None:
     """Write trajectories of Lotka and Volterra's system with so many rows, at times that are even or drawn."""
     draw, system = np.random.default_rng(4), SYSTEMS["lotka_volterra"]
     even = [0.1 * np.arange(rows, dtype=np.float64) for rows in lengths]
-    times = even if is_even else [np.sort(draw.uniform(0.0, each[-1], len(each))) for each in even]
+    times = even if is_even else [np.sort(draw.uniform(0.0, even_times[-1], len(even_times))) for even_times in even]
     write_csv(path, Sampled(system.states, tuple(times), tuple(solutions(system, times, draw))))
 
 
@@ -177,15 +177,15 @@ def _in_units(line: int, cells: list[str]) -> list[str]:
 
 
 def _degrees(path: Path) -> None:
-    its = trajectories("pendulum", 0.1, seed=1, noise=0.01)
-    turned = tuple((180.0 + np.degrees(each)) % 360.0 - 180.0 for each in its.values[:2])
-    write_csv(path, replace(its, times=its.times[:2], values=turned))
+    pendulum = trajectories("pendulum", 0.1, seed=1, noise=0.01)
+    turned = tuple((180.0 + np.degrees(angles)) % 360.0 - 180.0 for angles in pendulum.values[:2])
+    write_csv(path, replace(pendulum, times=pendulum.times[:2], values=turned))
 
 
 def _commas(path: Path) -> None:
     columns = CASES["predator and prey"].make()
     rows = zip(*(columns[name][:120].tolist() for name in ("t", "x", "y")), strict=True)
-    lines = [";".join(f"{each:.6f}" for each in row).replace(".", ",") for row in rows]
+    lines = [";".join(f"{cell:.6f}" for cell in row).replace(".", ",") for row in rows]
     path.write_text("\n".join(["# counted by day", "t;x;y", *lines]) + "\n", "utf-8")
 
 
@@ -198,7 +198,7 @@ def _derivatives(path: Path) -> None:
     draw = np.random.default_rng(5)
     x, y = draw.uniform(0.5, 4.0, (2, 120))
     slopes = SYSTEMS["lotka_volterra"].field(x, y)
-    noisy = {name: each + 0.05 * draw.standard_normal(120) for name, each in zip(("dx", "dy"), slopes, strict=True)}
+    noisy = {name: slope + 0.05 * draw.standard_normal(120) for name, slope in zip(("dx", "dy"), slopes, strict=True)}
     path.write_text(csv_of({"t": grid(120, 1.0), "x": x, "y": y, **noisy}, {}), "utf-8")
 
 

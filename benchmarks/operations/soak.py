@@ -150,27 +150,27 @@ class Soak:
 
     def trends(self) -> dict[tuple[str, str], Trend]:
         """Return the trend of each process's memory, files and threads after the first fifth of the time."""
-        settled_s = SETTLED_SHARE * max((each.at_s for each in self.samples), default=0.0)
-        found = {}
+        settled_s = SETTLED_SHARE * max((sample.at_s for sample in self.samples), default=0.0)
+        trends = {}
         for name in STAYING:
             series = [sample for sample in self.samples if sample.name == name and sample.at_s >= settled_s]
             if len(series) >= 3:
-                times = [each.at_s for each in series]
+                times = [sample.at_s for sample in series]
                 for what in ("memory", "files", "threads"):
-                    found[name, what] = trend(times, [float(getattr(each, what)) for each in series])
-        return found
+                    trends[name, what] = trend(times, [float(getattr(sample, what)) for sample in series])
+        return trends
 
     def show(self) -> bool:
         """Print what came of it; return whether all is well."""
         trends = self.trends()
-        rows = [(*key, *_row(each)) for key, each in trends.items()]
+        rows = [(*key, *_row(line)) for key, line in trends.items()]
         say(table(("process", "what", "mean", "an hour", ""), rows))
         lines = [
             f"{self.jobs.total()} jobs: {_counted(self.jobs)}; the guest: {_counted(self.guests)}; load {load():.1f}",
             *self.wrong,
         ]
         say("\n".join(["", *lines]))
-        return not self.wrong and all(each.is_flat for each in trends.values())
+        return not self.wrong and all(trend.is_flat for trend in trends.values())
 
 
 def measured(name: str, pid: int, at_s: float) -> Sample:

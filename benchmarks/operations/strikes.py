@@ -96,7 +96,11 @@ class Standing:
         """Return that of a job's view."""
         return cls(
             {variable.variable: variable.epoch for variable in view.variables},
-            {each.variable for each in view.variables if each.finished or view.state not in ("running", "preparing")},
+            {
+                variable.variable
+                for variable in view.variables
+                if variable.finished or view.state not in ("running", "preparing")
+            },
         )
 
     def is_passed_by(self, later: "Standing") -> bool:

@@ -45,7 +45,7 @@ def trend(times_s: Sequence[float], values: Sequence[float]) -> Trend:
     spread = sum((at - middle) ** 2 for at in times_s)
     slope = sum((at - middle) * (value - mean) for at, value in zip(times_s, values, strict=True)) / spread
     residuals = [value - mean - slope * (at - middle) for at, value in zip(times_s, values, strict=True)]
-    square = sum(each * each for each in residuals)
+    square = sum(residual * residual for residual in residuals)
     error = math.sqrt(square / max(1, count - 2) / spread)
     if square > 0.0:
         together = sum(one * two for one, two in itertools.pairwise(residuals)) / square

@@ -181,7 +181,7 @@ def _group(task: Task) -> tuple[str, Preset]:
 
 def _say_end(group: Sequence[Run]) -> None:
     task = group[0].task
-    note(f"{task.row}, preset {task.preset}: {sum(each.converged for each in group)} of {len(group)} runs converged")
+    note(f"{task.row}, preset {task.preset}: {sum(one.converged for one in group)} of {len(group)} runs converged")
 
 
 @program(

@@ -116,7 +116,7 @@ class Row:
     system: str
     variable: str
     derivatives: Derivatives
-    found: int
+    right: int
     searches: int
     seconds: float | None
     job_seconds: float | None
@@ -249,7 +249,7 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 SHOWN: Final = Columns(
-    "system | lhs=d{variable}/dt | derivatives | found={found} of {searches} | search s={seconds:.2f} | "
+    "system | lhs=d{variable}/dt | derivatives | found={right} of {searches} | search s={seconds:.2f} | "
     "job s={job_seconds:.2f} | evaluations={point_evaluations:.2e} | paper s={paper_seconds:.1f} | "
     "paper evaluations={paper_evaluations:.2e} | s ratio={seconds_ratio:.1f} | "
     "evaluations ratio={evaluations_ratio:.0f} | equation={shown}"

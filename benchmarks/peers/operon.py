@@ -105,7 +105,7 @@ class _Parts:
         self.op = op
         self.dataset = op.Dataset(np.asfortranarray(np.column_stack((inputs, label))))
         self.rows = op.Range(0, self.dataset.Rows)
-        *variables, target = sorted(self.dataset.Variables, key=lambda each: each.Index)
+        *variables, target = sorted(self.dataset.Variables, key=lambda variable: variable.Index)
         self.hashes = [variable.Hash for variable in variables]
         self.problem = op.Problem(self.dataset)
         self.problem.TrainingRange = self.rows
@@ -137,24 +137,24 @@ class _Parts:
             selector.TournamentSize = TOURNAMENT
         reinserter = op.KeepBestReinserter(comparison)
         crossover = op.SubtreeCrossover(INTERNAL_CROSSOVER, MAX_DEPTH, MAX_LENGTH)
-        mutation, mutations = op.MultiMutation(), self._mutations(creator, coefficients)
-        for each in mutations:
-            mutation.Add(each, 1.0)
+        mutations, kinds = op.MultiMutation(), self._mutations(creator, coefficients)
+        for kind in kinds:
+            mutations.Add(kind, 1.0)
         optimizer = op.LMOptimizer(self.table, self.problem, FIT_STEPS, 0)
         fit = op.CoefficientOptimizer(optimizer)
-        generator = op.BasicOffspringGenerator(self.evaluator, crossover, mutation, *selectors, fit)
+        generator = op.BasicOffspringGenerator(self.evaluator, crossover, mutations, *selectors, fit)
         config = _config(op, seed, generations)
         self.search = op.GeneticProgrammingAlgorithm(
             config, self.problem, initializer, coefficients, generator, reinserter
         )
         self._kept = (primitives, creator, coefficients, initializer, comparison, selectors, reinserter, crossover)
-        self._kept_too = (mutation, mutations, optimizer, fit, generator, config)
+        self._kept_too = (mutations, kinds, optimizer, fit, generator, config)
 
     def _mutations(self, creator: Any, coefficients: Any) -> list[Any]:
         op, primitives = self.op, self.problem.PrimitiveSet
         one, many, discrete = op.NormalOnePointMutation(), op.NormalMultiPointMutation(), op.DiscretePointMutation()
-        for each in (one, many):
-            each.ParameterizeDistribution(0, 1)
+        for point_mutation in (one, many):
+            point_mutation.ParameterizeDistribution(0, 1)
         for constant in op.Math.Constants:
             discrete.Add(constant, 1.0)
         return [

@@ -47,7 +47,7 @@ def solve(table: Table, operators: Sequence[str], seed: int, config: JobConfig =
     """
     begun = time.perf_counter()
     dataset = prepare(table, config).dataset
-    symbols = ",".join(("constant", "variable", *(SYMBOLS[each] for each in operators)))
+    symbols = ",".join(("constant", "variable", *(SYMBOLS[operator] for operator in operators)))
     equations = [_equation(dataset.inputs.T, target, dataset.names, symbols, seed) for target in dataset.targets]
     return {"equations": equations, "seconds": time.perf_counter() - begun, "warnings": []}
 
@@ -70,9 +70,9 @@ def _equation(inputs: FloatArray, target: Target, names: Sequence[str], symbols:
     regressor.fit(inputs, target.values)
     front = sorted(regressor.pareto_front_, key=_length)
     texts = [
-        _without_offset(regressor.get_model_string(each["tree"], _DIGITS, list(names)), each, deviation, len(inputs))
-        for each in front
-        if math.isfinite(_length(each))
+        _without_offset(regressor.get_model_string(model["tree"], _DIGITS, list(names)), model, deviation, len(inputs))
+        for model in front
+        if math.isfinite(_length(model))
     ]
     return {
         "variable": target.variable,

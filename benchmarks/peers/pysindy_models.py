@@ -84,7 +84,7 @@ def solve(method: str, seed: int, case: Case) -> dict[str, Any]:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         models = [*_models(method, data)]
-    best = min(models, key=lambda each: each.length, default=None)
+    best = min(models, key=lambda model: model.length, default=None)
     texts: Sequence[str | None] = best.expressions if best is not None else [None] * len(data.names)
     equations = [
         {"variable": name, "lhs": f"d{name}/dt", "expression": texts[index], "front": _others(models, index)}
@@ -104,7 +104,7 @@ def _models(method: str, data: _Data) -> Iterator[_Model]:
 
 def _others(models: Sequence[_Model], index: int) -> list[dict[str, str]]:
     """Return the different equations of one state on the whole grid."""
-    return [{"expression": text} for text in dict.fromkeys(each.expressions[index] for each in models)]
+    return [{"expression": text} for text in dict.fromkeys(model.expressions[index] for model in models)]
 
 
 def _measured(case: Case) -> _Data:
@@ -146,8 +146,8 @@ def _differentiated(data: _Data, libraries: Sequence[_Library]) -> Iterator[_Pro
     import pysindy as ps
 
     for method in (ps.FiniteDifference(), ps.SmoothedFiniteDifference()):
-        for each in libraries:
-            yield _problem(data, data.times, _library(each, True), method)
+        for library in libraries:
+            yield _problem(data, data.times, _library(library, True), method)
 
 
 def _weak(data: _Data) -> Iterator[_Problem]:
@@ -155,11 +155,11 @@ def _weak(data: _Data) -> Iterator[_Problem]:
     import pysindy as ps
 
     times = data.times[0]
-    if any(len(each) != len(times) or not np.array_equal(each, times) for each in data.times):
+    if any(len(other) != len(times) or not np.array_equal(other, times) for other in data.times):
         return
-    for each in (*PLAIN_LIBRARIES, *WAVY_LIBRARIES):
+    for terms in (*PLAIN_LIBRARIES, *WAVY_LIBRARIES):
         library = ps.WeakPDELibrary(
-            function_library=_library(each, False),
+            function_library=_library(terms, False),
             spatiotemporal_grid=times,
             include_bias=True,
             K=DOMAINS,
@@ -237,17 +237,17 @@ def _model(data: _Data, terms: Sequence[str], coefficients: FloatArray) -> _Mode
         _error(simulated(field, Path(times, states), MAX_EVALUATIONS), states)
         for times, states in zip(data.times, data.states, strict=True)
     ]
-    values = sum(each.size for each in data.states)
+    values = sum(state.size for state in data.states)
     spread = np.concatenate(data.states).var(axis=0)
-    error = sum(float((each / spread).sum()) for each in errors) / values
+    error = sum(float((errors_of_one / spread).sum()) for errors_of_one in errors) / values
     return _Model(expressions, count, values * math.log(max(error, 1e-30)) + count * math.log(values))
 
 
-def _error(found: FloatArray | None, states: FloatArray) -> FloatArray:
+def _error(simulated_states: FloatArray | None, states: FloatArray) -> FloatArray:
     """Return the squared errors summed over time for each state (S,)."""
-    if found is None:
+    if simulated_states is None:
         return np.full(states.shape[1], WORST * len(states))
-    return np.asarray(np.minimum((found - states) ** 2, WORST).sum(axis=0), dtype=np.float64)
+    return np.asarray(np.minimum((simulated_states - states) ** 2, WORST).sum(axis=0), dtype=np.float64)
 
 
 def as_infix(terms: Sequence[str], coefficients: Sequence[float]) -> str:

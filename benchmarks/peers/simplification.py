@@ -51,10 +51,10 @@ def compared(model: str, truth: str, symbols: Sequence[str]) -> dict[str, Any]:
     constant or undefined solves nothing.
     """
     sought = parsed(truth, symbols)
-    found = sympy.simplify(parsed(model, symbols), ratio=1)
-    if found.is_number:
-        return {"difference": False, "ratio": False, "text": f"the model is the constant {found}"}
-    difference, ratio = rounded(sought - found), rounded(found / sought)
+    answer = sympy.simplify(parsed(model, symbols), ratio=1)
+    if answer.is_number:
+        return {"difference": False, "ratio": False, "text": f"the model is the constant {answer}"}
+    difference, ratio = rounded(sought - answer), rounded(answer / sought)
     if not difference.is_constant() or ratio.is_constant():
         difference = rounded(sympy.simplify(difference, ratio=1))
     text = str(difference)

@@ -40,7 +40,7 @@ class Split:
 
 def truths(folder: Path) -> dict[str, str]:
     """Return the true expressions by name; raises DataError when they, or a file of data, are not there."""
-    missing = [each for each in ("truth.json", *(f"{name}.csv" for name in NAMES)) if not (folder / each).is_file()]
+    missing = [file for file in ("truth.json", *(f"{name}.csv" for name in NAMES)) if not (folder / file).is_file()]
     if missing:
         raise DataError(f"{folder} has no {missing[0]}; name the folder of the Strogatz files with --data")
     read: dict[str, str] = json.loads((folder / "truth.json").read_text("utf-8"))
@@ -69,7 +69,7 @@ def split(table: Table, name: str, seed: int, level: float) -> Split:
         deviation = level * float(np.sqrt(np.mean(labels**2)))
         training.columns[place] = labels + generator.normal(0.0, deviation, count)
     test = table.columns[:, order[count:]]
-    columns = {each: values for each, values in zip(table.names, test, strict=True) if each != LABEL}
+    columns = {column: values for column, values in zip(table.names, test, strict=True) if column != LABEL}
     return Split(training, columns, test[table.names.index(LABEL)])
 
 

@@ -91,12 +91,11 @@ def run(
                 outcomes.append(outcome(result, rows, (name, seed, level), known[name]))
                 records.add(outcomes[-1])
                 note(_line(title, outcomes[-1]))
-    records.write(
-        rates={f"{level:g}": rates([each for each in outcomes if each.level == level]) for level in options.noise}
-    )
+    searched = grouped(outcomes, lambda outcome: outcome.level)
+    records.write(rates={f"{level:g}": rates(runs) for level, runs in searched.items()})
     say(by_file(outcomes))
     say("\n" + by_level(outcomes))
-    return 0 if all(_is_ahead([each for each in outcomes if each.level == level]) for level in options.noise) else 1
+    return 0 if all(map(_is_ahead, searched.values())) else 1
 
 
 def outcome(result: Mapping[str, Any], rows: Split, key: tuple[str, int, float], truth: str) -> Outcome:
@@ -130,9 +129,9 @@ def rates(outcomes: Sequence[Outcome]) -> dict[str, float]:
     """Return the shares in % of `outcomes` solved by each rule, and with an equation on the front that is, strictly."""
     whole = 100.0 / len(outcomes)
     return {
-        "srbench": whole * sum(each.srbench for each in outcomes),
-        "strict": whole * sum(each.strict for each in outcomes),
-        "on_front": whole * sum(each.is_on_front for each in outcomes),
+        "srbench": whole * sum(outcome.srbench for outcome in outcomes),
+        "strict": whole * sum(outcome.strict for outcome in outcomes),
+        "on_front": whole * sum(outcome.is_on_front for outcome in outcomes),
     }
 
 
@@ -142,11 +141,11 @@ def by_file(outcomes: Sequence[Outcome]) -> str:
     rows = []
     searched = grouped(outcomes, lambda outcome: (outcome.file, outcome.level))
     for (file, level), runs in sorted(searched.items(), key=lambda item: item[0][1]):
-        seconds = [each.seconds for each in runs]
+        seconds = [run.seconds for run in runs]
         counts = (sum(getattr(run, rule) for run in runs) for rule in ("srbench", "strict", "is_on_front"))
         numbers = (f"{number} of {len(runs)}" for number in counts)
         times = (f"{statistics.median(seconds):.1f}", f"{max(seconds):.1f}")
-        evaluations = count(statistics.median(each.point_evaluations for each in runs))
+        evaluations = count(statistics.median(run.point_evaluations for run in runs))
         rows.append((file, f"{level:g}", *numbers, *times, evaluations))
     return table(heads, rows)
 
@@ -168,7 +167,7 @@ def by_level(outcomes: Sequence[Outcome]) -> str:
     for level, runs in sorted(grouped(outcomes, lambda outcome: outcome.level).items()):
         best, _, coevolved, operon = PUBLISHED.get(level, ("-", 0.0, "-", "-"))
         share = (f"{rate:.1f}" for rate in rates(runs).values())
-        seconds = f"{statistics.median(each.seconds for each in runs):.1f}"
+        seconds = f"{statistics.median(run.seconds for run in runs):.1f}"
         rows.append((f"{level:g}", str(len(runs)), *share, seconds, best, coevolved, operon))
     return table(heads, rows)
 

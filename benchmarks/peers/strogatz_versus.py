@@ -61,7 +61,7 @@ def run(
     records.write(summary=summary(races, limit))
     say(by_file(races, limit))
     say("\n" + totals(races, limit))
-    return 0 if all(each.ours is not None for each in races) else 1
+    return 0 if all(race.ours is not None for race in races) else 1
 
 
 def race(key: tuple[str, int], result: Mapping[str, Any], rows: Table, peer: operon.Run, target_error: float) -> Race:
@@ -105,40 +105,41 @@ def by_file(races: Sequence[Race], limit: float) -> str:
 
 def totals(races: Sequence[Race], limit: float) -> str:
     """Return the figures over all runs in a few lines."""
-    its = summary(races, limit)
-    worst = max(races, key=lambda each: counted(each.ours, limit))
-    ours = f"{its['met']} of {len(races)} met the target, geometric mean {its['mean_s']:.3f} s"
-    peers = f"{its['peers_met']} of {len(races)} met the target, geometric mean {its['peers_mean_s']:.3f} s"
-    worst_error = error_text(its["largest_error"])
+    figures = summary(races, limit)
+    worst = max(races, key=lambda race: counted(race.ours, limit))
+    ours = f"{figures['met']} of {len(races)} met the target, geometric mean {figures['mean_s']:.3f} s"
+    peers = f"{figures['peers_met']} of {len(races)} met the target, geometric mean {figures['peers_mean_s']:.3f} s"
+    worst_error = error_text(figures["largest_error"])
     lines = (
-        f"ours:   {ours}, slowest {its['slowest_s']:.2f} s ({worst.file} seed {worst.seed})",
-        f"Operon: {peers}, slowest {its['peers_slowest_s']:.2f} s",
-        f"ratio of the geometric means {its['ratio']:.3f}, geometric mean of the files' ratios {its['file_ratio']:.3f}",
-        f"largest error of ours that met it {worst_error}; load {its['load']:.1f}; limit {limit:g} s",
+        f"ours:   {ours}, slowest {figures['slowest_s']:.2f} s ({worst.file} seed {worst.seed})",
+        f"Operon: {peers}, slowest {figures['peers_slowest_s']:.2f} s",
+        f"ratio of the geometric means {figures['ratio']:.3f}, "
+        f"geometric mean of the files' ratios {figures['file_ratio']:.3f}",
+        f"largest error of ours that met it {worst_error}; load {figures['load']:.1f}; limit {limit:g} s",
     )
     return "\n".join(lines)
 
 
 def summary(races: Sequence[Race], limit: float) -> dict[str, Any]:
     """Return the figures over all runs."""
-    ours, peers = ([counted(get(each), limit) for each in races] for get in _SIDES)
+    ours, peers = ([counted(get(race), limit) for race in races] for get in _SIDES)
     by_files = [_medians(chosen, limit) for chosen in grouped(races, lambda race: race.file).values()]
     mean, peers_mean = statistics.geometric_mean(ours), statistics.geometric_mean(peers)
     return {
-        "met": sum(each.ours is not None for each in races),
+        "met": sum(race.ours is not None for race in races),
         "mean_s": mean,
         "slowest_s": max(ours),
-        "peers_met": sum(each.peers is not None for each in races),
+        "peers_met": sum(race.peers is not None for race in races),
         "peers_mean_s": peers_mean,
         "peers_slowest_s": max(peers),
         "ratio": mean / peers_mean,
         "file_ratio": statistics.geometric_mean([mine / other for mine, other in by_files]),
-        "largest_error": max((each.our_error or 0.0 for each in races if each.ours is not None), default=None),
-        "load": statistics.median(each.load for each in races),
+        "largest_error": max((race.our_error or 0.0 for race in races if race.ours is not None), default=None),
+        "load": statistics.median(race.load for race in races),
     }
 
 
-_SIDES: tuple[Callable[[Race], float | None], ...] = (lambda each: each.ours, lambda each: each.peers)
+_SIDES: tuple[Callable[[Race], float | None], ...] = (lambda race: race.ours, lambda race: race.peers)
 
 
 def counted(seconds: float | None, limit: float) -> float:
@@ -147,13 +148,13 @@ def counted(seconds: float | None, limit: float) -> float:
 
 
 def _medians(races: Sequence[Race], limit: float) -> tuple[float, float]:
-    ours, peers = (statistics.median(counted(get(each), limit) for each in races) for get in _SIDES)
+    ours, peers = (statistics.median(counted(get(race), limit) for race in races) for get in _SIDES)
     return ours, peers
 
 
 def _cells(seconds: Sequence[float | None], limit: float) -> tuple[str, str, str]:
     values = [counted(second, limit) for second in seconds]
-    met = sum(each is not None for each in seconds)
+    met = sum(time_s is not None for time_s in seconds)
     return f"{statistics.median(values):.2f}", f"{max(values):.2f}", f"{met} of {len(seconds)}"
 
 

@@ -43,21 +43,21 @@ def summarized(result: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "equations": [{key: equation[key] for key in keys} for equation in result["equations"]],
         "r2": {trajectory["name"]: trajectory["r2"] for trajectory in simulation["trajectories"]},
-        "noise": {state: its["relative"] for state, its in result["noise"].items()},
+        "noise": {state: noise["relative"] for state, noise in result["noise"].items()},
         "warnings": result["warnings"],
     }
 
 
-def lines(its: Mapping[str, Any]) -> list[str]:
+def lines(case: Mapping[str, Any]) -> list[str]:
     """Return one case as text."""
-    if "failure" in its:
-        return [f"{its['case']}: {its['failure']} ({its['seconds']:.0f} s)"]
-    found = [f"{its['case']}, {its['seconds']:.0f} s"]
-    for equation in its["equations"]:
-        found.append(f"  {equation['lhs']} = {equation['expression']}")
-        found += [f"    {_interval(constant)}" for constant in equation["constants"]]
-        found.append(f"    {equation['verdict']}: {equation['reason']}")
-    return [*found, f"  R2: {its['r2']}", *(f"  warning: {warning}" for warning in its["warnings"])]
+    if "failure" in case:
+        return [f"{case['case']}: {case['failure']} ({case['seconds']:.0f} s)"]
+    text_lines = [f"{case['case']}, {case['seconds']:.0f} s"]
+    for equation in case["equations"]:
+        text_lines.append(f"  {equation['lhs']} = {equation['expression']}")
+        text_lines += [f"    {_interval(constant)}" for constant in equation["constants"]]
+        text_lines.append(f"    {equation['verdict']}: {equation['reason']}")
+    return [*text_lines, f"  R2: {case['r2']}", *(f"  warning: {warning}" for warning in case["warnings"])]
 
 
 def _interval(constant: Mapping[str, Any]) -> str:

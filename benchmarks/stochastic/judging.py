@@ -84,8 +84,10 @@ def _covered(
     explicit = make_coefficients_explicit(from_infix(equation["expression"], names))
     implied, known = iter(equation["implied"]), equation["constants"]
     constants = [next(implied) if origin is None else known[origin] for origin in explicit.origins]
-    fitted = [{**each, "value": each["fitted"]} for each in constants]
-    values = {place: each["value"] for place, each in zip(constant_places(explicit.program), fitted, strict=True)}
+    fitted = [{**constant, "value": constant["fitted"]} for constant in constants]
+    values = {
+        place: constant["value"] for place, constant in zip(constant_places(explicit.program), fitted, strict=True)
+    }
     text = to_infix(with_constants(explicit.program, values), names)
-    found = covered(text, fitted, columns, truth)
-    return () if found is None else tuple(each.is_covered for each in found)
+    judged = covered(text, fitted, columns, truth)
+    return () if judged is None else tuple(constant.is_covered for constant in judged)

@@ -102,7 +102,7 @@ def _path(process: Process, rows: int, random: np.random.Generator, substeps: in
     rates = process.function([*process.drift.values(), *process.diffusion.values()])
     small, size = process.step / substeps, len(process.names)
     is_corrected = "0" in process.diffusion.values() and substeps > 1
-    states, found = [*process.starts], [[*process.starts]]
+    states, path = [*process.starts], [[*process.starts]]
     for _ in range(rows - 1):
         normal = (random.standard_normal((substeps, size)) * np.sqrt(small)).tolist()
         for draws in normal:
@@ -118,8 +118,8 @@ def _path(process: Process, rows: int, random: np.random.Generator, substeps: in
                     for state, begin, end in zip(moved, before, after[:size], strict=False)
                 ]
             states = moved
-        found.append(states)
-    return np.ascontiguousarray(np.array(found).T)
+        path.append(states)
+    return np.ascontiguousarray(np.array(path).T)
 
 
 def sampled(process: Process, paths: Sequence[FloatArray]) -> Sampled:

@@ -96,7 +96,7 @@ def test_one_variable_is_sought_and_both_may_be_used():
 
 def test_the_median_counts_a_miss_as_infinitely_long():
     row = summed_up([*searched(0.1, exact=False), *searched(1.0, 4.0)])
-    assert (row.found, row.searches, row.seconds, row.job_seconds, row.point_evaluations) == (2, 3, 4.0, 8.0, 4e6)
+    assert (row.right, row.searches, row.seconds, row.job_seconds, row.point_evaluations) == (2, 3, 4.0, 8.0, 4e6)
     assert row.is_found
     assert row.is_ahead
 
