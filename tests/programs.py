@@ -66,11 +66,11 @@ def until(condition: Callable[[], object]) -> bool:
 
 
 def children(parent: int) -> list[int]:
-    found: list[int] = []
+    pids: list[int] = []
     for task in Path(f"/proc/{parent}/task").iterdir():
         with contextlib.suppress(OSError):
-            found += map(int, (task / "children").read_text().split())
-    return found
+            pids += map(int, (task / "children").read_text().split())
+    return pids
 
 
 def is_gone(pid: int) -> bool:

@@ -119,8 +119,8 @@ def test_a_put_reaches_every_matching_subscriber_and_no_other(world: World, pref
     for bus in (one, world.router()):
         events = all_until(bus, lambda event: event == Message(prefix + "/a/b", b"2"))
         assert Message(prefix + "/c", b"1") not in events
-    found = {first(two, Message, lambda event: event.payload in (b"1", b"2")) for _ in range(2)}
-    assert found == {Message(prefix + "/c", b"1"), Message(prefix + "/a/b", b"2")}
+    received = {first(two, Message, lambda event: event.payload in (b"1", b"2")) for _ in range(2)}
+    assert received == {Message(prefix + "/c", b"1"), Message(prefix + "/a/b", b"2")}
 
 
 def test_a_put_reaches_also_the_one_who_put_it(world: World, prefix: str) -> None:

@@ -38,11 +38,11 @@ def answer(path: Path) -> dict[str, object]:
         "settled": sorted(settled_variables(preparation, plain, laws_among_many(preparation, plain))),
         "shown": {
             name: {
-                "expression": to_infix(its.program, dataset.names),
-                "verdict": its.grade,
-                "constants": [(each.fitted, each.std_error) for each in its.constants],
+                "expression": to_infix(equation.program, dataset.names),
+                "verdict": equation.grade,
+                "constants": [(constant.fitted, constant.std_error) for constant in equation.constants],
             }
-            for name, its in refinement.equations.items()
+            for name, equation in refinement.equations.items()
         },
         "dataset": dataset.digest,
         "noise": [target.noise.hex() for target in dataset.targets],

@@ -63,8 +63,12 @@ class Visit:
         """Return what is wrong with the page at a width in a colour scheme."""
         too_wide = self.fit(width)
         self.page.emulate_media(color_scheme=scheme)
-        found = axe.Axe().run(self.page, options=OPTIONS).response["violations"]
-        return too_wide + [f"{each['id']}: {each['nodes'][0]['html']}" for each in found if each["impact"] in SERIOUS]
+        complaints = axe.Axe().run(self.page, options=OPTIONS).response["violations"]
+        return too_wide + [
+            f"{complaint['id']}: {complaint['nodes'][0]['html']}"
+            for complaint in complaints
+            if complaint["impact"] in SERIOUS
+        ]
 
     def fit(self, width: int) -> list[str]:
         """Return a sentence if the page is wider than this."""
@@ -73,35 +77,35 @@ class Visit:
         return [f"the page is wider than {width} pixels"] if is_wide else []
 
 
-def renamed(found: dict[str, Any], old: str, new: str) -> dict[str, Any]:
+def renamed(complaints: dict[str, Any], old: str, new: str) -> dict[str, Any]:
     """Return a result in which a column has another name, wherever its name stands."""
 
     def of(value: Any) -> Any:
         if isinstance(value, dict):
-            return {of(key): each if key == "expression" else of(each) for key, each in value.items()}
+            return {of(key): complaint if key == "expression" else of(complaint) for key, complaint in value.items()}
         if isinstance(value, list):
             return [*map(of, value)]
         return new if value == old else value
 
-    made = cast(dict[str, Any], of(copy.deepcopy(found)))
-    made["symbols"] = {new if name == old else name: symbol for name, symbol in found["symbols"].items()}
+    made = cast(dict[str, Any], of(copy.deepcopy(complaints)))
+    made["symbols"] = {new if name == old else name: symbol for name, symbol in complaints["symbols"].items()}
     return made
 
 
 def hostile() -> dict[str, Any]:
     """Return a result whose columns, job, command and warnings look like HTML, or are long."""
-    found = renamed(
+    complaints = renamed(
         renamed(results.dynamics(job=HOSTILE, command=HOSTILE, warnings=[HOSTILE]), "x", HOSTILE), "y", LONG
     )
-    found["data"]["files"] = [HOSTILE, f"{LONG}.csv"]
-    return found
+    complaints["data"]["files"] = [HOSTILE, f"{LONG}.csv"]
+    return complaints
 
 
 def nothing() -> dict[str, Any]:
     """Return a result of which one equation was not found."""
-    found = results.dynamics(simulation=None)
-    found["equations"][1] |= {"expression": None, "verdict": "no model", "reason": "Nothing.", "front": []}
-    return found
+    contents = results.dynamics(simulation=None)
+    contents["equations"][1] |= {"expression": None, "verdict": "no model", "reason": "Nothing.", "front": []}
+    return contents
 
 
 REPORTS = {"dynamics": results.dynamics, "regression": results.regression, "process": results.process,
@@ -136,8 +140,12 @@ def test_the_site_loads_nothing_and_can_be_read_by_everybody(browser: Any, reque
     for file in sorted(site.resolve().rglob("*.html")):
         visit = Visit(browser, file)
         narrow = (390, "dark") if file.name in ("index.html", "tutorial.html", "api.html") else None
-        found = [*visit.look(1280, "light"), *(visit.look(*narrow) if narrow else visit.fit(390)), *visit.complaints]
+        complaints = [
+            *visit.look(1280, "light"),
+            *(visit.look(*narrow) if narrow else visit.fit(390)),
+            *visit.complaints,
+        ]
         visit.page.close()
-        if found:
-            wrong[str(file.relative_to(site.resolve()))] = found
+        if complaints:
+            wrong[str(file.relative_to(site.resolve()))] = complaints
     assert wrong == {}, json.dumps(wrong, indent=1)

@@ -46,13 +46,13 @@ def finish(process: subprocess.Popen[str]) -> tuple[str, str]:
 
 def workers_of(run: Path) -> list[int]:
     """Return the process ids of the workers of the run in that folder."""
-    found = []
+    lines = []
     for entry in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
             words = (entry / "cmdline").read_bytes().decode().split("\0")
             if "atoll_island_worker" in words and str(run) == str((entry / "cwd").readlink()):
-                found.append(int(entry.name))
-    return found
+                lines.append(int(entry.name))
+    return lines
 
 
 def parent_of(pid: int) -> int:
@@ -60,15 +60,15 @@ def parent_of(pid: int) -> int:
 
 
 def test_run_finds_the_equations_writes_the_result_and_leaves_no_process(tmp_path: Path) -> None:
-    its = coordinator("run", DATA, "--workers", "2", "--out", "out", "--json", cwd=tmp_path)
-    assert its.returncode == 0, its.stderr
-    printed = json.loads(its.stdout)
+    ended = coordinator("run", DATA, "--workers", "2", "--out", "out", "--json", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    printed = json.loads(ended.stdout)
     assert printed == json.loads((tmp_path / "out" / "result.json").read_text())
     assert (printed["schema"], printed["state"]) == (1, "done")
     assert [equation["converged"] for equation in printed["equations"]] == [True, True]
     assert [equation["verdict"] for equation in printed["equations"]] == ["exact", "exact"]
     for words in ("4 trajectories", "states: x, y", "(exact)", "total", "result in out/result.json"):
-        assert words in its.stderr
+        assert words in ended.stderr
     assert workers_of(tmp_path) == []
     again = coordinator("run", DATA, "--out", "out", cwd=tmp_path)
     assert again.returncode == 2
@@ -80,12 +80,12 @@ def test_run_finds_the_equations_writes_the_result_and_leaves_no_process(tmp_pat
 @pytest.mark.slow
 def test_a_target_error_that_is_not_met_is_exit_code_4_with_the_models_written(tmp_path: Path) -> None:
     options = ["--workers", "1", "--target-error", "1e-300", "--max-epochs", "1", "--id", "hopeless"]
-    its = coordinator("run", DATA, *options, cwd=tmp_path)
-    assert its.returncode == 4, its.stderr
-    assert "--target-error 1e-300 was not met" in its.stderr
+    ended = coordinator("run", DATA, *options, cwd=tmp_path)
+    assert ended.returncode == 4, ended.stderr
+    assert "--target-error 1e-300 was not met" in ended.stderr
     result = json.loads((tmp_path / "runs" / "hopeless" / "result.json").read_text())
     assert [equation["epoch"] for equation in result["equations"]] == [1, 1]
-    assert "dx/dt = " in its.stdout
+    assert "dx/dt = " in ended.stdout
 
 
 ENDLESS = ["--target-error", "1e-300", "--max-epochs", "1000000", "--workers", "2", "--out", "out"]
@@ -129,16 +129,16 @@ def test_a_worker_that_dies_is_said_and_started_again_as_long_as_somebody_watche
 
 
 def test_nobody_at_the_address_is_exit_code_3_within_seconds(tmp_path: Path) -> None:
-    its = coordinator("jobs", "--connect", "tcp/127.0.0.1:9", cwd=tmp_path)
-    assert its.returncode == 3
-    assert its.stderr.startswith("coordinator: ")
-    assert its.stderr.count("\n") == 1
-    assert "tcp/127.0.0.1:9" in its.stderr
+    ended = coordinator("jobs", "--connect", "tcp/127.0.0.1:9", cwd=tmp_path)
+    assert ended.returncode == 3
+    assert ended.stderr.startswith("coordinator: ")
+    assert ended.stderr.count("\n") == 1
+    assert "tcp/127.0.0.1:9" in ended.stderr
 
 
 def test_no_address_is_a_usage_error(tmp_path: Path) -> None:
-    its = coordinator("jobs", cwd=tmp_path)
-    assert (its.returncode, "--connect" in its.stderr, "ATOLL_CONNECT" in its.stderr) == (2, True, True)
+    ended = coordinator("jobs", cwd=tmp_path)
+    assert (ended.returncode, "--connect" in ended.stderr, "ATOLL_CONNECT" in ended.stderr) == (2, True, True)
 
 
 def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_a_service_says_what_it_waits_for_and_what_happened(tmp_path: Path) -> N
         assert told.count("cut") == 2
         (worker,) = json.loads(coordinator("workers", *connect, "--json", cwd=tmp_path).stdout)
         assert worker["counters"]["memory_bytes"] > 10_000_000
-        assert {each["kind"] for each in worker["counters"]["traffic"]} >= {"status", "report", "blob", "control"}
+        assert {entry["kind"] for entry in worker["counters"]["traffic"]} >= {"status", "report", "blob", "control"}
         serve.send_signal(signal.SIGTERM)
         _, err = finish(serve)
     lines = [json.loads(line) for line in err.splitlines() if line.startswith("{")]

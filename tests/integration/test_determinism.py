@@ -45,19 +45,19 @@ def answer(path: Path, **environment: str) -> Answer:
         cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True,
     )  # fmt: skip
     assert finished.returncode == 0, finished.stderr
-    found: Answer = json.loads(finished.stdout)
-    return found
+    written: Answer = json.loads(finished.stdout)
+    return written
 
 
 CLOSE = 1e-6
 """Standard errors by which an estimate may differ between processors: far below what is shown of it."""
 
 
-def assert_same(found: Answer, native: Answer) -> None:
+def assert_same(answered: Answer, native: Answer) -> None:
     """Compare bits of all but what refining shows, and of that equations, verdicts, and constants as far as shown."""
-    shown, its = found.pop("shown"), dict(native)
-    expected = its.pop("shown")
-    assert found == its
+    shown, native_answer = answered.pop("shown"), dict(native)
+    expected = native_answer.pop("shown")
+    assert answered == native_answer
     assert shown.keys() == expected.keys()
     for name, equation in expected.items():
         assert (shown[name]["expression"], shown[name]["verdict"]) == (equation["expression"], equation["verdict"])
@@ -94,5 +94,5 @@ def test_neither_the_order_of_hashes_nor_the_processor_matters(measurements: Pat
     """
     features = {"NPY_DISABLE_CPU_FEATURES": " ".join(dispatched_features())} if dispatched_features() else {}
     oldest = {"OPENBLAS_CORETYPE": "Nehalem", "OPENBLAS_NUM_THREADS": "1"}
-    found = answer(measurements, PYTHONHASHSEED="12345", **features, **oldest, **kernels.environment())
-    assert_same(found, native)
+    answered = answer(measurements, PYTHONHASHSEED="12345", **features, **oldest, **kernels.environment())
+    assert_same(answered, native)

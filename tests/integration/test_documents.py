@@ -68,7 +68,7 @@ NOT_RUN = {
 
 DOCUMENTS = documents.texts()
 BLOCKS = {name: documents.blocks(name, text) for name, text in DOCUMENTS.items()}
-PAGES = [name for name, found in BLOCKS.items() if found]
+PAGES = [name for name, blocks in BLOCKS.items() if blocks]
 
 _FUNCTIONS = """\
 set -eu
@@ -95,13 +95,13 @@ class Command(NamedTuple):
 
 def test_every_block_names_its_language() -> None:
     assert [
-        block[:3] for found in BLOCKS.values() for block in found if block.language not in documents.LANGUAGES
+        block[:3] for blocks in BLOCKS.values() for block in blocks if block.language not in documents.LANGUAGES
     ] == []
 
 
 def test_every_reason_is_needed_and_names_what_is_there() -> None:
-    texts = [command.text for found in BLOCKS.values() for block in found for command in commands(block)]
-    texts += [block.output[0] for found in BLOCKS.values() for block in found if block.language == "text"]
+    texts = [command.text for blocks in BLOCKS.values() for block in blocks for command in commands(block)]
+    texts += [block.output[0] for blocks in BLOCKS.values() for block in blocks if block.language == "text"]
     assert [pattern for pattern in NOT_RUN if not any(re.match(pattern, text) for text in texts)] == []
     named = [name for reason in NOT_RUN.values() for name in re.findall(r"tests/[\w/.]+|benchmarks/[\w/.]+", reason)]
     assert [name for name in named if not (ROOT / name).exists()] == []
@@ -123,14 +123,14 @@ def commands(block: Block) -> tuple[Command, ...]:
         pytest.skip("no bash to read the commands of pages")
     done = subprocess.run([shell, "-c", _FUNCTIONS + "id=one\n" + script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, (block, done.stderr)
-    said = (each.removesuffix("\0").split("\0") for each in done.stdout.split("\x01\0")[:-1])
+    said = (words.removesuffix("\0").split("\0") for words in done.stdout.split("\x01\0")[:-1])
     return tuple(Command(connect, words) for connect, *words in said)
 
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Service"]:
     """A coordinator and a worker, as the page on several machines starts them."""
-    serve, work, _ = (each.words[1:] for each in commands(BLOCKS["docs/how-to/several-machines.md"][0]))
+    serve, work, _ = (command.words[1:] for command in commands(BLOCKS["docs/how-to/several-machines.md"][0]))
     place = tmp_path_factory.mktemp("pages")
     serve = [word.replace("0.0.0.0:7447", "127.0.0.1:0") for word in serve]
     with started(place, "coordinator", *serve) as coordinator:
@@ -253,9 +253,9 @@ class Reader:
         if "runs/JOB" in block.text:
             self._save_results()
         code = compile("\n" * block.line + block.text, str(ROOT / block.page), "exec")
-        found, printed = output_of(lambda: exec(code, self._names))
+        outcome, printed = output_of(lambda: exec(code, self._names))
         self._printed += printed
-        assert found is None, (block.page, block.line, printed)
+        assert outcome is None, (block.page, block.line, printed)
 
     def _csv(self, block: Block) -> None:
         Path("block.csv").write_text(block.text, "utf-8")
@@ -282,10 +282,10 @@ def output_of(work: Any) -> tuple[Any, list[str]]:
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
-            found = work()
+            outcome = work()
         except SystemExit as end:  # after --help
-            found = end.code or 0
+            outcome = end.code or 0
         except Exception:
             traceback.print_exc()
-            found = "failed"
-    return found, [line.strip() for line in (err.getvalue() + out.getvalue()).splitlines()]
+            outcome = "failed"
+    return outcome, [line.strip() for line in (err.getvalue() + out.getvalue()).splitlines()]

@@ -13,6 +13,6 @@ def test_strikes_do_not_change_the_answer(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     words = ["--jobs", "1", "--strikes", "3", "--epochs", "50", "--islands", "2", "--out", str(figures)]
     assert main([*words, "--kinds", "kill-worker,stop-coordinator,kill-coordinator", "--seed", "2"]) == 0
-    found = json.loads(figures.read_text())
-    assert {blow["kind"] for blow in found["blows"]} >= {"kill-coordinator"}
-    assert [job["is_equal"] for job in found["jobs"]] == [True]
+    written = json.loads(figures.read_text())
+    assert {blow["kind"] for blow in written["blows"]} >= {"kill-coordinator"}
+    assert [job["is_equal"] for job in written["jobs"]] == [True]

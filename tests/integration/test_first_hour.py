@@ -58,31 +58,33 @@ def short(config: JobConfig) -> JobConfig:
 
 def played(case: Case, folder: Path) -> Outcome:
     """Play the job of a table from its file on; what is raised is not caught."""
-    its = request(case, folder)
-    table = read_table(its.files, its.config.data)
+    asked = request(case, folder)
+    table = read_table(asked.files, asked.config.data)
     world = World(workers=1, compute=RealCompute, prepare=prepare_table, refiner=refine)
     try:
         digest = patiently(lambda: world.client.upload(table.to_bytes()))
-        patiently(lambda: world.client.submit("job", case.name, short(its.config), digest, 0))
+        patiently(lambda: world.client.submit("job", case.name, short(asked.config), digest, 0))
         view = world.finish(limit_s=ENDLESS_S)
         answer = world.result() if view.state == "done" else {}
     finally:
         world.close()
-    broken = [each for each in answer.get("warnings", ()) if BROKE in each]
+    broken = [warning for warning in answer.get("warnings", ()) if BROKE in warning]
     end: End = "broke" if broken or (not answer and view.fault != "data") else "done" if answer else "refused"
     return Outcome(case.name, end, "".join(broken) or view.reason or "", judge(case, answer), 0.0, 0.0)
 
 
-@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(each, marks=pytest.mark.slow) for each in LONGER)])
+@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in LONGER)])
 def test_nothing_breaks_identified_laws_are_found_and_none_is_made_up(name: str, tmp_path: Path) -> None:
     with np.errstate(all="ignore"):  # as in the processes that do this
         outcome = played(CASES[name], tmp_path)
     assert is_as_it_should_be([outcome]), line(outcome)
-    assert all(its.is_found for its in outcome.equations if its.is_identified), line(outcome)
+    assert all(equation.is_found for equation in outcome.equations if equation.is_identified), line(outcome)
 
 
 @pytest.mark.slow
 def test_an_epidemic_with_noise_is_right_and_not_doubtful(tmp_path: Path) -> None:
     with np.errstate(all="ignore"):
         outcome = played(CASES["S + I + R = 1, 1 % of noise"], tmp_path)
-    assert [(its.is_found, its.verdict) for its in outcome.equations] == [(True, "good")] * 3, line(outcome)
+    assert [(equation.is_found, equation.verdict) for equation in outcome.equations] == [(True, "good")] * 3, line(
+        outcome
+    )

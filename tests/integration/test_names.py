@@ -24,9 +24,9 @@ def test_names_that_mean_something_elsewhere_are_names_here(tmp_path: Path) -> N
     lines += [",".join(map(repr, row)) for row in np.column_stack([target, *columns.values()]).tolist()]
     (tmp_path / "names.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     words = ["run", "names.csv", "--target", "label", "--workers", "1", "--max-epochs", "30", "--json"]
-    its = done(tmp_path, "coordinator", *words)
-    assert its.returncode == 0, its.stderr
-    result = json.loads(its.stdout)
+    ended = done(tmp_path, "coordinator", *words)
+    assert ended.returncode == 0, ended.stderr
+    result = json.loads(ended.stdout)
     symbols = result["symbols"]
     assert {name: symbols[name] for name in NAMES[:7]} == dict(zip(NAMES[:7], NAMES[:7], strict=True))
     assert set(symbols) >= {"S", "lambda", "v"}

@@ -18,9 +18,9 @@ def test_a_notebook_shows_progress_and_latex(tmp_path: Path) -> None:
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(CELL)])
     nbclient.NotebookClient(notebook, timeout=200, resources={"metadata": {"path": str(tmp_path)}}).execute()
     outputs = notebook.cells[0].outputs
-    (progress,) = (each for each in outputs if each.output_type == "display_data")
+    (progress,) = (output for output in outputs if output.output_type == "display_data")
     assert "x*(3 - x - 2*y)" in progress.data["text/html"]
-    (found,) = (each for each in outputs if each.output_type == "execute_result")
-    assert found.data["text/latex"].startswith("$\\displaystyle \\begin{aligned}\\frac{d x}{d t}")
-    assert "<math" in found.data["text/html"]
+    (shown,) = (output for output in outputs if output.output_type == "execute_result")
+    assert shown.data["text/latex"].startswith("$\\displaystyle \\begin{aligned}\\frac{d x}{d t}")
+    assert "<math" in shown.data["text/html"]
     assert list(tmp_path.iterdir()) == []

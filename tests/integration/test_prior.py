@@ -50,13 +50,13 @@ def test_runs_with_rates_of_their_own_obey_one_law_with_units_and_bounds(tmp_pat
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     (equation,) = result["equations"]
     assert equation["verdict"] == "exact", equation["reason"]
-    assert [each["bound"] for each in equation["bounds"]] == ["x > 0"]
+    assert [bound["bound"] for bound in equation["bounds"]] == ["x > 0"]
     model = Model(result)
     for group, rate in zip(model.groups, (0.5, 1.0, 1.7), strict=True):
-        its = model.of_group(group)
-        assert its.predict([[1.0]])[0, 0] == pytest.approx(0.5 * rate, rel=1e-6)
-        assert its.predict([[1.5]])[0, 0] == pytest.approx(0.375 * rate, rel=1e-6)
-    assert {each.unit for each in model.params.values()} <= {"1/h", "L/g", "L/(g h)", "L/(h g)", "g/L"}
+        group_model = model.of_group(group)
+        assert group_model.predict([[1.0]])[0, 0] == pytest.approx(0.5 * rate, rel=1e-6)
+        assert group_model.predict([[1.5]])[0, 0] == pytest.approx(0.375 * rate, rel=1e-6)
+    assert {param.unit for param in model.params.values()} <= {"1/h", "L/g", "L/(g h)", "L/(h g)", "g/L"}
     assert (
         "constants may differ between 3 groups of trajectories\nrequired: dx/dt has x\nbounds: dx/dt: x > 0"
         in answer.stderr

@@ -56,9 +56,9 @@ def digest(place: Path) -> str:
     """The digest of a plain run with one worker."""
     answer = done(place, "coordinator", "run", "data.csv", *SEARCH, "--workers", "1", "--out", "run", "--json")
     assert answer.returncode == 4, answer.stderr
-    found = json.loads(answer.stdout)["digest"]
-    assert isinstance(found, str)
-    return found
+    written = json.loads(answer.stdout)["digest"]
+    assert isinstance(written, str)
+    return written
 
 
 @pytest.mark.slow
@@ -67,7 +67,7 @@ def test_a_job_on_several_machines_has_the_digest_of_a_run_on_one(place: Path, d
         worker = started(place, "island_worker", "--connect", address, "--processes", "2", "--name", "lab")
         with worker as several, started(place, "island_worker", "--connect", address, "--processes", "1") as single:
             until(lambda: len(coordinator.workers()) == 3)
-            assert {"lab-0", "lab-1"} < {each.worker for each in coordinator.workers()}
+            assert {"lab-0", "lab-1"} < {worker.worker for worker in coordinator.workers()}
             pids = children(several.pid)
             assert len(pids) == 2
             followed = done(place, "coordinator", "submit", "data.csv", *SEARCH, "--id", "j", "--connect", address)
@@ -141,10 +141,12 @@ def test_a_process_that_is_killed_is_started_again_under_its_name(place: Path) -
         family = started(place, "island_worker", "--connect", address, "--processes", "2", "--name", "again")
         with family as parent:
             until(lambda: len(coordinator.workers()) == 2)
-            before = {each.worker: each.pid for each in coordinator.workers()}
+            before = {worker.worker: worker.pid for worker in coordinator.workers()}
             os.kill(before["again-0"], signal.SIGKILL)
-            until(lambda: {each.worker: each.pid for each in coordinator.workers()}["again-0"] != before["again-0"])
-            assert {each.worker: each.pid for each in coordinator.workers()}["again-1"] == before["again-1"]
+            until(
+                lambda: {worker.worker: worker.pid for worker in coordinator.workers()}["again-0"] != before["again-0"]
+            )
+            assert {worker.worker: worker.pid for worker in coordinator.workers()}["again-1"] == before["again-1"]
             parent.send_signal(signal.SIGTERM)
             assert parent.wait(LIMIT_S) == 0
     said = (place / "island_worker.log").read_text()
@@ -205,14 +207,14 @@ def test_a_job_through_two_routers_one_of_which_is_killed_under_way_has_the_same
         started(place, "island_worker", "--connect", central, "--processes", "1", "--name", "near", "--wait", "90"),
     ):
         with routing(place, "first", "--listen", central), connected(site, 60.0) as client:
-            until(lambda: {each.worker for each in client.workers() if each.state == "ready"} == {"near", "far"})
+            until(lambda: {worker.worker for worker in client.workers() if worker.state == "ready"} == {"near", "far"})
             submit = ("submit", "data.csv", *SEARCH, "--no-wait", "--id", "j", "--connect", site)
             assert done(place, "coordinator", *submit).stdout == "j\n"
             until(lambda: client.status("j").point_evaluations > 0)
         with routing(place, "again", "--listen", central), connected(site, 60.0) as client:
             until(lambda: client.status("j").state == "done")
             assert client.result("j")["digest"] == digest
-            assert {each.worker for each in client.workers() if each.state != "lost"} == {"near", "far"}
+            assert {worker.worker for worker in client.workers() if worker.state != "lost"} == {"near", "far"}
             second = done(place, "coordinator", "serve", "--router", site, "--state", "two")
             assert second.returncode == 2
             assert "a coordinator is there already" in second.stderr

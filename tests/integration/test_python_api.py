@@ -61,7 +61,7 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 def all_gone(host: int) -> bool:
     """Wait, within limits, until neither the host nor what names it as its parent is left; they end by themselves."""
-    return until(lambda: not any(_belongs(each, host) for each in Path("/proc").glob("[0-9]*")))
+    return until(lambda: not any(_belongs(process, host) for process in Path("/proc").glob("[0-9]*")))
 
 
 def _belongs(process: Path, host: int) -> bool:
@@ -90,15 +90,15 @@ def test_two_calls_give_the_digest_of_the_command_line_and_leave_nothing(tmp_pat
     for ending, code in (("alone", 0), ("killed", -9)):
         done = run([sys.executable, "script.py", str(DATA), ending], tmp_path)
         assert done.returncode == code, done.stderr
-        found = json.loads(done.stdout)
+        written = json.loads(done.stdout)
         calls = 2 if ending == "alone" else 1
-        assert found["digests"] == [digest_of_run] * calls
-        assert found["equations"] == ["dx/dt = x*(3 - x - 2*y)", "dy/dt = y*(2 - x - y)"]
-        assert found["threads"] == 1
-        assert found["endpoint"].startswith("unixsock-stream/")  # in a folder that no other user can enter
-        assert found["mode"] == 0o700
-        assert (found["killed"], found["is_same"]) == (2 * (calls - 1), True)  # workers that die are replaced
-        assert all_gone(found["host"])
+        assert written["digests"] == [digest_of_run] * calls
+        assert written["equations"] == ["dx/dt = x*(3 - x - 2*y)", "dy/dt = y*(2 - x - y)"]
+        assert written["threads"] == 1
+        assert written["endpoint"].startswith("unixsock-stream/")  # in a folder that no other user can enter
+        assert written["mode"] == 0o700
+        assert (written["killed"], written["is_same"]) == (2 * (calls - 1), True)  # workers that die are replaced
+        assert all_gone(written["host"])
         assert sorted(tmp_path.iterdir()) == before
 
 

@@ -18,6 +18,8 @@ def test_the_regressor_passes_the_checks_of_scikit_learn() -> None:
         )
     finally:
         session.close()
-    failed = {each["check_name"]: each["exception"] for each in checks if each["status"] not in ("passed", "skipped")}
+    failed = {
+        check["check_name"]: check["exception"] for check in checks if check["status"] not in ("passed", "skipped")
+    }
     assert failed == {}
     assert len(checks) > 40

@@ -15,15 +15,15 @@ def test_drift_and_diffusion_are_found_with_intervals_an_ensemble_and_a_density(
     random = np.random.default_rng(1)
     decay, rows = np.exp(-0.1), [2.0]
     spread = 0.5 * np.sqrt((1.0 - decay * decay) / 2.0)
-    for each in random.standard_normal(1500):
-        rows.append(1.0 + decay * (rows[-1] - 1.0) + spread * each)
+    for shock in random.standard_normal(1500):
+        rows.append(1.0 + decay * (rows[-1] - 1.0) + spread * shock)
     lines = [f"{0.1 * number:.1f},{value:.9g}" for number, value in enumerate(rows)]
     (tmp_path / "data.csv").write_text("\n".join(["t,x", *lines]) + "\n")
     options = ["--workers", "1", "--islands", "1", "--operators", "+,-,*", "--max-epochs", "2", "--out", "out"]
-    its = done(tmp_path, "coordinator", "run", "data.csv", "--stochastic", *options)
-    assert its.returncode == 0, its.stderr
-    assert "stationary density of x: " in its.stdout
-    assert "ensemble: " in its.stdout
+    ended = done(tmp_path, "coordinator", "run", "data.csv", "--stochastic", *options)
+    assert ended.returncode == 0, ended.stderr
+    assert "stationary density of x: " in ended.stdout
+    assert "ensemble: " in ended.stdout
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     drift, diffusion = result["equations"]
     assert (drift["lhs"], diffusion["lhs"]) == ("dx/dt", "d[x]/dt")

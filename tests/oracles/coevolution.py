@@ -32,10 +32,10 @@ def quality(losses_of_trainers: Sequence[FloatArray], chosen: Sequence[int], rel
     If `relative`, each difference is a share of the exact loss; without an exact loss there is none to predict.
     """
     differences = []
-    for each in losses_of_trainers:
-        exact = float(np.mean(each))
+    for trainer in losses_of_trainers:
+        exact = float(np.mean(trainer))
         if math.isfinite(exact):
-            difference = abs(predicted(each, chosen) - exact)
+            difference = abs(predicted(trainer, chosen) - exact)
             differences.append(difference / exact if relative and exact > 0.0 else difference)
     return float(np.mean(differences)) if differences else math.inf
 

@@ -17,7 +17,7 @@ def errors(output: FloatArray, target: FloatArray) -> tuple[float, float]:
     """Return mean absolute and mean squared error; infinite unless both are finite."""
     differences = [abs(float(a) - float(b)) for a, b in zip(output, target, strict=True)]
     absolute = math.fsum(differences) / len(target) if all(map(math.isfinite, differences)) else math.inf
-    squared = [each * each for each in differences]
+    squared = [difference * difference for difference in differences]
     mean_square = math.fsum(squared) / len(target) if all(map(math.isfinite, squared)) else math.inf
     return (absolute, mean_square) if math.isfinite(absolute + mean_square) else (math.inf, math.inf)
 
@@ -59,5 +59,5 @@ def best(
         scale = parameters[len(nodes) :]
         return scale[0] + scale[1:] @ node_values(moved, inputs)[terms] - target
 
-    found = minimised(residual, np.append(program.constants[nodes], start), x_scale="jac", max_nfev=500)
-    return constants_of(found.x), found.x[len(nodes) :], 2.0 * float(found.cost) / len(target)
+    fit = minimised(residual, np.append(program.constants[nodes], start), x_scale="jac", max_nfev=500)
+    return constants_of(fit.x), fit.x[len(nodes) :], 2.0 * float(fit.cost) / len(target)

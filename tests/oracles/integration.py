@@ -27,7 +27,7 @@ def integrate(
     columns = [np.asarray(start, dtype=np.float64)]
     for first, last in pairwise(times):
         with np.errstate(all="ignore"):
-            its = solve_ivp(rates, (first, last), columns[-1], "DOP853", rtol=1e-11, atol=1e-12)
-        assert its.success
-        columns.append(its.y[:, -1])
+            solution = solve_ivp(rates, (first, last), columns[-1], "DOP853", rtol=1e-11, atol=1e-12)
+        assert solution.success
+        columns.append(solution.y[:, -1])
     return np.array(columns).T

@@ -36,7 +36,7 @@ def _interpolate(times: list[float], values: list[float], row: int, nodes: list[
             value += weight * (values[node] - values[nodes[0]])
             square += weight * weight
         step = abs(value - last)
-        best = min(best, (value, step, math.sqrt(square)), key=lambda each: each[1])
+        best = min(best, (value, step, math.sqrt(square)), key=lambda candidate: candidate[1])
         last = value
     return best
 

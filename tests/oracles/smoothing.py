@@ -25,7 +25,7 @@ def stencil_derivative(times: FloatArray, values: FloatArray, row: int, count: i
 
 def left_out_error(times: FloatArray, values: FloatArray, row: int, count: int) -> tuple[float, float]:
     """Return value minus prediction from the other rows of a stencil of `count`, and the gain of noise in it."""
-    rows = [each for each in nearest_by_index(row, count, len(times)) if each != row]
+    rows = [index for index in nearest_by_index(row, count, len(times)) if index != row]
     unit = times[rows[-1]] - times[rows[0]]
     powers = np.vander((times[rows] - times[row]) / unit, increasing=True)
     weights = np.linalg.inv(powers)[0]
@@ -43,7 +43,7 @@ def loess(
 ) -> tuple[FloatArray, FloatArray]:
     """Return value, slope and curvature of a local polynomial, and their noise gains with the leverage."""
     window = min(span, len(times))
-    rows = sorted(sorted(range(len(times)), key=lambda each: (abs(times[each] - times[row]), -each))[:window])
+    rows = sorted(sorted(range(len(times)), key=lambda index: (abs(times[index] - times[row]), -index))[:window])
     bandwidth = max(abs(times[rows] - times[row])) * (1 + 1 / window) * max(1.0, span / window)
     offsets = (times[rows] - times[row]) / bandwidth
     roots = np.sqrt(trust[rows] * (1 - abs(offsets) ** 3) ** 3)

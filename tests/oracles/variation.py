@@ -22,7 +22,7 @@ def nodes_of(lists: Lists, p: int) -> list[Node]:
 
 def problems(lists: Lists, p: int, space: Space) -> list[str]:
     """Return what list `p` has that no list of `space` may have; empty for a sound one."""
-    found = []
+    places = []
     for i, (code, left, right, _) in enumerate(nodes_of(lists, p)):
         if i < space.terminals:
             limit = space.variables if code == VARIABLE else 1
@@ -30,8 +30,8 @@ def problems(lists: Lists, p: int, space: Space) -> list[str]:
         else:
             sound = code in space.operators.tolist() and 0 <= left < i and 0 <= right < i
         if not sound:
-            found.append(f"node {i}: {code} {left} {right}")
-    return found
+            places.append(f"node {i}: {code} {left} {right}")
+    return places
 
 
 def live_of(nodes: Sequence[Node]) -> set[int]:

@@ -80,16 +80,16 @@ def assert_one_sentence(error):
 
 
 def assert_sound(recording):
-    for its in recording.trajectories:
-        rows = len(its.times)
-        assert (np.diff(its.times) > 0.0).all()
-        assert its.measured.shape == (len(recording.states), rows)
-        assert not np.isinf(its.measured).any()
-        for array in (its.smoothed, its.slopes):
+    for trajectory in recording.trajectories:
+        rows = len(trajectory.times)
+        assert (np.diff(trajectory.times) > 0.0).all()
+        assert trajectory.measured.shape == (len(recording.states), rows)
+        assert not np.isinf(trajectory.measured).any()
+        for array in (trajectory.smoothed, trajectory.slopes):
             assert array.shape == (len(recording.states), rows)
             assert np.isfinite(array).all()
-        assert its.inputs.shape == its.input_slopes.shape == (len(recording.inputs), rows)
-        assert np.isfinite(its.inputs).all()
+        assert trajectory.inputs.shape == trajectory.input_slopes.shape == (len(recording.inputs), rows)
+        assert np.isfinite(trajectory.inputs).all()
 
 
 @pytest.mark.slow

@@ -63,7 +63,12 @@ def test_whatever_variables_are_called_they_are_written_and_read_alike(program, 
 
 @pytest.mark.slow
 def test_names_that_begin_like_functions_are_names_beside_each_operator():
-    beginnings = [each.text for each in OPERATORS if each.text and each.text.isalpha()] + ["tan", "cot", "ln", "fabs"]
+    beginnings = [operator.text for operator in OPERATORS if operator.text and operator.text.isalpha()] + [
+        "tan",
+        "cot",
+        "ln",
+        "fabs",
+    ]
     for first, second, ending in itertools.product(beginnings, beginnings, ("", "x", "_theta", "2")):
         names = (first + ending, second + ending + "_" * (first == second), "x")
         for code in (ADD, SUBTRACT, MULTIPLY, DIVIDE, POW):

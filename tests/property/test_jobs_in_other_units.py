@@ -66,8 +66,8 @@ NOISE = 0.02 * np.random.default_rng(6).standard_normal((2, 30))
 
 def turning(units: Units, noise: float) -> Table:
     """Return what turns about (2, -1): x' = 1.1 (y + 1), y' = -1.1 (x - 2)."""
-    columns = {name: getattr(units, name) * (its + noise * each)
-               for (name, its), each in zip(COLUMNS.items(), NOISE, strict=True)}  # fmt: skip
+    columns = {name: getattr(units, name) * (part + noise * entry)
+               for (name, part), entry in zip(COLUMNS.items(), NOISE, strict=True)}  # fmt: skip
     return table_of({"t": units.t * TIMES, **columns})
 
 
@@ -92,11 +92,11 @@ def prepared(units: Units, noise: float, **options: Any) -> Dataset:
 def test_a_search_is_given_the_same_rows_and_derivatives(options: dict[str, Any], noise: float) -> None:
     expected = prepared(SAME, noise, **options)
     for units in BINARY:
-        found = prepared(units, noise, **options)
-        assert found.warnings == expected.warnings
-        for name, one, other in zip(expected.names, found.inputs, expected.inputs, strict=True):
+        preparation = prepared(units, noise, **options)
+        assert preparation.warnings == expected.warnings
+        for name, one, other in zip(expected.names, preparation.inputs, expected.inputs, strict=True):
             np.testing.assert_allclose(one / units.of(name), other, rtol=1e-11, atol=1e-11)
-        for one, other in zip(found.targets, expected.targets, strict=True):
+        for one, other in zip(preparation.targets, expected.targets, strict=True):
             size = _size_of_target(units, options, one.variable)
             np.testing.assert_allclose(one.values / size, other.values, rtol=1e-11, atol=1e-11)
             assert one.standard_deviation / size == pytest.approx(other.standard_deviation, rel=1e-11)
@@ -118,8 +118,8 @@ def test_a_search_finds_an_equation_in_any_unit(units: Units) -> None:
     target = Target("x", "dx/dt", values, 0.0, float(values.std()))
     problem = Problem(("x", "y"), np.stack([units.x * x, units.y * y]), target)
     space = SpaceConfig(operators=("+", "-", "*"), terminals=7)
-    found = search(problem, config_of(population=32, generations=60, space=space), 3)
-    assert min(each.best_error for each in found.reports) < 1e-9
+    searched = search(problem, config_of(population=32, generations=60, space=space), 3)
+    assert min(outcome.best_error for outcome in searched.reports) < 1e-9
 
 
 # ------------------------------------------------------------------------------------------------------------ results
@@ -132,10 +132,10 @@ def refined(units: Units) -> dict[str, Any]:
     job = prepare_job(prepare_table, "j", turning(units, 0.0).to_bytes(), config)
     assert isinstance(job, JobPrepared)
     dataset = job.prepared.preparation.dataset
-    pools = {each.variable: Pool(_front(dataset.problem(each.variable), units)) for each in dataset.targets}
+    pools = {target.variable: Pool(_front(dataset.problem(target.variable), units)) for target in dataset.targets}
     refinement = refine_job(refine, "j", job.prepared, pools).refinement
-    outcomes = [VariableOutcome(name, its.front, 1, refined=refinement.equations.get(name))
-                for name, its in pools.items()]  # fmt: skip
+    outcomes = [VariableOutcome(name, pool.front, 1, refined=refinement.equations.get(name))
+                for name, pool in pools.items()]  # fmt: skip
     done = Account("done", 1.0, 1.0)
     return build_result("j", job.prepared.config, job.prepared.preparation, outcomes, done, refinement).as_dict()
 
@@ -157,37 +157,42 @@ def _front(problem: Problem, units: Units) -> tuple[FrontEntry, ...]:
     return tuple(front)
 
 
-def rates(found: dict[str, Any], units: Units) -> FloatArray:
+def rates(contents: dict[str, Any], units: Units) -> FloatArray:
     """Return the right-hand sides (2, R) of a result at the measured rows, in units of 1."""
-    inputs = np.stack([getattr(units, name) * its for name, its in COLUMNS.items()])
+    inputs = np.stack([getattr(units, name) * scale for name, scale in COLUMNS.items()])
     return np.stack([
-        values_of(from_infix(its["expression"], ["x", "y"]), inputs) / units.of(its["variable"] + "dot")
-        for its in found["equations"]
+        values_of(from_infix(equation["expression"], ["x", "y"]), inputs) / units.of(equation["variable"] + "dot")
+        for equation in contents["equations"]
     ])  # fmt: skip
 
 
 @pytest.mark.parametrize("units", DECIMAL)
 def test_a_job_gives_the_same_equations_and_verdicts(units: Units) -> None:
-    expected, found = refined(SAME), refined(units)
-    assert [its["verdict"] for its in expected["equations"]] == ["exact", "exact"]
+    expected, contents = refined(SAME), refined(units)
+    assert [equation["verdict"] for equation in expected["equations"]] == ["exact", "exact"]
     for name in ("verdict", "reason", "origin"):
-        assert [its.get(name) for its in found["equations"]] == [its.get(name) for its in expected["equations"]], name
-    assert found["warnings"] == expected["warnings"]
+        assert [equation.get(name) for equation in contents["equations"]] == [
+            equation.get(name) for equation in expected["equations"]
+        ], name
+    assert contents["warnings"] == expected["warnings"]
     exact = np.stack([1.1 * (COLUMNS["y"] + 1.0), -1.1 * (COLUMNS["x"] - 2.0)])
-    np.testing.assert_allclose(rates(found, units), exact, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(rates(contents, units), exact, rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("units", DECIMAL[:1])
 def test_what_is_asked_of_a_result_is_the_same(units: Units) -> None:
-    expected, found = Model(refined(SAME)), Model(refined(units))
-    for model, its in ((expected, SAME), (found, units)):
-        data = {"t": TIMES * its.t, **{name: getattr(its, name) * each for name, each in COLUMNS.items()}}
+    expected, model_there = Model(refined(SAME)), Model(refined(units))
+    for model, scale in ((expected, SAME), (model_there, units)):
+        data = {"t": TIMES * scale.t, **{name: getattr(scale, name) * part for name, part in COLUMNS.items()}}
         assert model.score(data) == pytest.approx(1.0, abs=1e-9)
-        simulated = model.simulate({"x": 2.5 * its.x, "y": -1.0 * its.y}, np.array([0.0, 1.0, 5.0]) * its.t)
-        np.testing.assert_allclose(simulated.x[:, 0] / its.x, 2.0 + 0.5 * np.cos([0.0, 1.1, 5.5]), rtol=1e-6)
+        simulated = model.simulate({"x": 2.5 * scale.x, "y": -1.0 * scale.y}, np.array([0.0, 1.0, 5.0]) * scale.t)
+        np.testing.assert_allclose(simulated.x[:, 0] / scale.x, 2.0 + 0.5 * np.cos([0.0, 1.1, 5.5]), rtol=1e-6)
         namespace: dict[str, Any] = {}
         exec(model.export("python"), namespace)
-        slopes = np.array(namespace["rates"](0.0, [2.5 * its.x, -0.5 * its.y])) / [its.of("xdot"), its.of("ydot")]
+        slopes = np.array(namespace["rates"](0.0, [2.5 * scale.x, -0.5 * scale.y])) / [
+            scale.of("xdot"),
+            scale.of("ydot"),
+        ]
         np.testing.assert_allclose(slopes, [0.55, -0.55], rtol=1e-6)
 
 
@@ -195,26 +200,27 @@ def decay(size: float, clock: float) -> Result:
     """Return a result of x' = -0.5 x with noise of a hundredth and a rival that saturates."""
     times = np.linspace(0.0, 2.0, 12)
     x = size * (2.0 * np.exp(-0.5 * times) + 0.01 * np.random.default_rng(2).standard_normal(12))
-    found = measured({"x": f"{-0.5 / clock!r}*x"}, [(clock * times, {"x": x})], 0.01 * size)
+    contents = measured({"x": f"{-0.5 / clock!r}*x"}, [(clock * times, {"x": x})], 0.01 * size)
     texts = (f"{-0.5 / clock!r}*x", f"{-4.0 * size / clock!r}*x/({7.0 * size!r} + x)")
-    found["equations"][0]["candidates"] = [
+    contents["equations"][0]["candidates"] = [
         {"expression": text, "complexity": 3 + 4 * place, "nats": 4.0 * place, "origin": "front", "selected": not place}
         for place, text in enumerate(texts)
     ]
-    return Result.of(found)
+    return Result.of(contents)
 
 
 @pytest.mark.parametrize(("size", "clock"), [(1e12, 1e-6), (2.0**-40, 2.0**20)])
 def test_suggestions_and_profiles_are_the_same(size: float, clock: float) -> None:
-    asked = [suggest(decay(*its), Request({"x": (0.1 * its[0], 20.0 * its[0])}, count=2))
-             for its in ((1.0, 1.0), (size, clock))]  # fmt: skip
-    expected, found = ([
-        [each.initial["x"] / its[0], each.times[-1] / its[1], each.information, each.evidence, len(each.times)]
-        for each in one.experiments
-    ] for one, its in zip(asked, ((1.0, 1.0), (size, clock)), strict=True))  # fmt: skip
+    asked = [suggest(decay(*scale), Request({"x": (0.1 * scale[0], 20.0 * scale[0])}, count=2))
+             for scale in ((1.0, 1.0), (size, clock))]  # fmt: skip
+    expected, experiments = ([
+        [experiment.initial["x"] / scale[0], experiment.times[-1] / scale[1], experiment.information,
+         experiment.evidence, len(experiment.times)]
+        for experiment in one.experiments
+    ] for one, scale in zip(asked, ((1.0, 1.0), (size, clock)), strict=True))  # fmt: skip
     assert asked[1].purpose == asked[0].purpose
-    np.testing.assert_allclose(np.array(found, float), np.array(expected, float), rtol=1e-5)
-    one, other = (identify(decay(*its))["c1"] for its in ((1.0, 1.0), (size, clock)))
+    np.testing.assert_allclose(np.array(experiments, float), np.array(expected, float), rtol=1e-5)
+    one, other = (identify(decay(*scale))["c1"] for scale in ((1.0, 1.0), (size, clock)))
     assert other.verdict == one.verdict == "determined"
     np.testing.assert_allclose(np.array(other.interval) * clock, one.interval, rtol=1e-5)
 
@@ -222,24 +228,24 @@ def test_suggestions_and_profiles_are_the_same(size: float, clock: float) -> Non
 # ------------------------------------------------------------------------------------------------------------- report
 
 
-def scaled(found: Any, factor: float) -> Any:
+def scaled(contents: Any, factor: float) -> Any:
     """Return the numbers of trajectories in another unit."""
-    if isinstance(found, dict):
-        return {name: scaled(each, factor) for name, each in found.items()}
-    if isinstance(found, list):
-        return [scaled(each, factor) for each in found]
-    return factor * found if isinstance(found, float) else found
+    if isinstance(contents, dict):
+        return {name: scaled(content, factor) for name, content in contents.items()}
+    if isinstance(contents, list):
+        return [scaled(content, factor) for content in contents]
+    return factor * contents if isinstance(contents, float) else contents
 
 
 def test_pictures_of_a_report_are_the_same() -> None:
     """But for the numbers at their axes."""
     pages = []
     for factor in (1.0, 2.0**-40, 2.0**40):
-        found = dynamics()
-        (part,) = found["simulation"]["trajectories"]
+        contents = dynamics()
+        (part,) = contents["simulation"]["trajectories"]
         part |= {name: scaled(part[name], factor) for name in ("times", "values", "lower", "upper", "measured")}
-        found["noise"] = scaled(found["noise"], factor)
-        text = "".join(map(to_text, trajectories(Findings(Result.of(found), None))))
+        contents["noise"] = scaled(contents["noise"], factor)
+        text = "".join(map(to_text, trajectories(Findings(Result.of(contents), None))))
         pages.append(re.findall(r"<(?:polyline|polygon|path|circle)(?! class=\"grid)[^>]*>", text))
     assert len(pages[0]) > 4
     assert pages[1] == pages[2] == pages[0]

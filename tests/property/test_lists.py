@@ -113,10 +113,10 @@ def test_distance_is_that_of_the_definition(space, seed):
     other = empty_lists(2, space.nodes)
     cross(other, lists, 0, 1, space, stream_of(seed))
     for two, q in ((lists, 1), (other, 0), (other, 1), (lists, 0)):
-        found = distance_of(lists, 0, two, q)
-        assert found == oracle.distance(oracle.nodes_of(lists, 0), oracle.nodes_of(two, q))
-        assert found == distance_of(two, q, lists, 0)
-    assert found == 0
+        distance = distance_of(lists, 0, two, q)
+        assert distance == oracle.distance(oracle.nodes_of(lists, 0), oracle.nodes_of(two, q))
+        assert distance == distance_of(two, q, lists, 0)
+    assert distance == 0
 
 
 @QUICK

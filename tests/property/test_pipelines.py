@@ -14,7 +14,7 @@ CASES = 8
 @pytest.mark.parametrize("first", range(0, CASES, 2))
 def test_nothing_breaks_whatever_a_table_is_made_of(first: int) -> None:
     outcomes = [play(seed) for seed in range(first, first + 2)]
-    assert [each for each in outcomes if each.end not in ("done", "refused")] == []
+    assert [outcome for outcome in outcomes if outcome.end not in ("done", "refused")] == []
 
 
 def test_most_cases_reach_their_end_and_equal_seeds_are_equal_cases() -> None:
@@ -23,7 +23,7 @@ def test_most_cases_reach_their_end_and_equal_seeds_are_equal_cases() -> None:
     assert len({table_of(np.random.default_rng(seed)).digest for seed in range(50)}) == 50
     draws = [np.random.default_rng(seed) for seed in range(200)]
     configs = [config_of(draw, table_of(draw)) for draw in draws]
-    used = {name for each in configs for name in each.data.model_fields_set}
+    used = {name for config in configs for name in config.data.model_fields_set}
     assert {"order", "robust", "weights", "holdout", "group", "stochastic", "derivatives", "target"} <= used
 
 

@@ -14,7 +14,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError
 from tests.unit.library.report.results import dynamics, process, regression
 
-RESULTS = [json.loads(json.dumps(each)) for each in (dynamics(), regression(), process())]
+RESULTS = [json.loads(json.dumps(contents)) for contents in (dynamics(), regression(), process())]
 PLACES = 2
 """Items of a list that are changed; the others are like these."""
 
@@ -27,31 +27,31 @@ def paths(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
         yield from paths(part, (*path, key))
 
 
-PATHS = [(number, path) for number, found in enumerate(RESULTS) for path in paths(found)]
+PATHS = [(number, path) for number, contents in enumerate(RESULTS) for path in paths(contents)]
 
 
-def readers(found: dict[str, Any]) -> Iterator[Callable[[], Any]]:
-    yield lambda: render(Result.of(found), "csv")
-    yield lambda: render(Result.of(found), "latex")
-    yield lambda: Model(found).summary()
-    yield lambda: Model(found)._repr_html_()
-    yield lambda: [str(each) for each in Model(found).candidates]
-    yield lambda: Model(found).export("python", t=[0.0, 1.0])
+def readers(contents: dict[str, Any]) -> Iterator[Callable[[], Any]]:
+    yield lambda: render(Result.of(contents), "csv")
+    yield lambda: render(Result.of(contents), "latex")
+    yield lambda: Model(contents).summary()
+    yield lambda: Model(contents)._repr_html_()
+    yield lambda: [str(candidate) for candidate in Model(contents).candidates]
+    yield lambda: Model(contents).export("python", t=[0.0, 1.0])
 
 
 @settings(max_examples=60, deadline=None, derandomize=True, database=None)
 @given(st.sampled_from(PATHS), st.sampled_from(["cut", "text", -3, [], {}]))
 def test_who_reads_a_damaged_result_goes_on_or_says_what_is_wrong(place: tuple[int, Any], change: Any) -> None:
     number, path = place
-    found = copy.deepcopy(RESULTS[number])
-    part: Any = found
+    contents = copy.deepcopy(RESULTS[number])
+    part: Any = contents
     for key in path[:-1]:
         part = part[key]
     if change == "cut":
         del part[path[-1]]
     else:
         part[path[-1]] = change
-    for read in readers(found):
+    for read in readers(contents):
         try:
             read()
         except AtollError as error:

@@ -53,7 +53,7 @@ def in_units(equations: Mapping[str, str], sizes: Sequence[float], clock: float)
     """Return the equations of the states times `sizes` (D,) over the time times `clock`."""
     inverse = {name: f"({1.0 / size!r}*{name})" for name, size in zip(equations, sizes, strict=True)}
     return {
-        name: f"{size / clock!r}*({re.sub(r'[a-z]+', lambda its: inverse.get(its[0], its[0]), text)})"
+        name: f"{size / clock!r}*({re.sub(r'[a-z]+', lambda match: inverse.get(match[0], match[0]), text)})"
         for (name, text), size in zip(equations.items(), sizes, strict=True)
     }
 
@@ -83,48 +83,55 @@ POSITIVE = [(0.125, 4.0), (0.125, 4.0)]
 def fixed(powers: Sequence[int]) -> Any:
     flow, box, sizes, clock = system(COMPETITION, [(0.0, 4.0), (0.0, 3.0)], powers)
     return [
-        (each.kind, each.is_stable, (each.point / sizes).round(9).tolist(),
-         (each.eigenvalues * clock).round(9).tolist()) for each in fixed_points(flow, box).points
+        (point.kind, point.is_stable, (point.point / sizes).round(9).tolist(),
+         (point.eigenvalues * clock).round(9).tolist()) for point in fixed_points(flow, box).points
     ]  # fmt: skip
 
 
 def cycles(powers: Sequence[int]) -> Any:
     flow, box, sizes, clock = system(VAN_DER_POL, SIDES, powers)
     return [
-        (each.is_stable, round(each.period / clock, 6), (np.ptp(each.points, axis=0) / sizes).round(4).tolist())
-        for each in limit_cycles(flow, box, fixed_points(flow, box).points).cycles
+        (cycle.is_stable, round(cycle.period / clock, 6), (np.ptp(cycle.points, axis=0) / sizes).round(4).tolist())
+        for cycle in limit_cycles(flow, box, fixed_points(flow, box).points).cycles
     ]
 
 
 def folds(powers: Sequence[int]) -> Any:
     flow, box, sizes, _ = system(FOLD, SIDES, powers, "u")
-    found = continuation(flow, box, ContinuationParameter("u", 0.5, inputs=(0,)), (-1.0, 1.0))
-    return [(each.kind, round(each.value, 6), (each.point / sizes).round(4).tolist()) for each in special_points(found)]
+    branches = continuation(flow, box, ContinuationParameter("u", 0.5, inputs=(0,)), (-1.0, 1.0))
+    return [
+        (point.kind, round(point.value, 6), (point.point / sizes).round(4).tolist())
+        for point in special_points(branches)
+    ]
 
 
 def hopf(powers: Sequence[int]) -> Any:
     flow, box, _, clock = system(HOPF, [(-1.0, 1.0), (-1.0, 1.0)], powers, "u")
     along, over = ContinuationParameter("u", 0.1, inputs=(0,)), (-0.1, 0.2)
     points = continuation(flow, box, along, over)
-    found = cycle_continuation(flow, box, along, over, branches=points)
+    branches = cycle_continuation(flow, box, along, over, branches=points)
     return [
-        (each.kind, round(each.value, 6), round((each.frequency or 0.0) * clock, 6)) for each in special_points(points)
-    ] + [(round(float(each.values[-1]), 6), round(each.cycles[-1].period / clock, 6), each.ends) for each in found]
+        (point.kind, round(point.value, 6), round((point.frequency or 0.0) * clock, 6))
+        for point in special_points(points)
+    ] + [
+        (round(float(branch.values[-1]), 6), round(branch.cycles[-1].period / clock, 6), branch.ends)
+        for branch in branches
+    ]
 
 
 def laws(powers: Sequence[int]) -> Any:
-    found = []
+    series = []
     for equations, sides in ((PENDULUM, SIDES), (PREY, POSITIVE), (COMPETITION, POSITIVE), (CHAIN, [*SIDES, (-3, 3)])):
         flow, box, *_ = system(equations, sides, powers)
-        found.append((len(conserved_quantities(flow, box)), is_volume_preserving(flow, box)))
-    return found
+        series.append((len(conserved_quantities(flow, box)), is_volume_preserving(flow, box)))
+    return series
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("facts", [fixed, cycles, folds, hopf, laws])
 def test_what_an_analysis_finds_has_no_unit(facts: Any) -> None:
     expected = facts(SAME)
-    assert all(len(each) for each in expected)
+    assert all(len(values_there) for values_there in expected)
     for powers in UNITS if facts in (fixed, laws) else UNITS[:1]:
         assert facts(powers) == expected, powers
 
@@ -134,11 +141,11 @@ def test_what_an_analysis_finds_has_no_unit(facts: Any) -> None:
 def test_exponents_have_the_unit_of_time_alone(powers: Sequence[int]) -> None:
     sides = [(-20.0, 20.0), (-25.0, 25.0), (0.0, 45.0)]
     flow, box, _, clock = system(LORENZ, sides, powers)
-    found = lyapunov_spectrum(flow, box, starts=8, intervals=80)
-    assert found is not None
-    assert found.exponents * clock == pytest.approx([0.9, 0.0, -14.57], abs=0.4)
-    assert (np.diff(found.exponents) < 0.0).all()
-    assert found.is_chaotic
+    spectrum = lyapunov_spectrum(flow, box, starts=8, intervals=80)
+    assert spectrum is not None
+    assert spectrum.exponents * clock == pytest.approx([0.9, 0.0, -14.57], abs=0.4)
+    assert (np.diff(spectrum.exponents) < 0.0).all()
+    assert spectrum.is_chaotic
 
 
 @pytest.mark.slow
@@ -146,27 +153,31 @@ def test_exponents_have_the_unit_of_time_alone(powers: Sequence[int]) -> None:
 def test_basins_and_nullclines_have_no_unit(equations: Any, sides: Any) -> None:
     def facts(powers: Sequence[int]) -> Any:
         flow, box, *_ = system(equations, sides, powers)
-        its = analyse(flow.field, box)
-        return its.basins.reached.tolist(), [len(lines) for lines in its.nullclines], its.cycles.has_family
+        analysis = analyse(flow.field, box)
+        return (
+            analysis.basins.reached.tolist(),
+            [len(lines) for lines in analysis.nullclines],
+            analysis.cycles.has_family,
+        )
 
     assert facts(UNITS[0]) == facts(SAME)
 
 
 @pytest.mark.parametrize("powers", UNITS)
 def test_a_simulation_and_its_bands_are_the_same_in_other_units(powers: Sequence[int]) -> None:
-    times, found = np.linspace(0.0, 3.0, 7), []
-    for its in (SAME, powers):
-        sizes, clock = units_of(CHAIN, its)
+    times, series = np.linspace(0.0, 3.0, 7), []
+    for dose in (SAME, powers):
+        sizes, clock = units_of(CHAIN, dose)
         field = VectorField.of(in_units(CHAIN, sizes.tolist(), clock))
-        (column,) = (index for index, each in enumerate(field.parameters) if each.value == 0.7)
+        (column,) = (index for index, parameter in enumerate(field.parameters) if parameter.value == 0.7)
         errors = JointErrors(field, (column,), np.full((1, 1), 1e-18))
         simulated = simulate(field, np.array([1.0, 0.0, 0.0]) * sizes, times * clock, bands=(errors, 2.0))
         assert simulated.status == "finished"
         assert simulated.stderr is not None
-        found.append((simulated.x / sizes, simulated.stderr / sizes))
-    np.testing.assert_allclose(found[1][0], found[0][0], rtol=1e-8)
-    np.testing.assert_allclose(found[1][1], found[0][1], rtol=1e-3)
-    assert found[0][1][-1, 2] == pytest.approx(3e-10, rel=0.9)
+        series.append((simulated.x / sizes, simulated.stderr / sizes))
+    np.testing.assert_allclose(series[1][0], series[0][0], rtol=1e-8)
+    np.testing.assert_allclose(series[1][1], series[0][1], rtol=1e-3)
+    assert series[0][1][-1, 2] == pytest.approx(3e-10, rel=0.9)
 
 
 @pytest.mark.slow
@@ -176,34 +187,34 @@ def test_a_simulation_and_its_bands_are_the_same_in_other_units(powers: Sequence
 def test_exports_are_the_same_in_other_units_and_those_of_simulations(
     equations: Mapping[str, str], start: tuple[float, ...], until: float
 ) -> None:
-    found = []
+    series = []
     for powers in (SAME, *UNITS):
         sizes, clock = units_of(equations, powers)
-        its = result(in_units(equations, sizes.tolist(), clock))
+        contents = result(in_units(equations, sizes.tolist(), clock))
         begin = dict(zip(equations, (sizes * start).tolist(), strict=True))
         times = np.linspace(0.0, until, 7) * clock
-        its["simulation"] = {"trajectories": [{"name": "1", "start": begin, "times": times.tolist()}]}
-        model = Model(its)
-        found += [model.simulate(has_bands=False).x / sizes, run_python(model.to_python())["simulate"]() / sizes]
+        contents["simulation"] = {"trajectories": [{"name": "1", "start": begin, "times": times.tolist()}]}
+        model = Model(contents)
+        series += [model.simulate(has_bands=False).x / sizes, run_python(model.to_python())["simulate"]() / sizes]
         if shutil.which("cc") is not None:
-            found.append(programs.c(model) / sizes)
-    for each in found[1:]:
-        np.testing.assert_allclose(each, found[0], rtol=1e-6)
+            series.append(programs.c(model) / sizes)
+    for series_there in series[1:]:
+        np.testing.assert_allclose(series_there, series[0], rtol=1e-6)
 
 
 @pytest.mark.slow
 def test_paths_and_densities_of_a_process_are_the_same_in_other_units() -> None:
-    found = []
+    series = []
     for size, clock in ((1.0, 1.0), (2.0**-FAR, 2.0**20), (2.0**FAR, 2.0**-FAR)):
         rates = in_units({"x": "1.0 - x"}, [size], clock)["x"]
-        its = result({"x": rates, "[x]": f"{0.25 * size * size / clock!r}"})
-        del its["symbols"]["[x]"]
+        contents = result({"x": rates, "[x]": f"{0.25 * size * size / clock!r}"})
+        del contents["symbols"]["[x]"]
         ensemble = {"trajectory": "1", "times": [0.0, 0.5 * clock], "mean": {"x": [2.0 * size, 1.6 * size]}}
-        model = Model(its | {"process": {"step": 0.1 * clock, "ensemble": ensemble}})
+        model = Model(contents | {"process": {"step": 0.1 * clock, "ensemble": ensemble}})
         paths = model.simulate({"x": 2.0 * size}, np.array([0.0, 0.25, 1.0]) * clock, paths=5)
         density = model.stationary_density(paths=32)
         assert density is not None
-        found.append((paths.x / size, density.mean / size, density.sd / size, density.density * size))
-    for each in found[1:]:
-        for one, other in zip(each, found[0], strict=True):
+        series.append((paths.x / size, density.mean / size, density.sd / size, density.density * size))
+    for series_there in series[1:]:
+        for one, other in zip(series_there, series[0], strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-9)

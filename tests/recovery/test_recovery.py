@@ -46,14 +46,14 @@ def problem_of(truth: Truth, noise: float = 0.0) -> Problem:
     return Problem(("x", "y"), inputs, Target("x", "dx/dt", values, 0.0, float(values.std()), noise))
 
 
-def found(truth: Truth, seed: int, epochs: int = 20) -> bool:
+def is_found(truth: Truth, seed: int, epochs: int = 20) -> bool:
     return search(problem_of(truth), config_of(seed), epochs).has_hit
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_easy_equations_are_found_exactly_by_most_seeds() -> None:
-    hits = {name: sum(found(truth, seed) for seed in SEEDS) for name, truth in EASY.items()}
+    hits = {name: sum(is_found(truth, seed) for seed in SEEDS) for name, truth in EASY.items()}
     assert sum(hits.values()) >= 16, hits
 
 

@@ -56,10 +56,10 @@ def methods() -> Iterator[tuple[type, str]]:
     for module in pkgutil.walk_packages(room.__path__, f"{room.__name__}."):
         if module.name.endswith("child_main"):  # the main program of another process
             continue
-        for its in vars(importlib.import_module(module.name)).values():
-            if inspect.isclass(its) and its.__module__ == module.name:
-                names = [name for name, each in vars(its).items() if inspect.isfunction(each)]
-                yield from ((its, name) for name in names if not name.startswith("__") and name != "validate")
+        for owner in vars(importlib.import_module(module.name)).values():
+            if inspect.isclass(owner) and owner.__module__ == module.name:
+                names = [name for name, method in vars(owner).items() if inspect.isfunction(method)]
+                yield from ((owner, name) for name in names if not name.startswith("__") and name != "validate")
 
 
 def why_wrong(owner: type, name: str, is_always: bool) -> str | None:
@@ -83,13 +83,13 @@ def main(words: Sequence[str] | None = None) -> int:
     logging.disable(logging.CRITICAL)
     stub_islands.HIT_EPOCHS = 10**9
     left_out = LEFT_OUT | (LEFT_OUT_ALWAYS if is_always else set())
-    chosen = [each for each in methods() if each not in left_out]
+    chosen = [method for method in methods() if method not in left_out]
     with hurried():
         wrong = {f"{owner.__name__}.{name}": why_wrong(owner, name, is_always) for owner, name in chosen}
-    found = [f"{name}: {why}" for name, why in wrong.items() if why]
+    faults = [f"{name}: {why}" for name, why in wrong.items() if why]
     called = sum(why is not None for why in wrong.values())
-    say("\n".join([*found, f"{len(wrong)} methods, {called} of them called, {len(found)} of those wrong"]))
-    return int(bool(found))
+    say("\n".join([*faults, f"{len(wrong)} methods, {called} of them called, {len(faults)} of those wrong"]))
+    return int(bool(faults))
 
 
 if __name__ == "__main__":

@@ -80,16 +80,16 @@ class Tally:
     @classmethod
     def from_json(cls, text: str) -> "Tally":
         read: dict[str, Any] = json.loads(text)
-        by_seed = {name: {int(seed): each for seed, each in read[name].items()} for name in ("failed", "histories")}
+        by_seed = {name: {int(seed): text for seed, text in read[name].items()} for name in ("failed", "histories")}
         return cls(**{**read, **by_seed, "struck": Counter(read["struck"]), "faults": Counter(dict(read["faults"]))})
 
     def __str__(self) -> str:
-        each = max(self.schedules, 1)
+        schedules = max(self.schedules, 1)
         lines = [
             f"{self.schedules} schedules ({self.real} with real islands), {self.jobs} jobs of which {self.cancelled} "
             f"to be cancelled, {self.guests} guests: {len(self.failed)} failed",
-            f"{self.struck.total()} faults, {self.struck.total() / each:.1f} a schedule; {self.cpu_s / each:.3f} s of "
-            f"CPU and {self.virtual_s / each:.0f} s of virtual time a schedule",
+            f"{self.struck.total()} faults, {self.struck.total() / schedules:.1f} a schedule; "
+            f"{self.cpu_s / schedules:.3f} s of CPU and {self.virtual_s / schedules:.0f} s of virtual time a schedule",
             "faults a schedule: " + ", ".join(f"{count}: {self.faults[count]}" for count in sorted(self.faults)),
             *(f"{count:8d}  {kind}" for kind, count in self.struck.most_common()),
             *(f"seed {seed} failed: {self.failed[seed]}" for seed in sorted(self.failed)),
@@ -149,9 +149,9 @@ def soak(first: int, last: int, processes: int) -> Tally:
     """Play the schedules of seeds `first` to `last` (excluded) in children; tell on the way which fail."""
     total = Tally()
     with ThreadPoolExecutor(processes) as pool:
-        for tally in pool.map(lambda each: in_child(*each), chunks(first, last)):
+        for chunk in pool.map(lambda chunk: in_child(*chunk), chunks(first, last)):
             known = set(total.failed)
-            total.add(tally)
+            total.add(chunk)
             for seed in sorted(set(total.failed) - known):
                 note(f"seed {seed} failed: {total.failed[seed]}")
             note(f"{total.schedules} schedules, {len(total.failed)} failed")

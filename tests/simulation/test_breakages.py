@@ -163,7 +163,7 @@ def broken_for(owner: type, name: str, job: str) -> Iterator[list[int]]:
     calls: list[int] = []
 
     def breaks(*arguments: Any, **options: Any) -> Any:
-        if any(concerns(each, job) for each in (*arguments, *options.values())):
+        if any(concerns(value, job) for value in (*arguments, *options.values())):
             calls.append(1)
             raise ZeroDivisionError("float division by zero")
         return real(*arguments, **options)
@@ -243,7 +243,7 @@ def assert_others_go_on(world: World, calls: list[int]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("owner", "name"), OF_ONE_JOB, ids=lambda each: getattr(each, "__name__", each))
+@pytest.mark.parametrize(("owner", "name"), OF_ONE_JOB, ids=lambda value: getattr(value, "__name__", value))
 def test_what_always_breaks_for_one_job_stops_no_other(owner: type, name: str) -> None:
     world = World(workers=2, slowness=10.0)
     with broken_for(owner, name, "first") as calls:
@@ -266,7 +266,7 @@ def test_a_damaged_term_stops_no_other_job() -> None:
     assert "seed 1 and the data as a file" in (view.reason or ""), view.reason
 
 
-@pytest.mark.parametrize(("owner", "name"), HANDLERS, ids=lambda each: getattr(each, "__name__", each))
+@pytest.mark.parametrize(("owner", "name"), HANDLERS, ids=lambda value: getattr(value, "__name__", value))
 def test_what_breaks_in_a_handler_ends_one_job_at_most(owner: type, name: str) -> None:
     world = World(workers=2)
     with broken_once(owner, name) as calls:
@@ -301,12 +301,14 @@ def test_a_report_of_generations_without_end_is_refused() -> None:
     world.submit(config(), job="first")
     while not world.service.controller.placements("first").placements:
         world.client.pause(0.01)
-    its = world.service.controller.placements("first").placements[0]
+    placement = world.service.controller.placements("first").placements[0]
     said = IslandReport(
-        island=its.islands_of("w0")[0], generations=2**62, hit=None, additions=(), counters=(), best_error=None,
+        island=placement.islands_of("w0")[0], generations=2**62, hit=None, additions=(), counters=(), best_error=None,
         digest="ab" * 16,
     )  # fmt: skip
-    report = EpochReport(job="first", variable=its.variable, term=its.term, epoch=its.epoch, islands=(said,))
+    report = EpochReport(
+        job="first", variable=placement.variable, term=placement.term, epoch=placement.epoch, islands=(said,)
+    )
     stranger = world.network.bus("stranger")
     stranger.put(topics.worker(world.store.cluster, "w0", "report"), encode(report))
     assert world.finish("first").state == "done"
@@ -319,8 +321,8 @@ Tree = dict[str, Any]
 
 
 def _claim_islands_of_strangers(status: Tree, size: int) -> None:
-    its = {"variable": "x", "term": 1, "islands": size, "reported": size, "commit": 0, "snapshots": [size] * 8}
-    status["holdings"] = [*status["holdings"], *({"job": f"no{number}", **its} for number in range(9))]
+    placement = {"variable": "x", "term": 1, "islands": size, "reported": size, "commit": 0, "snapshots": [size] * 8}
+    status["holdings"] = [*status["holdings"], *({"job": f"no{number}", **placement} for number in range(9))]
 
 
 def _claim_evaluations(report: Tree, size: int) -> None:

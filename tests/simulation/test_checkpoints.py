@@ -73,12 +73,12 @@ def restart(world: World, tmp_path: Path) -> None:
 
 
 def turns(world: World) -> int:
-    return sum(each.turns for each in world.computes.values())
+    return sum(compute.turns for compute in world.computes.values())
 
 
 def restored(world: World) -> list[tuple[int, int]]:
     """Return (term, epoch) of every island that went on from a checkpoint."""
-    return [(term, epoch) for each in world.computes.values() for term, epoch, _ in each.restored]
+    return [(term, epoch) for compute in world.computes.values() for term, epoch, _ in compute.restored]
 
 
 def committed(world: World, variable: str = "x") -> int:
@@ -111,7 +111,9 @@ def test_a_worker_that_dies_while_its_states_are_pulled_does_not_change_the_answ
         world = world_of(workers=2, seed=3, plan=Plan(delay_s=(0.005, 0.02)))
         when(
             world,
-            lambda world=world: any(each.snapshots for each in world.workers["w1"].session.assignment_statuses()),  # type: ignore[misc]
+            lambda world=world: any(
+                equation.snapshots for equation in world.workers["w1"].session.assignment_statuses()
+            ),  # type: ignore[misc]
             lambda world=world, step=step: world.at(world.network.now + 0.004 * step, lambda: world.crash("w1")),  # type: ignore[misc]
         )
         assert comparable(world.run(config(3))) == undisturbed(3)
@@ -224,9 +226,9 @@ def test_the_time_of_the_search_adds_up_over_a_restart(lasting: World, tmp_path:
     lasting.at(lasting.network.now + 2.5, lambda: restart(lasting, tmp_path))
     lasting.finish()
     result = lasting.result()
-    assert {each["why"] for each in result["equations"]} == {"max-time"}
-    assert 2.9 < max(each["seconds"] for each in result["equations"]) < 4.0
-    epochs = {each["variable"]: each["epoch"] for each in result["equations"]}
+    assert {equation["why"] for equation in result["equations"]} == {"max-time"}
+    assert 2.9 < max(equation["seconds"] for equation in result["equations"]) < 4.0
+    epochs = {equation["variable"]: equation["epoch"] for equation in result["equations"]}
     again = world_of(workers=3, seed=9).run(config(max_epochs_of=epochs))
     assert again["digest"] == result["digest"]
 
@@ -292,9 +294,9 @@ def test_a_whole_store_of_the_version_before_is_served_over_restarts(lasting: Wo
             "ended": "done", "searched": "failed", "cancelled": "cancelled", "queued": "done", "queued-too": "done",
         }  # fmt: skip
         assert "begun by engine revision 6" in (views["searched"].reason or "")
-        assert [each.expression is not None for each in views["ended"].variables] == [True, True]
+        assert [variable.expression is not None for variable in views["ended"].variables] == [True, True]
         assert lasting.result("ended")["state"] == "done"
-        assert [each.event for each in lasting.client.events("ended")[-1:]] == ["done"]
+        assert [event.event for event in lasting.client.events("ended")[-1:]] == ["done"]
     assert lasting.service.controller.breakages.total == 0
     for job in views:
         lasting.client.delete(job)

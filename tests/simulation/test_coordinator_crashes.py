@@ -79,5 +79,5 @@ def test_time_ends_all_variables_or_none(kind: str, commits: int, monkeypatch: p
     monkeypatch.setattr(Job, "tick", deadly)
     result = stage.result_of(JobPlan(0))
     assert cuts[0] in (0, 3)
-    assert {each["why"] for each in result["equations"]} == {"max-time"}
+    assert {equation["why"] for equation in result["equations"]} == {"max-time"}
     assert any("dies at commit" in line for line in participants.story)

@@ -83,7 +83,7 @@ def test_an_island_that_breaks_fails_its_job_with_its_reason() -> None:
     assert view.state == "failed"
     assert view.fault == "internal"
     assert "broke as it was told to" in (view.reason or "")
-    assert all(each in (view.reason or "") for each in ("please report it with this sentence", "seed 1", "the data"))
+    assert all(part in (view.reason or "") for part in ("please report it with this sentence", "seed 1", "the data"))
 
 
 def test_two_workers_that_disagree_fail_the_job_as_diverged_and_are_both_named() -> None:
@@ -234,7 +234,9 @@ def test_ended_jobs_are_still_known_after_a_restart(tmp_path: Path) -> None:
     world.service = world.start_service()
     after = world.client.status("job")
     assert world.result() == result
-    assert [each.expression for each in after.variables] == [each.expression for each in before.variables]
+    assert [variable.expression for variable in after.variables] == [
+        variable.expression for variable in before.variables
+    ]
     assert (after.state, after.point_evaluations) == (before.state, before.point_evaluations)
     world.close()
 
@@ -301,7 +303,7 @@ def test_a_cancelled_job_keeps_its_best_equations() -> None:
     view = world.client.cancel("job")
     assert view.state == "cancelled"
     assert world.result()["state"] == "cancelled"
-    assert all(each["front"] for each in world.result()["equations"])
+    assert all(equation["front"] for equation in world.result()["equations"])
     assert world.client.cancel("job").state == "cancelled"
     world.client.pause(3.0)
     assert all(not worker.session.assignment_statuses() for worker in world.workers.values())

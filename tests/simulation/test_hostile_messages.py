@@ -15,7 +15,7 @@ def messages() -> list[Overheard]:
 
 
 def test_messages_of_every_kind_are_overheard(messages: list[Overheard]) -> None:
-    assert {each.kind.__name__ for each in messages} >= KINDS | {"WorkerStatus"}
+    assert {message.kind.__name__ for message in messages} >= KINDS | {"WorkerStatus"}
 
 
 def test_a_mutated_message_is_a_message_or_a_refusal(messages: list[Overheard]) -> None:

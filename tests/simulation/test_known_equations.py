@@ -24,9 +24,9 @@ def test_a_known_equation_is_shown_from_the_beginning_and_never_placed(world: Wo
     assert [view.variable for view in result.variables] == ["x", "y", "z"]
     assert [view.why == "known" for view in result.variables] == [False, True, False]
     equations = world.result()["equations"]
-    assert [each["variable"] for each in equations] == ["x", "y", "z"]
+    assert [equation["variable"] for equation in equations] == ["x", "y", "z"]
     assert (equations[1]["expression"], equations[1]["why"], equations[1]["point_evaluations"]) == ("0.5*x", "known", 0)
-    assert all(each["why"] == "max-epochs" for each in (equations[0], equations[2]))
+    assert all(equation["why"] == "max-epochs" for equation in (equations[0], equations[2]))
 
 
 def test_what_is_searched_comes_out_as_without_a_known_equation(world: World) -> None:
@@ -43,7 +43,7 @@ def test_a_job_whose_equations_are_all_known_is_done_without_a_search() -> None:
     world = World(workers=0)
     try:
         result = world.run(config_of("x", "y"))
-        assert [each["why"] for each in result["equations"]] == ["known", "known"]
+        assert [equation["why"] for equation in result["equations"]] == ["known", "known"]
         assert result["point_evaluations"] == 0
     finally:
         world.close()

@@ -41,8 +41,8 @@ class Watched:
     def look(self, job: str) -> None:
         """Take notice of a job and its archipelagos."""
         live = self.world.service.controller.jobs[job]
-        self.parts += [weakref.ref(live), *(weakref.ref(each) for each in live.archipelagos.values())]
-        self.parts += [weakref.ref(each.collector) for each in live.archipelagos.values()]
+        self.parts += [weakref.ref(live), *(weakref.ref(archipelago) for archipelago in live.archipelagos.values())]
+        self.parts += [weakref.ref(archipelago.collector) for archipelago in live.archipelagos.values()]
 
     def left(self) -> list[object]:
         gc.collect()

@@ -53,8 +53,8 @@ def test_the_equation_is_the_refined_one_and_the_front_and_digest_stay() -> None
     assert (constant["interval"], constant["identifiable"]) == ([0.47, 0.51], False)
     assert (first["verdict"], first["reason"]) == ("doubtful", "Because.")
     assert [member["selected"] for member in first["front"]].index(True) == 0
-    assert [each["expression"] for each in first["front"]] == [
-        each["expression"] for each in plain["equations"][0]["front"]
+    assert [member["expression"] for member in first["front"]] == [
+        member["expression"] for member in plain["equations"][0]["front"]
     ]
     assert second == plain["equations"][1]
     assert refined["warnings"] == ["It was hard."]

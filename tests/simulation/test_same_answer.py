@@ -51,8 +51,8 @@ def test_any_number_of_workers_gives_the_same_answer(workers: int) -> None:
 @pytest.mark.slow
 def test_a_job_of_many_variables_has_one_answer_on_any_number_of_workers() -> None:
     variables = ",".join(f"x{place}" for place in range(8))
-    its = config(3, islands=2, max_epochs=4)
-    answers = {comparable(World(workers=workers, seed=3).run(its, variables)) for workers in (1, 3)}
+    chosen = config(3, islands=2, max_epochs=4)
+    answers = {comparable(World(workers=workers, seed=3).run(chosen, variables)) for workers in (1, 3)}
     assert len(answers) == 1
     (answer,) = answers
     assert all(f"x{place}" in answer for place in range(8))
@@ -128,7 +128,7 @@ def test_settled_equations_leave_the_workers_to_the_others_whatever_happens(
         world = World(workers=3, seed=seed, plan=Plan(drop=0.03, duplicate=0.05, late=0.05))
         world.at(1.0 + 0.1 * seed, lambda world=world: world.crash("w0"))  # type: ignore[misc]
         assert answer(world, seed) == alone
-        epochs = {each["variable"]: each["epoch"] for each in json.loads(alone)["equations"]}
+        epochs = {equation["variable"]: equation["epoch"] for equation in json.loads(alone)["equations"]}
         assert epochs["x"] == 1 < epochs["y"]
 
 
@@ -145,7 +145,7 @@ def test_the_cuts_of_a_cancelled_job_given_as_epochs_give_its_digest() -> None:
         world.at(world.network.now + 1.3, lambda world=world: world.service.controller.cancel("job", world.network.now))  # type: ignore[misc]
         assert world.finish().state in ("cancelled", "done")
         cancelled = world.result()
-        epochs = {each["variable"]: each["epoch"] for each in cancelled["equations"]}
+        epochs = {equation["variable"]: equation["epoch"] for equation in cancelled["equations"]}
         again = World(workers=3, seed=seed + 100).run(config(seed, max_epochs_of=epochs))
         assert again["digest"] == cancelled["digest"]
 
@@ -153,8 +153,8 @@ def test_the_cuts_of_a_cancelled_job_given_as_epochs_give_its_digest() -> None:
 def test_max_time_cuts_at_complete_epochs_and_can_be_repeated() -> None:
     world = World(workers=2, seed=4, slowness=3.0)
     timed = world.run(config(4, max_epochs=1000, stagnation=1000, max_time=1.0))
-    assert {each["why"] for each in timed["equations"]} <= {"max-time", "target"}
-    epochs = {each["variable"]: each["epoch"] for each in timed["equations"]}
+    assert {equation["why"] for equation in timed["equations"]} <= {"max-time", "target"}
+    epochs = {equation["variable"]: equation["epoch"] for equation in timed["equations"]}
     again = World(workers=1, seed=9).run(config(4, max_epochs_of=epochs))
     assert again["digest"] == timed["digest"]
 

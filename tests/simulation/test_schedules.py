@@ -105,7 +105,7 @@ def test_another_answer_is_found() -> None:
             self.corrupt = self.worker == "w1"
 
     outcome = ScheduleRun(disturbed(), Cast(compute=Wrong)).play()
-    assert any("another answer" in each for each in outcome.wrong), told(outcome)
+    assert any("another answer" in sentence for sentence in outcome.wrong), told(outcome)
 
 
 @pytest.mark.slow
@@ -114,19 +114,19 @@ def test_a_job_that_does_not_end_is_found(monkeypatch: pytest.MonkeyPatch) -> No
         "atoll_coordinator.service.workers.worker_controller.WorkerController.place", lambda self, now: None
     )
     outcome = play(disturbed())
-    assert any("do not end" in each for each in outcome.wrong), told(outcome)
+    assert any("do not end" in sentence for sentence in outcome.wrong), told(outcome)
 
 
 def test_what_is_left_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("atoll_island_worker.datasets.Datasets.forget", lambda self, job: None)
     outcome = play(disturbed())
-    assert any("still holds datasets" in each for each in outcome.wrong), told(outcome)
+    assert any("still holds datasets" in sentence for sentence in outcome.wrong), told(outcome)
 
 
 def test_an_island_that_is_evolved_twice_under_a_term_is_found() -> None:
     run = ScheduleRun(disturbed())
     run.participants.made |= {("job-0", "x", term, 0, 1): [77] for term in range(1, 9)}
-    assert any("was evolved by [77" in each for each in run.play().wrong)
+    assert any("was evolved by [77" in sentence for sentence in run.play().wrong)
 
 
 def test_what_breaks_a_rule_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,7 +134,7 @@ def test_what_breaks_a_rule_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("planted")
 
     monkeypatch.setattr("atoll_coordinator.service.jobs.job.Job.validate", broken)
-    assert any("planted" in each for each in play(disturbed()).wrong)
+    assert any("planted" in sentence for sentence in play(disturbed()).wrong)
 
 
 # ---------------------------------------------------------------------------------------- faults by kind
@@ -194,7 +194,7 @@ def test_a_result_that_goes_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """A store without room deletes the jobs that have ended."""
     monkeypatch.setattr("tests.simulation.harness.participants.RETENTION", Retention(size_bytes=0))
     outcome = play(replace(visited("asks-everything"), is_hurried=True))
-    assert any("job-0 is gone" in each for each in outcome.wrong), told(outcome)
+    assert any("job-0 is gone" in sentence for sentence in outcome.wrong), told(outcome)
 
 
 def test_a_guest_without_an_answer_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -204,7 +204,7 @@ def test_a_guest_without_an_answer_is_found(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(Guest, "greet", misled)
     outcome = play(replace(visited("asks-everything"), jobs=(), horizon_s=0.1))
-    assert any("got no answer" in each for each in outcome.wrong), told(outcome)
+    assert any("got no answer" in sentence for sentence in outcome.wrong), told(outcome)
 
 
 def test_what_breaks_is_found_although_it_ends_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,17 +221,17 @@ def test_what_breaks_is_found_although_it_ends_no_loop(monkeypatch: pytest.Monke
 def test_schedules_are_drawn_from_their_seeds_and_know_all_kinds() -> None:
     assert schedule_of(3) == schedule_of(3)
     schedules = [schedule_of(seed) for seed in range(400)]
-    assert {fault.kind for each in schedules for fault in each.faults} == set(get_args(Kind))
-    assert {guest.kind for each in schedules for guest in each.guests} == set(get_args(GuestKind))
-    assert all(str(guest) in each.story() for each in schedules for guest in each.guests)
-    assert {len(each.jobs) for each in schedules} == {1, 2, 3}
-    for each in schedules:
-        times = [fault.at_s for fault in each.faults]
+    assert {fault.kind for schedule in schedules for fault in schedule.faults} == set(get_args(Kind))
+    assert {guest.kind for schedule in schedules for guest in schedule.guests} == set(get_args(GuestKind))
+    assert all(str(guest) in schedule.story() for schedule in schedules for guest in schedule.guests)
+    assert {len(schedule.jobs) for schedule in schedules} == {1, 2, 3}
+    for schedule in schedules:
+        times = [fault.at_s for fault in schedule.faults]
         assert times == sorted(times)
-        assert all(0.0 <= at_s < each.horizon_s for at_s in times)
-        assert all(str(fault) in each.story() for fault in each.faults)
-        assert len({job.seed for job in each.jobs}) == len(each.jobs)
-        assert job_config(each.jobs[0].seed)[0].seed == each.jobs[0].seed
+        assert all(0.0 <= at_s < schedule.horizon_s for at_s in times)
+        assert all(str(fault) in schedule.story() for fault in schedule.faults)
+        assert len({job.seed for job in schedule.jobs}) == len(schedule.jobs)
+        assert job_config(schedule.jobs[0].seed)[0].seed == schedule.jobs[0].seed
 
 
 def test_a_disk_keeps_what_was_committed_and_counts_incarnations() -> None:
@@ -265,15 +265,19 @@ def test_what_reads_the_store_needs_no_room(name: str) -> None:
     writes = (sqlite3.SQLITE_INSERT, sqlite3.SQLITE_UPDATE, sqlite3.SQLITE_DELETE)
     connection.set_authorizer(lambda action, *_: sqlite3.SQLITE_DENY if action in writes else sqlite3.SQLITE_OK)
     known: dict[str, object] = {"job": "a", "digest": "", "prefix": "", "island": 0}
-    needed = [each.name for each in signature(getattr(store, name)).parameters.values() if each.default is each.empty]
+    needed = [
+        parameter.name
+        for parameter in signature(getattr(store, name)).parameters.values()
+        if parameter.default is parameter.empty
+    ]
     with contextlib.suppress(KeyError):  # there is no such blob and no such state
-        getattr(store, name)(**{each: known.get(each, 1) for each in needed})
+        getattr(store, name)(**{sentence: known.get(sentence, 1) for sentence in needed})
     connection.close()
 
 
 def test_whatever_else_the_store_does_needs_room() -> None:
     methods = {**vars(OpenFile), **vars(Store)}
-    public = {name for name, each in methods.items() if not name.startswith("_") and isfunction(each)}
+    public = {name for name, method in methods.items() if not name.startswith("_") and isfunction(method)}
     assert public - READS == {
         "keep_served", "add_job", "update_job", "begin_search", "commit_result", "delete_job", "begin_terms",
         "commit_cuts", "add_deaths", "take_back_deaths", "add_events", "commit_checkpoint", "put_blob", "put_chunk",

@@ -70,29 +70,29 @@ def definition(config: JobConfig, variable: str) -> dict[str, Any]:
     hit, commit_order = first_hit(config, variable), commit_order_of(config)
     epochs = EPOCHS if hit is None else hit.epoch + 1
     evaluations: dict[int, dict[str, int]] = {}
-    found: list[FrontEntry] = []
+    entries: list[FrontEntry] = []
     for epoch, reports in enumerate(reports_of(config, variable, epochs)):
-        for each in reports:
-            for tally in each.counters:
-                if counted(commit_order, Position(epoch, tally.generation, each.island), hit):
-                    evaluations[each.island] = dict(tally.evaluations)
-            found += [
-                FrontEntry(one.complexity, one.error, one.mse, epoch, one.generation, each.island, one.program)
-                for one in each.additions
-                if counted(commit_order, Position(epoch, one.generation, each.island), hit)
+        for report in reports:
+            for tally in report.counters:
+                if counted(commit_order, Position(epoch, tally.generation, report.island), hit):
+                    evaluations[report.island] = dict(tally.evaluations)
+            entries += [
+                FrontEntry(one.complexity, one.error, one.mse, epoch, one.generation, report.island, one.program)
+                for one in report.additions
+                if counted(commit_order, Position(epoch, one.generation, report.island), hit)
             ]
     return {
         "epoch": epochs,
         "generation": None if hit is None else 100 * hit.epoch + hit.generation,
-        "points": sum(sum(each.values()) for each in evaluations.values()),
-        "errors": [entry.error for entry in merge((), found)][
+        "points": sum(sum(evaluation.values()) for evaluation in evaluations.values()),
+        "errors": [entry.error for entry in merge((), entries)][
             -1:
         ],  # made-up islands report constants alone: one function
     }
 
 
 def answered(result: dict[str, Any], variable: str) -> dict[str, Any]:
-    (equation,) = (each for each in result["equations"] if each["variable"] == variable)
+    (equation,) = (equation for equation in result["equations"] if equation["variable"] == variable)
     return {
         "epoch": equation["epoch"],
         "generation": equation["generation"] if equation["why"] == "target" else None,
@@ -109,7 +109,7 @@ def test_the_answer_is_what_the_definition_says(joining: int | None) -> None:
         answers = [world.run(ours) for world in worlds]
         for variable in ("x", "y"):
             expected = definition(ours, variable)
-            assert [answered(each, variable) for each in answers] == [expected] * 2, (seed, variable)
+            assert [answered(answer, variable) for answer in answers] == [expected] * 2, (seed, variable)
         assert answers[0]["digest"] == answers[1]["digest"]
 
 
@@ -130,10 +130,10 @@ def test_one_worker_computes_nothing_beyond_the_cut() -> None:
         world.run(ours, "x")
         hit, commit_order = first_hit(ours, "x"), commit_order_of(ours)
         ends = [
-            Position(epoch, tally.generation, each.island)
+            Position(epoch, tally.generation, report.island)
             for epoch, reports in enumerate(reports_of(ours, "x", EPOCHS if hit is None else hit.epoch + 1))
-            for each in reports
-            for tally in each.counters
+            for report in reports
+            for tally in report.counters
         ]
         assert world.computes["w0"].turns == sum(counted(commit_order, at, hit) for at in ends)
 
@@ -141,6 +141,6 @@ def test_one_worker_computes_nothing_beyond_the_cut() -> None:
 def test_hits_come_early_late_several_at_once_and_never() -> None:
     """The seeds above tell something."""
     hits = [hits_of(config(seed, None), variable) for seed in SEEDS for variable in ("x", "y")]
-    assert any(not each for each in hits)
-    assert any(len(each) > 1 for each in hits)
-    assert {0, 1} <= {min(at.epoch for at in each) for each in hits if each}
+    assert any(not hit for hit in hits)
+    assert any(len(hit) > 1 for hit in hits)
+    assert {0, 1} <= {min(at.epoch for at in hit) for hit in hits if hit}

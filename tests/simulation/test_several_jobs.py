@@ -170,14 +170,14 @@ def test_counters_say_what_went_through() -> None:
     assert view.counters.placements >= 2
     assert view.counters.waited_s > 0.0
     first, *_ = world.client.workers()
-    traffic = {each.kind: each for each in first.counters.traffic}
+    traffic = {traffic_kind.kind: traffic_kind for traffic_kind in first.counters.traffic}
     assert traffic["report"].messages_out > 0
     assert traffic["mail"].bytes_in > 0
     assert first.counters.memory_bytes > 1_000_000
     own = world.client.coordinator()
     assert own is not None
     assert own.store.transactions > 0
-    assert {each.kind: each for each in own.counters.traffic}["status"].messages_in > 0
+    assert {traffic_kind.kind: traffic_kind for traffic_kind in own.counters.traffic}["status"].messages_in > 0
 
 
 @pytest.mark.slow

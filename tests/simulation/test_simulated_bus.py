@@ -28,12 +28,12 @@ def history(seed: int) -> list[tuple[float, str, Event]]:
         drop=0.2, duplicate=0.2, late=0.1, partitions=(Partition("one", 0.5, 1.0),), crashes=(Crash("three", 0.7),)
     )
     network = SimulatedNetwork(seed, plan)
-    found: list[tuple[float, str, Event]] = []
+    events: list[tuple[float, str, Event]] = []
 
     def echo(bus: SimulatedBus, event: Event) -> None:
-        found.append((network.now, bus.name, event))
+        events.append((network.now, bus.name, event))
         if isinstance(event, Timer):
-            bus.put("x/" + bus.name, b"%d" % len(found))
+            bus.put("x/" + bus.name, b"%d" % len(events))
             bus.call_later(0.05, "again")
 
     for name in ("one", "two", "three"):
@@ -44,7 +44,7 @@ def history(seed: int) -> list[tuple[float, str, Event]]:
         bus.handle_with(lambda event, bus=bus: echo(bus, event))  # type: ignore[misc]
         bus.call_later(0.05, "again")
     network.run(2.0)
-    return found
+    return events
 
 
 def test_the_same_seed_is_the_same_history_and_another_seed_another() -> None:

@@ -57,7 +57,7 @@ def make_targets(text: str) -> set[str]:
 
 def options(text: str) -> set[str]:
     """Return the long options that stand at the beginning of inline code."""
-    return {each for code in re.findall(r"`([^`\n]+)`", text) for each in re.findall(r"^--[a-z][a-z-]+", code)}
+    return {option for code in re.findall(r"`([^`\n]+)`", text) for option in re.findall(r"^--[a-z][a-z-]+", code)}
 
 
 def links(text: str) -> set[str]:
@@ -68,10 +68,10 @@ def links(text: str) -> set[str]:
 
 def tables(text: str) -> list[list[list[str]]]:
     """Return the cells of every table of `text`, heads included."""
-    found: list[list[list[str]]] = [[]]
+    tables: list[list[list[str]]] = [[]]
     for line in text.splitlines():
         if line.startswith("|"):
-            found[-1].append([cell.strip() for cell in line.strip().strip("|").split("|")])
-        elif found[-1]:
-            found.append([])
-    return [table for table in found if table]
+            tables[-1].append([cell.strip() for cell in line.strip().strip("|").split("|")])
+        elif tables[-1]:
+            tables.append([])
+    return [table for table in tables if table]

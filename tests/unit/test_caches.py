@@ -13,13 +13,15 @@ UNBOUNDED = {
 
 def without_bound() -> set[str]:
     """Return names of functions all of whose values are kept."""
-    found = set()
+    names = set()
     for folder in ("common", "coordinator", "island_worker"):
         for path in (ROOT / folder).rglob("*.py"):
-            for its in ast.walk(ast.parse(path.read_text("utf-8"))):
-                if isinstance(its, ast.FunctionDef):
-                    found |= {its.name for each in its.decorator_list if _keeps_all(ast.unparse(each), its)}
-    return found
+            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                if isinstance(node, ast.FunctionDef):
+                    names |= {
+                        node.name for decorator in node.decorator_list if _keeps_all(ast.unparse(decorator), node)
+                    }
+    return names
 
 
 def _keeps_all(decorator: str, function: ast.FunctionDef) -> bool:

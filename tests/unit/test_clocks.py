@@ -33,7 +33,7 @@ def asking(tree: ast.AST) -> Iterator[str]:
             if node.attr in WALL_CLOCKS.get(owner, ()):
                 yield function
         if isinstance(node, ast.ImportFrom) and node.module == "time":
-            yield from (function for each in node.names if each.name in WALL_CLOCKS["time"])
+            yield from (function for name in node.names if name.name in WALL_CLOCKS["time"])
         for child in ast.iter_child_nodes(node):
             yield from visit(child, function)
 
@@ -41,13 +41,13 @@ def asking(tree: ast.AST) -> Iterator[str]:
 
 
 def test_only_what_is_for_people_asks_for_the_time_of_day() -> None:
-    found: dict[str, set[str]] = {}
+    calls: dict[str, set[str]] = {}
     for package in PACKAGES:
         for file in sorted((ROOT / package).rglob("*.py")):
             functions = set(asking(ast.parse(file.read_text("utf-8"))))
             if functions:
-                found[str(file.relative_to(ROOT))] = functions
-    assert found == FOR_PEOPLE
+                calls[str(file.relative_to(ROOT))] = functions
+    assert calls == FOR_PEOPLE
 
 
 def test_every_way_to_ask_is_seen() -> None:

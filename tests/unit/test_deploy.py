@@ -47,7 +47,7 @@ def final(image: list[Instruction]) -> list[Instruction]:
 
 
 def of(image: list[Instruction], name: str) -> list[str]:
-    return [rest for each, rest in image if each == name]
+    return [rest for instruction, rest in image if instruction == name]
 
 
 def environment(image: list[Instruction]) -> dict[str, str]:
@@ -88,7 +88,7 @@ def test_compose_asks_the_coordinator_whether_it_answers(compose: dict[str, Any]
 
 def test_compose_gives_workers_the_time_to_hand_over(compose: dict[str, Any]) -> None:
     assert compose["services"]["worker"]["stop_grace_period"] == "45s"
-    assert all(its["restart"] == "unless-stopped" for its in compose["services"].values())
+    assert all(service["restart"] == "unless-stopped" for service in compose["services"].values())
     assert interpolated(str(compose["services"]["worker"]["deploy"]["replicas"])) == "2"
 
 
@@ -108,15 +108,15 @@ def test_compose_commands_inside_the_coordinator_need_no_address(compose: dict[s
 
 
 def test_compose_keeps_the_state_in_a_named_volume(compose: dict[str, Any]) -> None:
-    mounts = dict(each.split(":") for each in compose["services"]["coordinator"]["volumes"])
+    mounts = dict(volume.split(":") for volume in compose["services"]["coordinator"]["volumes"])
     assert set(mounts) == set(compose["volumes"])
     assert mounts["state"] == parsed(compose["services"]["coordinator"]["command"]).state
     assert "volumes" not in compose["services"]["worker"], "kernels are in the image"
 
 
 def test_compose_builds_the_one_image_that_both_services_use(compose: dict[str, Any]) -> None:
-    images = {its["image"] for its in compose["services"].values()}
-    builds = [its["build"] for its in compose["services"].values() if "build" in its]
+    images = {service["image"] for service in compose["services"].values()}
+    builds = [service["build"] for service in compose["services"].values() if "build" in service]
     assert len(images) == len(builds) == 1
     assert (ROOT / builds[0]["context"] / builds[0]["dockerfile"]).is_file()
 
@@ -131,7 +131,7 @@ def test_the_image_has_known_instructions_and_a_python_that_will_do(image: list[
 
 def test_the_image_copies_what_is_there_and_not_ignored(image: list[Instruction]) -> None:
     copied = [rest.split()[:-1] for rest in of(image, "COPY") if not rest.startswith("--from=build ")]
-    sources = [source for each in copied for source in each]
+    sources = [source for words in copied for source in words]
     programs = {"pyproject.toml", "README.md", "LICENSE", "common", "coordinator", "island_worker"}
     assert set(sources) == programs | {"deploy/entrypoint.sh"}
     assert [source for source in sources if not (ROOT / source).exists()] == []
@@ -161,14 +161,14 @@ def test_the_image_installs_as_root_and_runs_as_somebody_else(final: list[Instru
 
 def test_the_image_owns_the_folders_that_are_written(compose: dict[str, Any], final: list[Instruction]) -> None:
     owned = next(rest for rest in of(final, "RUN") if "chown" in rest).split("chown", 1)[1].split()
-    written = {each.split(":")[1] for each in compose["services"]["coordinator"]["volumes"]}
+    written = {volume.split(":")[1] for volume in compose["services"]["coordinator"]["volumes"]}
     assert written | {environment(final)["ATOLL_KERNEL_CACHE"]} <= set(owned)
 
 
 def test_the_image_ends_orphans_and_passes_signals_on(final: list[Instruction]) -> None:
     (entry,) = of(final, "ENTRYPOINT")
     assert json.loads(entry) == ["tini", "--", "atoll-entrypoint"]
-    assert "COPY deploy/entrypoint.sh /usr/local/bin/atoll-entrypoint" in [" ".join(each) for each in final]
+    assert "COPY deploy/entrypoint.sh /usr/local/bin/atoll-entrypoint" in [" ".join(words) for words in final]
 
 
 def test_the_image_knows_whether_its_coordinator_can_be_reached(final: list[Instruction]) -> None:

@@ -76,7 +76,7 @@ def of_its_own_order(source: str) -> Iterator[str]:
             if node.func.attr in REDUCTIONS:
                 yield f".{node.func.attr}"
         elif isinstance(node, ast.Import | ast.ImportFrom):
-            names = [getattr(node, "module", None) or "", *(each.name for each in node.names)]
+            names = [getattr(node, "module", None) or "", *(name.name for name in node.names)]
             if any(name.split(".")[0] == "scipy" for name in names):
                 yield "scipy"
 
@@ -86,9 +86,9 @@ def unstable_sorts(source: str) -> Iterator[str]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             kinds = [
-                each.value.value
-                for each in node.keywords
-                if each.arg == "kind" and isinstance(each.value, ast.Constant)
+                keyword.value.value
+                for keyword in node.keywords
+                if keyword.arg == "kind" and isinstance(keyword.value, ast.Constant)
             ]
             if node.func.attr == "argpartition" or (node.func.attr == "argsort" and kinds != ["stable"]):
                 yield f"{node.func.attr} in line {node.lineno}"
@@ -98,7 +98,7 @@ def found_in(folder: Path) -> set[tuple[str, str]]:
     return {(path.name, what) for path in modules(folder) for what in of_its_own_order(path.read_text("utf-8"))}
 
 
-@pytest.mark.parametrize("folder", FEEDS_THE_SEARCH, ids=lambda each: str(each.relative_to(ROOT)))
+@pytest.mark.parametrize("folder", FEEDS_THE_SEARCH, ids=lambda path: str(path.relative_to(ROOT)))
 def test_what_feeds_the_search_adds_in_a_fixed_order(folder: Path) -> None:
     assert modules(folder)
     assert found_in(folder) - ALLOWED.keys() == set()
@@ -114,12 +114,12 @@ def test_no_exception_has_become_needless() -> None:
     ["common/atoll_core", "coordinator/atoll", "coordinator/atoll_coordinator", "island_worker/atoll_island_worker"],
 )
 def test_every_sort_of_places_is_stable(package: str) -> None:
-    found = {
+    names = {
         str(path.relative_to(ROOT)): sorts
         for path in modules(ROOT / package)
         if (sorts := list(unstable_sorts(path.read_text("utf-8"))))
     }
-    assert found == {}
+    assert names == {}
 
 
 def test_what_is_looked_for_is_found() -> None:

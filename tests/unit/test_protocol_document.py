@@ -40,9 +40,9 @@ def test_a_table_in_the_document_is_the_one_in_the_code(path: str, table: str) -
 
 def test_every_kind_of_message_is_named() -> None:
     every = [
-        each for module in (greetings, messages, epoch_messages, client_messages) for each in vars(module).values()
+        value for module in (greetings, messages, epoch_messages, client_messages) for value in vars(module).values()
     ]
-    models = [each for each in every if isinstance(each, type) and issubclass(each, Frozen)]
-    kinds = {get_args(each.model_fields["kind"].annotation)[0] for each in models if "kind" in each.model_fields}
+    models = [value for value in every if isinstance(value, type) and issubclass(value, Frozen)]
+    kinds = {get_args(model.model_fields["kind"].annotation)[0] for model in models if "kind" in model.model_fields}
     assert len(kinds) > 25
     assert [kind for kind in sorted(kinds) if f"`{kind}`" not in TEXT] == []

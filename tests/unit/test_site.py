@@ -14,11 +14,11 @@ from tests.unit.documents import ROOT
 
 @pytest.fixture(scope="module")
 def site() -> ModuleType:
-    found = importlib.util.spec_from_file_location("build_site", ROOT / "docs" / "build_site.py")
-    assert found is not None
-    assert found.loader is not None
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
+    spec = importlib.util.spec_from_file_location("build_site", ROOT / "docs" / "build_site.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
     return module
 
 
@@ -55,8 +55,8 @@ def test_every_page_is_in_the_contents(site: ModuleType, pages: dict[str, str]) 
 
 def test_links_are_rewritten_and_those_to_files_of_the_checkout_become_text(site: ModuleType) -> None:
     text = "[a](../README.md#start) [b](../examples/lynx_hare.csv) [c](https://zenoh.io) ![e](images/x.svg)"
-    found = site.rewrite(text, "docs/result.md", "result.md")
-    assert found == "[a](index.md#start) b [c](https://zenoh.io) ![e](images/x.svg)"
+    spec = site.rewrite(text, "docs/result.md", "result.md")
+    assert spec == "[a](index.md#start) b [c](https://zenoh.io) ![e](images/x.svg)"
     assert site.rewrite("[a](docs/data.md)", "README.md", "index.md") == "[a](data.md)"
     assert site.rewrite("[a](../README.md)", "deploy/README.md", "project/deploy/README.md") == "[a](../../index.md)"
 

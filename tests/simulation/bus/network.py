@@ -139,7 +139,7 @@ class SimulatedNetwork:
 
     def publish(self, sender: SimulatedBus, key: str, payload: bytes) -> None:
         """Carry a put to all who subscribe now."""
-        for receiver in [each for each in self._buses.values() if each.wants(key)]:
+        for receiver in [bus for bus in self._buses.values() if bus.wants(key)]:
             self._carry(sender, receiver, key, lambda to=receiver: to.deliver(Message(key, payload)))  # type: ignore[misc]
 
     def ask(self, asker: SimulatedBus, question: Question, key: str, payload: bytes) -> None:
@@ -161,12 +161,12 @@ class SimulatedNetwork:
     def refresh_presence(self) -> None:
         """Tell every watcher who came or went since it was last told."""
         present = {key: None for bus in self._buses.values() if self.is_linked(bus) for key in bus.tokens}
-        for watcher in [each for each in self._buses.values() if self.is_linked(each)]:
+        for watcher in [bus for bus in self._buses.values() if self.is_linked(bus)]:
             watcher.learn(present)
 
     def _find_server(self, asker: SimulatedBus, question: Question, key: str, payload: bytes) -> None:
-        servers = (each for each in self._buses.values() if each.answers(key))
-        server = next((each for each in servers if each is asker or self.is_linked(each)), None)
+        servers = (bus for bus in self._buses.values() if bus.answers(key))
+        server = next((server for server in servers if server is asker or self.is_linked(server)), None)
         if server is None:
             self.at(self._now + self._delay(), lambda: question.arrive(None))
         else:

@@ -214,7 +214,7 @@ class SimulatedBus:
 
     def learn(self, present: dict[str, None]) -> None:
         """Be told what changed since the last time, of what is watched."""
-        watched = {key: None for key in present if any(matches(each, key) for each in self._watched)}
+        watched = {key: None for key in present if any(matches(pattern, key) for pattern in self._watched)}
         changes = [(key, False) for key in self._known if key not in watched]
         changes += [(key, True) for key in watched if key not in self._known]
         self._known = watched

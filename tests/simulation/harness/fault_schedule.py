@@ -191,7 +191,7 @@ def schedule_of(seed: int) -> Schedule:
     horizon_s = length_s + draw.spread(2.0, 40.0)
     several = draw.pick((1, 2, 3, 3, 4, 5, 6, 8, 12))
     faults = [_fault(draw, workers, has_own_router, min(length_s, 30.0)) for _ in range(several)]
-    kept = tuple(sorted((each for each in faults if each.at_s < horizon_s), key=lambda each: each.at_s))
+    kept = tuple(sorted((fault for fault in faults if fault.at_s < horizon_s), key=lambda fault: fault.at_s))
     guests = _guests(Draw(seed, "guests"), min(horizon_s, 30.0))
     return Schedule(seed, workers, slowness, has_own_router, is_hurried, plan, jobs, horizon_s, _named(kept), guests)
 

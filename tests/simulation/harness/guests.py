@@ -137,11 +137,11 @@ class Guest:
         chunk = clients.Upload(blob=blob, size=len(table), index=0, sha256=blob, data=table)
         for _ in range(5):
             yield from self.ask(chunk)
-            its = yield from self.ask(clients.Submit(job=job, name="a guest's", config=config, table=blob))
-            if isinstance(its.body, clients.JobStatus):
+            submitted = yield from self.ask(clients.Submit(job=job, name="a guest's", config=config, table=blob))
+            if isinstance(submitted.body, clients.JobStatus):
                 self.submitted = job
                 return
-        self.participants.wrong.append(f"{self.plan.name} cannot submit: {its.body}")
+        self.participants.wrong.append(f"{self.plan.name} cannot submit: {submitted.body}")
 
     def upload(self, number: int, is_whole: bool) -> Script:
         """Upload a table that nobody needs, or its second part only."""

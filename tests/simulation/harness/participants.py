@@ -154,8 +154,8 @@ class Participants(Programs):
             take(worker, report, now)
             if placement is None or placement.term != report.term:
                 return
-            for each in report.islands:
-                key = (report.job, report.variable, report.term, each.island, report.epoch)
+            for island in report.islands:
+                key = (report.job, report.variable, report.term, island.island, report.epoch)
                 if len(self.made.get(key, ())) != 1:
                     self.wrong.append(f"{key} was evolved by {self.made.get(key)} and accepted")
 

@@ -97,7 +97,7 @@ class ScheduleRun:
         moments += [
             (job.cancel_s, partial(self._cancel, number)) for number, job in jobs.items() if job.cancel_s is not None
         ]
-        for at_s, act in sorted(moments, key=lambda each: each[0]):
+        for at_s, act in sorted(moments, key=lambda equation: equation[0]):
             self.client.pause(max(0.0, at_s - self.participants.network.now))
             act()
         views = {view.job: view for view in self._finish()}
@@ -181,7 +181,7 @@ class ScheduleRun:
 
     def _check_digest(self, job: JobPlan, result: dict[str, Any], is_cancelled: bool) -> None:
         """Compare with the calm run, or, for a cancelled job, with the calm run of as many epochs."""
-        epochs = {each["variable"]: each["epoch"] for each in result["equations"]}
+        epochs = {equation["variable"]: equation["epoch"] for equation in result["equations"]}
         if not is_cancelled:
             if comparable(result) != calm(job.seed, self.participants.cast):
                 self.participants.wrong.append(f"{result['job']} has another answer than the calm run")
@@ -200,14 +200,14 @@ class ScheduleRun:
 
     def _remains(self) -> list[str]:
         """Return what is still held of jobs that have all ended."""
-        found = [f"{name} still holds {what}" for name in self.participants.workers for what in self._held_by(name)]
+        leftovers = [f"{name} still holds {what}" for name in self.participants.workers for what in self._held_by(name)]
         service = self.participants.service
         if service is None:
-            return [*found, "there is no coordinator"]
+            return [*leftovers, "there is no coordinator"]
         if service.controller.jobs:
-            found.append(f"the coordinator still has jobs {list(service.controller.jobs)}")
+            leftovers.append(f"the coordinator still has jobs {list(service.controller.jobs)}")
         if self.participants.disk.rows("checkpoints") or self.participants.disk.rows("states"):
-            found.append("the store still holds checkpoints")
+            leftovers.append("the store still holds checkpoints")
         expected = {
             "coordinator",
             "client",
@@ -215,8 +215,8 @@ class ScheduleRun:
             *(["router"] if self.participants.schedule.has_own_router else []),
         }
         if expected != set(self.participants.network.participants):
-            found.append(f"there are {self.participants.network.participants}, expected were {sorted(expected)}")
-        return found
+            leftovers.append(f"there are {self.participants.network.participants}, expected were {sorted(expected)}")
+        return leftovers
 
     def _held_by(self, name: str) -> list[str]:
         worker, compute = self.participants.workers[name], self.participants.computes[name]

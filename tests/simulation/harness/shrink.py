@@ -29,7 +29,7 @@ def failure_of(outcome: Outcome) -> str | None:
 
 
 def _shorter(schedule: Schedule, play: Play, wanted: str) -> Schedule | None:
-    return next((each for each in _candidates(schedule) if failure_of(play(each)) == wanted), None)
+    return next((candidate for candidate in _candidates(schedule) if failure_of(play(candidate)) == wanted), None)
 
 
 def _candidates(schedule: Schedule) -> Iterator[Schedule]:

@@ -221,5 +221,5 @@ def bus_of(world: World, name: str) -> SimulatedBus:
 
 def comparable(result: dict[str, Any]) -> str:
     """Return what of a result must not depend on workers, faults and time."""
-    equations = [{k: v for k, v in each.items() if k != "seconds"} for each in result["equations"]]
+    equations = [{k: v for k, v in equation.items() if k != "seconds"} for equation in result["equations"]]
     return json.dumps({"equations": equations, "digest": result["digest"], "points": result["point_evaluations"]})

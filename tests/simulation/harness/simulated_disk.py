@@ -78,7 +78,7 @@ class Disk:
             f"UPDATE archipelagos SET cut = ? WHERE cut IS NOT NULL AND {live}",
             f"UPDATE checkpoints SET progress = ? WHERE {live}",
         )
-        return sum(self._connection.execute(each, (words,)).rowcount for each in changes)
+        return sum(self._connection.execute(change, (words,)).rowcount for change in changes)
 
     def cuts(self) -> int:
         """Return how many archipelagos have ended."""

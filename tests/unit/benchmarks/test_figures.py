@@ -62,7 +62,7 @@ def test_no_count_and_no_share_is_quoted_without_a_mark(page: str) -> None:
 
 
 def test_every_figure_says_how_it_was_measured() -> None:
-    names = {each.name for each in PLAN}
+    names = {measurement.name for measurement in PLAN}
     for name, entry in load_figures().items():
         assert set(entry) == KEYS, name
         assert name.split(".")[0] in names, f"{name} is measured by no benchmark of the plan"
@@ -70,7 +70,7 @@ def test_every_figure_says_how_it_was_measured() -> None:
 
 def test_every_benchmark_of_the_plan_is_quoted() -> None:
     marked = {mark["name"].split(".")[0] for text in PAGES.values() for mark in MARK.finditer(text)}
-    assert marked == {each.name for each in PLAN}
+    assert marked == {measurement.name for measurement in PLAN}
 
 
 def test_figures_are_written_where_they_are_quoted() -> None:
@@ -111,21 +111,21 @@ EXPECTED = {
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_figures_follow_from_runs(name: str) -> None:
-    (its,) = (each for each in PLAN if each.name == name)
-    assert its.figures(RUNS[name]) == EXPECTED[name]
+    (measurement,) = (measurement for measurement in PLAN if measurement.name == name)
+    assert measurement.figures(RUNS[name]) == EXPECTED[name]
 
 
 def test_what_a_benchmark_needs_is_named() -> None:
-    (race,) = (each for each in PLAN if each.name == "race")
+    (race,) = (measurement for measurement in PLAN if measurement.name == "race")
     assert missing(race, {"strogatz": None}) == "--strogatz DIR was not given"
 
 
 def test_a_file_of_lines_is_gone_on_with_and_read_up_to_its_last_whole_line(tmp_path: Path) -> None:
     out = tmp_path / "runs.jsonl"
-    (its,) = (each for each in PLAN if each.name == "yeast")
-    assert command(its, "1-2", out, {})[-4:] == ["--seeds", "1-2", "--out", str(out)]
+    (measurement,) = (measurement for measurement in PLAN if measurement.name == "yeast")
+    assert command(measurement, "1-2", out, {})[-4:] == ["--seeds", "1-2", "--out", str(out)]
     out.write_text('{"head": {}}\n{"outcome": {"forms": []}}\n{"outco')
-    assert command(its, "1-2", out, {})[-2:] == ["--resume", str(out)]
+    assert command(measurement, "1-2", out, {})[-2:] == ["--resume", str(out)]
     assert runs_of(out) == [{"forms": []}]
     assert runs_of(tmp_path / "none.json") == []
 
@@ -136,7 +136,7 @@ def test_a_benchmark_that_takes_too_long_is_ended(capsys: pytest.CaptureFixture[
 
 
 def test_a_measurement_is_written_at_once_and_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (its,) = (each for each in PLAN if each.name == "yeast")
+    (measurement,) = (measurement for measurement in PLAN if measurement.name == "yeast")
     monkeypatch.setattr(figures, "FOLDER", tmp_path)
 
     def benchmark(words: list[str], limit_s: float | None) -> None:
@@ -145,14 +145,14 @@ def test_a_measurement_is_written_at_once_and_not_done_again(tmp_path: Path, mon
 
     monkeypatch.setattr(figures, "run", benchmark)
     campaign = Campaign({}, "abc", tmp_path / "figures.json", {})
-    assert campaign.measure(its, "1-2", 5.0) == ["yeast: ended after 1 runs"]
-    assert not campaign.has(its, "1-2")
-    assert campaign.measure(its, "1-2", None) == []
+    assert campaign.measure(measurement, "1-2", 5.0) == ["yeast: ended after 1 runs"]
+    assert not campaign.has(measurement, "1-2")
+    assert campaign.measure(measurement, "1-2", None) == []
     written = json.loads(campaign.file.read_text("utf-8"))
     assert (written["yeast.right"]["figure"], set(written["yeast.right"])) == ("2 of 2", KEYS)
-    assert campaign.has(its, "1-2")
-    assert not campaign.has(its, "2")
+    assert campaign.has(measurement, "1-2")
+    assert not campaign.has(measurement, "2")
     empty = Measurement("flows", "", "", "", 2, (1.0, 1.0), lambda _: {"right": "0 of 0"}, resumes="--out")
     assert campaign.measure(empty, "", None) == []
     assert "flows.right" not in campaign.known
-    assert not Campaign({}, "abd", campaign.file, written).has(its, "1-2")
+    assert not Campaign({}, "abd", campaign.file, written).has(measurement, "1-2")

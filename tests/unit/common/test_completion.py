@@ -15,8 +15,8 @@ def completed(program: str, line: str) -> list[str]:
     """Return how the last word of `line` may go on: in a process of its own, of which the library takes fixed pipes."""
     asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line, "COMP_POINT": str(len(line))}
     command = f'exec "{sys.executable}" -m {program} 8>&1 9>/dev/null >/dev/null'
-    found = subprocess.run(["sh", "-c", command], env={**os.environ, **asked}, stdout=subprocess.PIPE, check=True)
-    return [word.strip() for word in found.stdout.decode().split("\n")]
+    ended = subprocess.run(["sh", "-c", command], env={**os.environ, **asked}, stdout=subprocess.PIPE, check=True)
+    return [word.strip() for word in ended.stdout.decode().split("\n")]
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ UNITS = {"x": parse_unit("m"), "y": parse_unit("m/s"), "u": parse_unit("N")}
 
 
 def units(text, left="m/s", known=None):
-    its = UNITS if known is None else {name: UNITS[name] for name in known}
-    return units_of(from_infix(text, NAMES), NAMES, its, None if left is None else parse_unit(left))
+    given = UNITS if known is None else {name: UNITS[name] for name in known}
+    return units_of(from_infix(text, NAMES), NAMES, given, None if left is None else parse_unit(left))
 
 
 @pytest.mark.parametrize(
@@ -28,9 +28,9 @@ def units(text, left="m/s", known=None):
     ],
 )
 def test_constants_have_the_units_that_make_each_term_right(text, constants):
-    found = units(text)
-    assert found.faults == ()
-    assert sorted(map(str, found.constants)) == sorted(constants)
+    units_found = units(text)
+    assert units_found.faults == ()
+    assert sorted(map(str, units_found.constants)) == sorted(constants)
 
 
 @pytest.mark.parametrize(
@@ -48,9 +48,9 @@ def test_what_cannot_be_right_is_named_with_its_term(text, words):
 
 
 def test_a_factor_of_one_that_is_not_written_has_a_unit_as_well():
-    found = units("y - x*y")
-    assert [(term, str(unit)) for term, unit in found.implied] == [("x*y", "1/m")]
-    assert found.faults == ()
+    units_found = units("y - x*y")
+    assert [(term, str(unit)) for term, unit in units_found.implied] == [("x*y", "1/m")]
+    assert units_found.faults == ()
     assert units("y").implied == ()
 
 
@@ -60,7 +60,7 @@ def test_units_that_are_equal_but_for_their_names_agree():
 
 
 def test_nothing_is_said_where_units_are_not_known():
-    found = units("3*x - 2*u", known=("x",))
-    assert [str(unit) if unit else None for unit in found.constants] == ["1/s", None]
+    units_found = units("3*x - 2*u", known=("x",))
+    assert [str(unit) if unit else None for unit in units_found.constants] == ["1/s", None]
     assert units("exp(u)", known=("x",)).faults == ()
     assert units("2*exp(x)", left=None).faults != ()

@@ -20,9 +20,9 @@ def documents(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
     """Return what the files that a kustomization lists hold, by kind and name."""
     listed = yaml.safe_load((folder / "kustomization.yaml").read_text("utf-8"))
     files = [name for name in listed["resources"] if name.endswith(".yaml")]
-    files += [each["path"] for each in listed.get("patches", [])]
-    found = [each for name in files for each in yaml.safe_load_all((folder / name).read_text("utf-8"))]
-    return {(each["kind"], each["metadata"]["name"]): each for each in found}
+    files += [patch["path"] for patch in listed.get("patches", [])]
+    manifests = [manifest for name in files for manifest in yaml.safe_load_all((folder / name).read_text("utf-8"))]
+    return {(manifest["kind"], manifest["metadata"]["name"]): manifest for manifest in manifests}
 
 
 @pytest.fixture(scope="module")
@@ -31,18 +31,18 @@ def base() -> dict[tuple[str, str], dict[str, Any]]:
 
 
 def pod(manifest: dict[str, Any]) -> dict[str, Any]:
-    its: dict[str, Any] = manifest["spec"]["template"]["spec"]
-    return its
+    spec: dict[str, Any] = manifest["spec"]["template"]["spec"]
+    return spec
 
 
 def container(manifest: dict[str, Any]) -> dict[str, Any]:
-    (its,) = pod(manifest)["containers"]
-    found: dict[str, Any] = its
-    return found
+    (container_spec,) = pod(manifest)["containers"]
+    manifests: dict[str, Any] = container_spec
+    return manifests
 
 
 def environment(manifest: dict[str, Any]) -> dict[str, str]:
-    return {each["name"]: each["value"] for each in container(manifest)["env"]}
+    return {variable["name"]: variable["value"] for variable in container(manifest)["env"]}
 
 
 def parsed(words: list[str]) -> argparse.Namespace:
@@ -53,7 +53,7 @@ def parsed(words: list[str]) -> argparse.Namespace:
 def test_every_manifest_is_listed(base: dict[tuple[str, str], dict[str, Any]]) -> None:
     for folder in (BASE, TLS):
         listed = yaml.safe_load((folder / "kustomization.yaml").read_text("utf-8"))
-        named = {*listed["resources"], *(each["path"] for each in listed.get("patches", []))}
+        named = {*listed["resources"], *(patch["path"] for patch in listed.get("patches", []))}
         files = {file.name for file in folder.glob("*.yaml")} - {"kustomization.yaml"}
         assert files == {name for name in named if name.endswith(".yaml")}
 
@@ -61,25 +61,25 @@ def test_every_manifest_is_listed(base: dict[tuple[str, str], dict[str, Any]]) -
 def test_the_coordinator_is_one_keeps_its_store_and_listens_where_its_service_leads(
     base: dict[tuple[str, str], dict[str, Any]],
 ) -> None:
-    its, service = base["StatefulSet", "coordinator"], base["Service", "coordinator"]
-    options = parsed(container(its)["args"])
+    spec, service = base["StatefulSet", "coordinator"], base["Service", "coordinator"]
+    options = parsed(container(spec)["args"])
     assert options.verb == "serve"
-    assert its["spec"]["replicas"] == 1
-    assert its["spec"]["serviceName"] == service["metadata"]["name"]
-    (port,) = container(its)["ports"]
+    assert spec["spec"]["replicas"] == 1
+    assert spec["spec"]["serviceName"] == service["metadata"]["name"]
+    (port,) = container(spec)["ports"]
     assert parse_address(options.listen).port == port["containerPort"] == service["spec"]["ports"][0]["port"]
     assert service["spec"]["ports"][0]["targetPort"] == port["name"]
-    (mount,) = container(its)["volumeMounts"]
-    (claim,) = its["spec"]["volumeClaimTemplates"]
+    (mount,) = container(spec)["volumeMounts"]
+    (claim,) = spec["spec"]["volumeClaimTemplates"]
     assert (mount["name"], mount["mountPath"]) == (claim["metadata"]["name"], options.state)
-    assert parsed(container(its)["livenessProbe"]["exec"]["command"]).verb == "ping"
+    assert parsed(container(spec)["livenessProbe"]["exec"]["command"]).verb == "ping"
 
 
 def test_labels_select_what_they_are_to_select(base: dict[tuple[str, str], dict[str, Any]]) -> None:
     for kind, name in (("StatefulSet", "coordinator"), ("Deployment", "worker")):
-        its = base[kind, name]
-        labels = its["spec"]["template"]["metadata"]["labels"]
-        assert its["spec"]["selector"]["matchLabels"] == labels
+        spec = base[kind, name]
+        labels = spec["spec"]["template"]["metadata"]["labels"]
+        assert spec["spec"]["selector"]["matchLabels"] == labels
         assert base["NetworkPolicy", name]["spec"]["podSelector"]["matchLabels"] == labels
     service = base["Service", "coordinator"]["spec"]["selector"]
     assert service == base["StatefulSet", "coordinator"]["spec"]["template"]["metadata"]["labels"]
@@ -88,22 +88,22 @@ def test_labels_select_what_they_are_to_select(base: dict[tuple[str, str], dict[
 
 
 def test_workers_dial_the_service_and_have_time_to_hand_over(base: dict[tuple[str, str], dict[str, Any]]) -> None:
-    its = base["Deployment", "worker"]
-    address = parse_address(environment(its)["ATOLL_CONNECT"])
+    spec = base["Deployment", "worker"]
+    address = parse_address(environment(spec)["ATOLL_CONNECT"])
     port = base["Service", "coordinator"]["spec"]["ports"][0]["port"]
     assert (address.host, address.port) == ("coordinator", port)
-    assert parsed(container(its)["args"]).processes == 1
-    assert container(its)["resources"]["requests"]["cpu"] == "1"
-    assert pod(its)["terminationGracePeriodSeconds"] >= 40
-    assert "replicas" not in its["spec"], "the autoscaler decides"
+    assert parsed(container(spec)["args"]).processes == 1
+    assert container(spec)["resources"]["requests"]["cpu"] == "1"
+    assert pod(spec)["terminationGracePeriodSeconds"] >= 40
+    assert "replicas" not in spec["spec"], "the autoscaler decides"
 
 
 def test_nobody_is_root_or_may_become_more_than_it_is(base: dict[tuple[str, str], dict[str, Any]]) -> None:
     for key in (("StatefulSet", "coordinator"), ("Deployment", "worker")):
-        its = base[key]
-        assert pod(its)["securityContext"]["runAsNonRoot"]
-        assert pod(its)["securityContext"]["runAsUser"] == 10001
-        assert container(its)["securityContext"] == {
+        spec = base[key]
+        assert pod(spec)["securityContext"]["runAsNonRoot"]
+        assert pod(spec)["securityContext"]["runAsUser"] == 10001
+        assert container(spec)["securityContext"] == {
             "allowPrivilegeEscalation": False,
             "capabilities": {"drop": ["ALL"]},
         }
@@ -115,7 +115,7 @@ def test_the_network_lets_workers_to_the_coordinator_and_nobody_to_workers(
     worker, coordinator = base["NetworkPolicy", "worker"]["spec"], base["NetworkPolicy", "coordinator"]["spec"]
     assert worker["ingress"] == []
     assert "Egress" in worker["policyTypes"]
-    allowed = [each["podSelector"]["matchLabels"] for each in coordinator["ingress"][0]["from"]]
+    allowed = [peer["podSelector"]["matchLabels"] for peer in coordinator["ingress"][0]["from"]]
     assert base["Deployment", "worker"]["spec"]["template"]["metadata"]["labels"] in allowed
 
 

@@ -48,9 +48,9 @@ def test_a_source_distribution_holds_what_the_wheel_is_built_from() -> None:
 
 def test_classifiers_fit_the_versions_of_python(project: dict[str, Any]) -> None:
     minors = [
-        int(found[1])
-        for each in project["project"]["classifiers"]
-        if (found := re.fullmatch(r"Programming Language :: Python :: 3\.(\d+)", each))
+        int(version[1])
+        for classifier in project["project"]["classifiers"]
+        if (version := re.fullmatch(r"Programming Language :: Python :: 3\.(\d+)", classifier))
     ]
     assert project["project"]["requires-python"] == f">=3.{min(minors)}"
     matrix = read(".github/workflows/tests.yml")["jobs"]["linux"]["strategy"]["matrix"]["python"]
@@ -61,7 +61,7 @@ def test_the_lock_file_holds_every_requirement_with_hashes_and_names_no_index(pr
     text = LOCK.read_text("utf-8")
     locked = re.findall(r"^([\w.-]+)==([\w.+]+)(.*)$", text, re.MULTILINE)
     required = [*project["project"]["dependencies"], *project["project"]["optional-dependencies"]["dev"]]
-    names = {match[0].lower() for each in required if (match := re.match(r"[\w.-]+", each))}
+    names = {match[0].lower() for classifier in required if (match := re.match(r"[\w.-]+", classifier))}
     assert names <= {name for name, _, _ in locked}, "run make lock"
     assert all(rest.endswith("\\") for _, _, rest in locked), "a version without hashes"
     assert "://" not in text

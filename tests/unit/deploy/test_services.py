@@ -68,13 +68,13 @@ def test_the_override_with_certificates_changes_services_that_there_are() -> Non
     assert set(override["services"]) == set(base["services"])
     options = arguments.parse(override["services"]["coordinator"]["command"][1:])
     assert parse_address(options.listen).protocol == "tls"
-    for its in override["services"].values():
-        assert parse_address(its["environment"]["ATOLL_CONNECT"]).protocol == "tls"
-        mounted = {each.rpartition(":")[0].rpartition(":")[2] for each in its["volumes"]}
+    for service in override["services"].values():
+        assert parse_address(service["environment"]["ATOLL_CONNECT"]).protocol == "tls"
+        mounted = {volume.rpartition(":")[0].rpartition(":")[2] for volume in service["volumes"]}
         for name in ("CA", "CERT", "KEY"):
-            assert str(Path(its["environment"][f"ATOLL_TLS_{name}"]).parent) in mounted
+            assert str(Path(service["environment"][f"ATOLL_TLS_{name}"]).parent) in mounted
     assert options.roster == "/tls/roster.toml"
-    assert all(each.endswith(":ro") for its in override["services"].values() for each in its["volumes"])
+    assert all(volume.endswith(":ro") for service in override["services"].values() for volume in service["volumes"])
 
 
 def test_a_sites_workers_dial_its_router_which_dials_the_coordinator() -> None:

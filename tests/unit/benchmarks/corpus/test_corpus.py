@@ -66,9 +66,9 @@ def test_a_key_has_one_table():
 
 
 def test_a_drawn_system_is_the_one_that_its_seed_has_had():
-    its = draw_system(2, 1)
-    assert its.truths == {"x": "0.712*x*(1.0 - x/7.17)"}
-    assert its.duration == 6.0
+    drawn = draw_system(2, 1)
+    assert drawn.truths == {"x": "0.712*x*(1.0 - x/7.17)"}
+    assert drawn.duration == 6.0
 
 
 @pytest.mark.parametrize("name", [*FAMILIES])
@@ -77,7 +77,7 @@ def test_a_family_has_a_constant_and_a_range_for_each_name(name):
     middle = {key: math.sqrt(low * high) for key, (low, high) in family.constants.items()}
     system = CorpusSystem(name, family.equations, middle, ((0.5, 1.0),) * len(family.equations), 1.0)
     assert len(family.box) == len(family.equations)
-    assert all(math.isfinite(each) for each in system.field()([0.7] * len(family.equations)))
+    assert all(math.isfinite(slope) for slope in system.field()([0.7] * len(family.equations)))
 
 
 @pytest.mark.parametrize("states", [1, 2, 5])
@@ -98,10 +98,10 @@ def test_every_quality_measures_all_rows(monkeypatch, name, lotka):
     clean = np.array([*lotka.clean.values()])
     assert values.shape == clean.shape
     error = np.sqrt(((values - clean) ** 2).mean(axis=1)) / clean.std(axis=1)
-    its = quality(name)
-    if its.kind in ("noise", "ar1"):
-        np.testing.assert_allclose(error, its.size, rtol=0.6)
-    elif its.kind == "exact":
+    parsed = quality(name)
+    if parsed.kind in ("noise", "ar1"):
+        np.testing.assert_allclose(error, parsed.size, rtol=0.6)
+    elif parsed.kind == "exact":
         assert not error.any()
     else:
         assert (error < 0.5).all()
@@ -158,20 +158,22 @@ def test_a_job_is_judged(judged):
 
 def test_the_truth_is_looked_for_elsewhere(lotka):
     text = "1.1*x - 0.41*x*y"
-    its = judge_job(KEY, lotka, result("1.1*x", "0.1*x*y - 0.4*y", candidates=[{"expression": text, "nats": 2.5}]))
-    assert (its.equations[0].elsewhere, its.equations[0].nats) == ("candidates", 2.5)
+    judgement = judge_job(
+        KEY, lotka, result("1.1*x", "0.1*x*y - 0.4*y", candidates=[{"expression": text, "nats": 2.5}])
+    )
+    assert (judgement.equations[0].elsewhere, judgement.equations[0].nats) == ("candidates", 2.5)
 
 
 def test_a_job_that_failed_has_no_equations(lotka):
-    its = judge_job(KEY, lotka, {"seconds": 1.0}, failure="no")
-    assert [each.form for each in its.equations] == ["none", "none"]
-    assert its.failure == "no"
+    judgement = judge_job(KEY, lotka, {"seconds": 1.0}, failure="no")
+    assert [equation.form for equation in judgement.equations] == ["none", "none"]
+    assert judgement.failure == "no"
 
 
 def test_a_model_that_runs_away_foretells_nothing(lotka):
-    its = judge_job(KEY, lotka, result("5.0*x**3", "0.1*x*y - 0.4*y"))
-    assert its.equations[0].r2 == -math.inf
-    assert its.equations[0].is_foretold is False
+    judgement = judge_job(KEY, lotka, result("5.0*x**3", "0.1*x*y - 0.4*y"))
+    assert judgement.equations[0].r2 == -math.inf
+    assert judgement.equations[0].is_foretold is False
 
 
 @pytest.mark.slow
@@ -217,7 +219,7 @@ def test_pysindy_is_given_the_same_table(monkeypatch, lotka):
     monkeypatch.setattr("benchmarks.harness.campaign.searching", lambda workers: pytest.fail("nothing is searched"))
     key = dataclasses.replace(KEY, method="pysindy weak")
     (outcome,) = campaign.run_jobs([key], kept(None), 1, None, {})
-    assert [its.is_right for its in outcome.equations] == [True, True]
+    assert [equation.is_right for equation in outcome.equations] == [True, True]
     assert given == [("pysindy weak", lotka.table.columns.tobytes(), lotka.system.truths)]
 
 
@@ -230,7 +232,7 @@ def test_operon_is_given_the_same_table_and_the_operators_of_the_search(monkeypa
 
     monkeypatch.setattr(campaign.operon_models, "solve", solve)
     (outcome,) = campaign.run_jobs([dataclasses.replace(KEY, method="operon")], kept(None), 1, None, {})
-    assert [its.is_right for its in outcome.equations] == [True, True]
+    assert [equation.is_right for equation in outcome.equations] == [True, True]
     assert given == [(lotka.table.columns.tobytes(), configuration(KEY, lotka, None, {}).space.operators, KEY.seed)]
     assert set(outcome.cpu) == {"operon"}
 
@@ -242,7 +244,7 @@ def test_a_peer_that_cannot_use_the_data_fails_that_job_only(monkeypatch):
     monkeypatch.setattr(campaign.operon_models, "solve", solve)
     (outcome,) = campaign.run_jobs([dataclasses.replace(KEY, method="operon")], kept(None), 1, None, {})
     assert outcome.failure == "too few rows"
-    assert [its.form for its in outcome.equations] == ["none", "none"]
+    assert [equation.form for equation in outcome.equations] == ["none", "none"]
 
 
 def test_tables_count_what_they_say(judged):

@@ -41,33 +41,33 @@ def test_the_error_is_the_spectral_norm_of_the_difference_over_that_of_the_truth
 
 
 def test_the_truth_in_other_words_is_exact():
-    its = outcome(flow(), 0.0, result("(2*x - 1)*y", "(x - 1)*(x + 1)"), {})
-    assert its.is_exact
-    assert its.error == pytest.approx(0.0, abs=1e-15)
-    assert its.rate_error == pytest.approx(0.0, abs=1e-12)
+    judgement = outcome(flow(), 0.0, result("(2*x - 1)*y", "(x - 1)*(x + 1)"), {})
+    assert judgement.is_exact
+    assert judgement.error == pytest.approx(0.0, abs=1e-15)
+    assert judgement.rate_error == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_term_too_many_is_not_the_form():
-    its = outcome(flow(), 0.0, result("2*x*y - y + 0.001*x", "x**2 - 1"), {})
-    assert its.in_form == (False, True)
-    assert its.error is not None
-    assert 0.0 < its.error < 0.001
+    judgement = outcome(flow(), 0.0, result("2*x*y - y + 0.001*x", "x**2 - 1"), {})
+    assert judgement.in_form == (False, True)
+    assert judgement.error is not None
+    assert 0.0 < judgement.error < 0.001
 
 
 def test_noise_is_a_share_of_the_root_mean_square_and_the_same_for_one_seed():
-    its = flow()
-    table = its.table(10.0, 1)
-    clean = np.concatenate(list(its.train)).T
+    system = flow()
+    table = system.table(10.0, 1)
+    clean = np.concatenate(list(system.train)).T
     size = np.sqrt((clean**2).mean(axis=1)).mean()
     assert np.std(table.columns[1:] - clean) == pytest.approx(0.1 * size, rel=0.3)
-    assert np.array_equal(table.columns, its.table(10.0, 1).columns)
-    assert not np.array_equal(table.columns, its.table(10.0, 2).columns)
+    assert np.array_equal(table.columns, system.table(10.0, 1).columns)
+    assert not np.array_equal(table.columns, system.table(10.0, 2).columns)
 
 
 def test_a_journal_is_read_back_and_not_overwritten(tmp_path: Path):
     path = tmp_path / "journal.jsonl"
-    its = outcome(flow(), 0.0, result("2*x*y - y", "x**2 - 1"), {"searching": 1.0})
-    Journal("dysts", Outcome, path, [], resume=False).add(its)
-    assert read(path, Outcome) == {("Some", 0.0): its}
+    judgement = outcome(flow(), 0.0, result("2*x*y - y", "x**2 - 1"), {"searching": 1.0})
+    Journal("dysts", Outcome, path, [], resume=False).add(judgement)
+    assert read(path, Outcome) == {("Some", 0.0): judgement}
     with pytest.raises(UsageError):
         Journal("dysts", Outcome, path, [], resume=False)

@@ -18,8 +18,8 @@ def result(verdict: str, symbols: dict[str, str], **equations: str) -> dict[str,
     return {"equations": rows, "symbols": symbols, "warnings": []}
 
 
-def outcome(name: str, its: dict[str, object]) -> Outcome:
-    return Outcome(name, "done", "", judge(CASES[name], its), 1.0, 1.0)
+def outcome(name: str, asked: dict[str, object]) -> Outcome:
+    return Outcome(name, "done", "", judge(CASES[name], asked), 1.0, 1.0)
 
 
 def test_there_are_a_hundred_tables_and_more_of_names_of_their_own() -> None:
@@ -31,16 +31,18 @@ def test_there_are_a_hundred_tables_and_more_of_names_of_their_own() -> None:
 @pytest.mark.parametrize("name", [case.name for case in GROUPS["names"]])
 def test_a_file_gives_back_what_was_written(name: str, tmp_path: Path) -> None:
     case = CASES[name]
-    its = request(case, tmp_path)
-    table = read_table(its.files, its.config.data)
+    asked = request(case, tmp_path)
+    table = read_table(asked.files, asked.config.data)
     for row, values in zip(table.columns, case.make().values(), strict=True):
         assert row.tolist() == values.tolist()
 
 
 def test_the_law_is_found_under_any_name() -> None:
     symbols = {"lambda": "lambda_", "class": "class_"}
-    its = result("good", symbols, **{"lambda": "lambda_*(1.1 - 0.4*class_)", "class": "class_*(0.1*lambda_ - 0.4)"})
-    prey, hunter = judge(CASES["called lambda, class"], its)
+    contents = result(
+        "good", symbols, **{"lambda": "lambda_*(1.1 - 0.4*class_)", "class": "class_*(0.1*lambda_ - 0.4)"}
+    )
+    prey, hunter = judge(CASES["called lambda, class"], contents)
     assert (prey.is_found, hunter.is_found) == (True, True)
     assert (prey.form, prey.expression) == ("right", "x*(1.1 - 0.4*y)")
 
@@ -50,15 +52,15 @@ def test_another_law_is_not_found_unless_the_columns_determine_each_other() -> N
     assert not free.is_found
     symbols = {"A": "A", "B": "B"}
     bound = judge(CASES["reaction, A + B = 1"], result("good", symbols, A="0.7*B - 0.7", B="0.7*(1 - B)"))
-    assert [its.is_found for its in bound] == [True, True]
+    assert [asked.is_found for asked in bound] == [True, True]
     (near,) = judge(CASES["decay"], result("good", {"y": "y"}, y="-0.52*y"))
     assert (near.form, near.is_found) == ("right", False)
 
 
 def test_the_velocity_may_stand_in_an_equation_of_second_order() -> None:
     name = "spiral, position alone"
-    its = result("exact", {"x": "x", "x_dot": "x_dot"}, x="-4*x - 0.4*x_dot")
-    assert judge(CASES[name], its)[0].is_found
+    contents = result("exact", {"x": "x", "x_dot": "x_dot"}, x="-4*x - 0.4*x_dot")
+    assert judge(CASES[name], contents)[0].is_found
 
 
 def test_what_is_relied_on_without_a_law_is_a_fault() -> None:
@@ -71,7 +73,7 @@ def test_what_is_relied_on_without_a_law_is_a_fault() -> None:
 
 def test_what_broke_is_a_fault_and_what_is_refused_is_not() -> None:
     ends = [Outcome("decay", end, "a sentence", judge(CASES["decay"], {}), 1.0, 1.0) for end in ("broke", "refused")]
-    assert [is_as_it_should_be([each]) for each in ends] == [False, True]
+    assert [is_as_it_should_be([end]) for end in ends] == [False, True]
     assert "BROKE decay: a sentence" in figures(ends)
 
 

@@ -24,8 +24,8 @@ def entry(value, half_width=0.1, fitted=None):
 
 
 def truths(expression, constants, truth=TRUTH):
-    found = covered(expression, constants, COLUMNS, values(truth))
-    return None if found is None else [(each.truth, each.is_covered) for each in found]
+    judged = covered(expression, constants, COLUMNS, values(truth))
+    return None if judged is None else [(constant.truth, constant.is_covered) for constant in judged]
 
 
 def close(value):
@@ -34,8 +34,8 @@ def close(value):
 
 def test_constants_of_another_way_to_write_the_truth_have_their_own_true_values():
     constants = [entry(3.05), entry(1.95), entry(1.2)]
-    found = truths("x*(3.05 - 1.95*y - 1.2*x)", constants)
-    assert found == [(close(3.0), True), (close(2.0), True), (close(1.0), False)]
+    constants_judged = truths("x*(3.05 - 1.95*y - 1.2*x)", constants)
+    assert constants_judged == [(close(3.0), True), (close(2.0), True), (close(1.0), False)]
 
 
 @pytest.mark.parametrize(
@@ -53,22 +53,22 @@ def test_no_constants_are_known_where_others_would_do_as_well(expression, consta
 def test_signs_that_the_text_moves_belong_to_the_constant():
     program = from_infix("3.1*x + (-2.1)*x*y - x**2", ("x", "y"))
     listed = [entry(value) for value in program.constants[program.constants != 0.0].tolist()]
-    assert sorted(each["value"] for each in listed) == [-2.1, 3.1]
-    found = truths(to_infix(program, ("x", "y")), listed)
-    assert sorted(found) == [(close(-2.0), True), (close(3.0), True)]
+    assert sorted(constant["value"] for constant in listed) == [-2.1, 3.1]
+    constants_judged = truths(to_infix(program, ("x", "y")), listed)
+    assert sorted(constants_judged) == [(close(-2.0), True), (close(3.0), True)]
 
 
 def test_the_interval_belongs_to_the_value_before_it_was_made_simple():
-    (found,) = covered("-0.1*x", [entry(-0.1, 0.01, fitted=-0.107)], COLUMNS, values("-0.11*x"))
-    assert (found.value, found.fitted, found.truth) == (-0.1, -0.107, close(-0.11))
-    assert found.is_covered
-    assert found.relative_width == close(0.02 / 0.11)
+    (constants,) = covered("-0.1*x", [entry(-0.1, 0.01, fitted=-0.107)], COLUMNS, values("-0.11*x"))
+    assert (constants.value, constants.fitted, constants.truth) == (-0.1, -0.107, close(-0.11))
+    assert constants.is_covered
+    assert constants.relative_width == close(0.02 / 0.11)
 
 
 def test_a_shared_constant_is_one_and_a_doubling_is_none():
     """2.0*x for x + x is no constant of the program; 1.5 is printed twice and listed once."""
-    found = truths("2.0*x + 1.5*y + 1.5*x*y", [entry(1.5)], "2*x + 1.45*y + 1.45*x*y")
-    assert found == [(close(1.45), True)]
+    constants_judged = truths("2.0*x + 1.5*y + 1.5*x*y", [entry(1.5)], "2*x + 1.45*y + 1.45*x*y")
+    assert constants_judged == [(close(1.45), True)]
 
 
 def test_whole_exponents_are_not_constants():
@@ -80,17 +80,17 @@ def test_no_constants_are_known_of_a_structure_that_is_not_the_truths():
 
 
 def test_a_constant_without_an_interval_is_not_covered():
-    (found,) = covered("-0.1*x", [{"value": -0.1}], COLUMNS, values("-0.1*x"))
-    assert not found.has_interval
-    assert not found.is_covered
-    assert found.relative_width is None
+    (constants,) = covered("-0.1*x", [{"value": -0.1}], COLUMNS, values("-0.1*x"))
+    assert not constants.has_interval
+    assert not constants.is_covered
+    assert constants.relative_width is None
 
 
 def test_rows_at_which_the_truth_is_not_finite_do_not_matter():
     truth = values("-0.11*x").copy()
     truth[3] = np.inf
-    (found,) = covered("-0.1*x", [entry(-0.1)], COLUMNS, truth)
-    assert found.truth == close(-0.11)
+    (constants,) = covered("-0.1*x", [entry(-0.1)], COLUMNS, truth)
+    assert constants.truth == close(-0.11)
 
 
 def test_an_equation_without_constants_has_nothing_to_cover():

@@ -51,19 +51,19 @@ OTHER = [
 ]
 
 
-@pytest.mark.parametrize(("truth", "found"), RIGHT)
-def test_a_truth_in_odd_dress_is_right(truth, found):
-    assert judge_form(found, truth, COLUMNS) == Form("right", 0)
+@pytest.mark.parametrize(("truth", "expression"), RIGHT)
+def test_a_truth_in_odd_dress_is_right(truth, expression):
+    assert judge_form(expression, truth, COLUMNS) == Form("right", 0)
 
 
-@pytest.mark.parametrize(("truth", "found", "extra"), EXTRA)
-def test_summands_beside_the_truth_are_counted(truth, found, extra):
-    assert judge_form(found, truth, COLUMNS) == Form("extra", extra)
+@pytest.mark.parametrize(("truth", "expression", "extra"), EXTRA)
+def test_summands_beside_the_truth_are_counted(truth, expression, extra):
+    assert judge_form(expression, truth, COLUMNS) == Form("extra", extra)
 
 
-@pytest.mark.parametrize(("truth", "found"), OTHER)
-def test_another_function_is_not_right(truth, found):
-    form = judge_form(found, truth, COLUMNS)
+@pytest.mark.parametrize(("truth", "expression"), OTHER)
+def test_another_function_is_not_right(truth, expression):
+    form = judge_form(expression, truth, COLUMNS)
     assert form.kind in ("missing", "other")
     assert form.extra is None
 

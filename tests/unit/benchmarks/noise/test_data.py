@@ -12,9 +12,9 @@ KEY = Key("atoll", "bar_magnets", 0.1, 100)
 
 
 def noise_of(key):
-    its = case(key)
-    clean = np.array([its.clean[name] for name in its.truths])
-    return its.table.columns[1:] - clean, clean
+    made_case = case(key)
+    clean = np.array([made_case.clean[name] for name in made_case.truths])
+    return made_case.table.columns[1:] - clean, clean
 
 
 def test_the_plain_case_is_what_the_other_benchmarks_measure():
@@ -41,26 +41,26 @@ def test_every_method_is_given_the_same_data():
 
 
 def test_the_true_derivatives_are_those_of_the_field():
-    its = case(KEY)
-    a, b = its.clean["theta1"], its.clean["theta2"]
-    np.testing.assert_allclose(its.slope("theta1"), 0.5 * np.sin(a - b) - np.sin(a), atol=1e-12)
-    assert its.truths == TRUTH["bar_magnets"]
+    made_case = case(KEY)
+    a, b = made_case.clean["theta1"], made_case.clean["theta2"]
+    np.testing.assert_allclose(made_case.slope("theta1"), 0.5 * np.sin(a - b) - np.sin(a), atol=1e-12)
+    assert made_case.truths == TRUTH["bar_magnets"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("system", ["lotka_volterra", "shear_flow"])
 def test_a_fresh_trajectory_begins_where_none_was_measured(system):
-    its = fresh(system, 100)
+    made_case = fresh(system, 100)
     starts = [values[0].tolist() for values in trajectories(system, 0.1, 100).values]
-    assert its.states.shape == (100, 2)
-    assert its.states[0].tolist() not in starts
-    assert its.states.tolist() == fresh(system, 100).states.tolist()
-    assert its.states.tolist() != fresh(system, 101).states.tolist()
+    assert made_case.states.shape == (100, 2)
+    assert made_case.states[0].tolist() not in starts
+    assert made_case.states.tolist() == fresh(system, 100).states.tolist()
+    assert made_case.states.tolist() != fresh(system, 101).states.tolist()
 
 
 def test_lotka_volterra_keeps_its_fixed_initial_conditions():
     assert SYSTEMS["lotka_volterra"].draw is not None
-    assert [tuple(each[0]) for each in trajectories("lotka_volterra", 0.1, 7).values] == [
+    assert [tuple(states[0]) for states in trajectories("lotka_volterra", 0.1, 7).values] == [
         (1, 3),
         (4, 1),
         (8, 2),

@@ -47,7 +47,7 @@ def test_an_equation_in_form_has_errors_and_intervals_of_its_constants(lotka):
     x = lotka.equations[0]
     assert (x.found, x.in_form, x.grade, x.elsewhere) == (True, True, "good", None)
     assert x.constants_error == pytest.approx(0.02)
-    assert [(each.is_covered, round(each.truth, 6)) for each in x.constants] == [(True, 3.0), (False, 2.0)]
+    assert [(constant.is_covered, round(constant.truth, 6)) for constant in x.constants] == [(True, 3.0), (False, 2.0)]
 
 
 def test_an_equation_that_is_not_in_form_is_looked_for_elsewhere(lotka):
@@ -71,8 +71,8 @@ def test_the_system_is_simulated_as_a_whole(lotka):
 
 def test_without_noise_constants_must_be_right():
     exact = dataclasses.replace(KEY, level=0.0)
-    found = judged(X, equation("y", "y*(2.00001 - x - y)"), key=exact).equations
-    assert [(each.found, each.in_form) for each in found] == [(False, True), (True, True)]
+    equations = judged(X, equation("y", "y*(2.00001 - x - y)"), key=exact).equations
+    assert [(equation.found, equation.in_form) for equation in equations] == [(False, True), (True, True)]
 
 
 def test_a_constant_of_the_other_sign_is_another_form():
@@ -81,7 +81,10 @@ def test_a_constant_of_the_other_sign_is_another_form():
 
 def test_respiration_is_judged_by_its_function():
     near = judged(equation("x", "20.1 - x - 2*y/x"), equation("y", "10 - y"), key=RESPIRATION).equations
-    assert [(each.found, each.in_form) for each in near] == [(near[0].function_error < 0.05, False), (False, False)]
+    assert [(equation.found, equation.in_form) for equation in near] == [
+        (near[0].function_error < 0.05, False),
+        (False, False),
+    ]
     true = judged(equation("x", "20.0 - x - x*y/(1.0 + 0.5*x**2)"), Y, key=RESPIRATION).equations[0]
     assert (true.found, true.constants) == (True, None)
     wrong = judged(equation("x", "20.0 - x - x*y/(9.0 + 0.5*x**2)"), Y, key=RESPIRATION).equations[0]
@@ -123,25 +126,31 @@ def outcomes():
 
 
 def test_counts_are_medians_over_seeds_and_errors_over_all_equations_found():
-    (its,) = summarized(outcomes())
-    assert (its.seeds, its.equations, its.found, its.foretold, its.elsewhere) == (3, 2, 1, 1, 2)
-    assert (its.constants_error, its.seconds, its.longest_s) == (0.04, 5.0, 6.0)
-    assert (its.intervals, its.covered, its.coverage) == (4, 3, 0.75)
-    assert its.relative_width == pytest.approx(0.1)
+    (summed,) = summarized(outcomes())
+    assert (summed.seeds, summed.equations, summed.found, summed.foretold, summed.elsewhere) == (3, 2, 1, 1, 2)
+    assert (summed.constants_error, summed.seconds, summed.longest_s) == (0.04, 5.0, 6.0)
+    assert (summed.intervals, summed.covered, summed.coverage) == (4, 3, 0.75)
+    assert summed.relative_width == pytest.approx(0.1)
 
 
 def test_systems_whose_constants_are_not_determined_do_not_count_for_constants():
     key = dataclasses.replace(KEY, system="bacterial_respiration")
-    (its,) = summarized([dataclasses.replace(each, key=key) for each in outcomes()])
-    assert (its.constants_error, its.intervals) == (None, 0)
+    (summed,) = summarized([dataclasses.replace(outcome, key=key) for outcome in outcomes()])
+    assert (summed.constants_error, summed.intervals) == (None, 0)
 
 
 def test_levels_and_methods_are_told_apart():
-    other = [dataclasses.replace(each, key=dataclasses.replace(each.key, method="pysindy")) for each in outcomes()]
-    clean = [dataclasses.replace(each, key=dataclasses.replace(each.key, level=0.0)) for each in outcomes()]
-    found = summarized([*outcomes(), *other, *clean])
-    assert [(each.level, each.method) for each in found] == [(0.0, "atoll"), (0.05, "atoll"), (0.05, "pysindy")]
-    assert "1 of 2" in by_level(found).splitlines()[1]
+    other = [
+        dataclasses.replace(outcome, key=dataclasses.replace(outcome.key, method="pysindy")) for outcome in outcomes()
+    ]
+    clean = [dataclasses.replace(outcome, key=dataclasses.replace(outcome.key, level=0.0)) for outcome in outcomes()]
+    summed = summarized([*outcomes(), *other, *clean])
+    assert [(equation.level, equation.method) for equation in summed] == [
+        (0.0, "atoll"),
+        (0.05, "atoll"),
+        (0.05, "pysindy"),
+    ]
+    assert "1 of 2" in by_level(summed).splitlines()[1]
 
 
 def test_tables_show_equations_and_verdicts():

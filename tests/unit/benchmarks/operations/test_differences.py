@@ -16,7 +16,7 @@ from benchmarks.operations.differences import (
 
 
 def places(ours: Any, theirs: Any) -> list[str]:
-    return [each.place for each in differences(ours, theirs)]
+    return [difference.place for difference in differences(ours, theirs)]
 
 
 def test_equal_values_have_no_differences_whatever_the_order_of_keys() -> None:
@@ -24,8 +24,8 @@ def test_equal_values_have_no_differences_whatever_the_order_of_keys() -> None:
 
 
 def test_places_are_paths_in_the_order_of_ours_with_both_values() -> None:
-    found = list(differences({"a": [{"b": 1.5}, 2], "c": "x"}, {"a": [{"b": 2.5}, 2], "c": "y"}))
-    assert found == [Difference("a[0].b", "1.5", "2.5"), Difference("c", '"x"', '"y"')]
+    unequal = list(differences({"a": [{"b": 1.5}, 2], "c": "x"}, {"a": [{"b": 2.5}, 2], "c": "y"}))
+    assert unequal == [Difference("a[0].b", "1.5", "2.5"), Difference("c", '"x"', '"y"')]
 
 
 def test_what_one_side_does_not_have_is_absent() -> None:
@@ -74,8 +74,8 @@ def test_progress_is_left_out_of_messages() -> None:
 
 def test_a_report_shows_the_first_places_and_counts_the_others() -> None:
     assert report("lv1", [], 2) == "lv1: equal"
-    found = list(differences([1, 2, 3], [4, 5, 6]))
-    assert report("lv1", found, 2).splitlines() == [
+    unequal = list(differences([1, 2, 3], [4, 5, 6]))
+    assert report("lv1", unequal, 2).splitlines() == [
         "lv1: DIFFERS",
         "    [0]: 1 beside 4",
         "    [1]: 2 beside 5",

@@ -29,10 +29,10 @@ def test_strikes_are_drawn_from_their_seed() -> None:
         return [strikes.next() for _ in range(200)]
 
     assert drawn(1) == drawn(1) != drawn(2)
-    assert {each.kind for each in drawn(1)} == set(LASTING_S)  # type: ignore[attr-defined]
-    for each in Strikes(0, ("stop-worker",), ("w0",)).next(), Strikes(0, ("kill-coordinator",), ("w0",)).next():
-        low, high = LASTING_S[each.kind]
-        assert low <= each.for_s <= high
+    assert {strike.kind for strike in drawn(1)} == set(LASTING_S)  # type: ignore[attr-defined]
+    for strike in Strikes(0, ("stop-worker",), ("w0",)).next(), Strikes(0, ("kill-coordinator",), ("w0",)).next():
+        low, high = LASTING_S[strike.kind]
+        assert low <= strike.for_s <= high
     assert Strikes(0, ("kill-coordinator",), ("w0",)).next().who == "coordinator"
 
 

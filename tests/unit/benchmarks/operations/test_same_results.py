@@ -23,15 +23,15 @@ def test_times_do_not_differ() -> None:
 def test_digests_results_printed_lines_exit_codes_and_what_was_given_are_compared() -> None:
     result = {"digest": "b", "equations": [{"size": 2}]}
     other = Found("lv1", "other", "new code", 4, ["dx/dt = y", LINE], ["read"], result)
-    found = [each.place for each in compare({"lv1": FOUND}, {"lv1": other})["lv1"]]
-    assert found[:5] == ["digest", "given", "exit_code", "printed[0]", "messages[0]"]
-    assert found[5:] == ["result.digest", "result.equations[0].size"]
+    compared = [difference.place for difference in compare({"lv1": FOUND}, {"lv1": other})["lv1"]]
+    assert compared[:5] == ["digest", "given", "exit_code", "printed[0]", "messages[0]"]
+    assert compared[5:] == ["result.digest", "result.equations[0].size"]
 
 
 def test_a_job_that_the_other_side_does_not_have_differs() -> None:
-    found = compare({"lv1": FOUND, "lv2": FOUND}, {"lv1": FOUND})
-    assert [bool(each) for each in found.values()] == [False, True]
-    assert summed(found, 5).splitlines()[-1] == "1 of 2 jobs differ, 1 of them in their digests"
+    comparison = compare({"lv1": FOUND, "lv2": FOUND}, {"lv1": FOUND})
+    assert [bool(place) for place in comparison.values()] == [False, True]
+    assert summed(comparison, 5).splitlines()[-1] == "1 of 2 jobs differ, 1 of them in their digests"
 
 
 def test_a_record_is_gone_on_with_by_the_same_code_only(tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_without_anything_to_compare_with_there_is_a_sentence(capsys: pytest.Cap
 
 def test_there_are_sixty_jobs_whose_files_are_known() -> None:
     known = {*EXAMPLES, *WRITERS, *(f"{name}.csv" for name in NAMES)}
-    named = [each for words in JOBS.values() for each in files_of(words)]
+    named = [file for words in JOBS.values() for file in files_of(words)]
     assert len(JOBS) == 60
     assert {*named} <= known
     assert {*EXAMPLES, *WRITERS} <= {*named}

@@ -39,7 +39,7 @@ def report(epoch: int, island: int) -> IslandReport:
 def samples() -> Samples:
     epochs = [(report(epoch, 0), report(epoch, 1)) for epoch in range(3)]
     reports = tuple(
-        EpochReport(job="j", variable="x", term=1, epoch=epoch, islands=each) for epoch, each in enumerate(epochs)
+        EpochReport(job="j", variable="x", term=1, epoch=epoch, islands=event) for epoch, event in enumerate(epochs)
     )
     return Samples(reports, emigrant=600, snapshot=5000)
 
@@ -72,10 +72,10 @@ def test_samples_come_back_from_their_file_and_go_round(samples: Samples, tmp_pa
 
 
 def test_a_pretended_report_is_a_real_one_of_another_island(samples: Samples) -> None:
-    its = pretended(samples, 1, 7, "a")
-    assert (its.island, its.counters) == (7, samples.report(1, 7).counters)
-    assert its.additions[0].error == pytest.approx(0.5, rel=0.1)
-    assert its.digest != pretended(samples, 1, 7, "b").digest
+    pretended_report = pretended(samples, 1, 7, "a")
+    assert (pretended_report.island, pretended_report.counters) == (7, samples.report(1, 7).counters)
+    assert pretended_report.additions[0].error == pytest.approx(0.5, rel=0.1)
+    assert pretended_report.digest != pretended(samples, 1, 7, "b").digest
 
 
 def test_an_island_that_pretends_takes_its_time_and_sends_what_is_expected(samples: Samples) -> None:
@@ -92,7 +92,7 @@ def test_an_island_that_pretends_takes_its_time_and_sends_what_is_expected(sampl
         assert time.monotonic() < end
         time.sleep(0.005)
     assert JobReady("j") in said
-    (snapshot,) = [each for each in said if isinstance(each, Snapshot)]
+    (snapshot,) = [event for event in said if isinstance(event, Snapshot)]
     assert len(snapshot.data) == 5000
     computed = said[-1]
     assert isinstance(computed, Computed)
@@ -135,11 +135,11 @@ def test_a_load_is_what_happened_between_two_accounts() -> None:
     lines = [
         {"epochs": 30, "reports": 10, "report_bytes": 100, "mails": 20, "mail_bytes": 400, "waits": [1.0, 3.0]}
     ] * 2  # fmt: skip
-    its = load_of(6, 2, 1, (Account(1.0, 0.5, 100, 10.0), Account(2.0, 1.0, 200, 20.0)), lines)
-    assert (its.epochs, its.reports, its.mails) == (1.0, 2.0, 4.0)
-    assert (its.cores, its.loop, its.resident) == (0.1, 0.05, 200)
-    assert (its.wait_50, its.microseconds) == (2.0, pytest.approx(1e6 * 0.1 / 6))
-    assert "6" in loads_table([its])
+    load = load_of(6, 2, 1, (Account(1.0, 0.5, 100, 10.0), Account(2.0, 1.0, 200, 20.0)), lines)
+    assert (load.epochs, load.reports, load.mails) == (1.0, 2.0, 4.0)
+    assert (load.cores, load.loop, load.resident) == (0.1, 0.05, 200)
+    assert (load.wait_50, load.microseconds) == (2.0, pytest.approx(1e6 * 0.1 / 6))
+    assert "6" in loads_table([load])
 
 
 def test_growth_is_the_power_of_the_number_of_islands() -> None:

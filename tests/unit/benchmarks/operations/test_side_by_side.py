@@ -22,40 +22,40 @@ def recording(log: list[str], who: str, took: Took) -> Callable[[str], Took]:
 
 def test_jobs_take_turns_and_who_begins_changes() -> None:
     log: list[str] = []
-    found = in_turn(["a", "b"], recording(log, "ours", TOOK), recording(log, "theirs", TOOK), 2, lambda: True)
+    jobs = in_turn(["a", "b"], recording(log, "ours", TOOK), recording(log, "theirs", TOOK), 2, lambda: True)
     assert log[:4] == ["ours a", "theirs a", "theirs b", "ours b"]
     assert len(log) == 8
-    assert [each.job for each in found] == ["a", "b"]
+    assert [job.job for job in jobs] == ["a", "b"]
 
 
 def test_no_job_begins_after_the_time_is_up() -> None:
     log: list[str] = []
     left = iter([True, False])
-    found = in_turn(["a", "b"], recording(log, "o", TOOK), recording(log, "t", TOOK), 3, lambda: next(left))
+    jobs = in_turn(["a", "b"], recording(log, "o", TOOK), recording(log, "t", TOOK), 3, lambda: next(left))
     assert log == ["o a", "t a"]
-    assert [each.job for each in found] == ["a"]
+    assert [job.job for job in jobs] == ["a"]
 
 
 def test_each_side_has_its_own_times() -> None:
     slower = replace(TOOK, search=0.1, command=4.0)
     (first, second) = in_turn(["a", "b"], lambda _: TOOK, lambda _: slower, 1, lambda: True)
-    for each in (first, second):
-        assert (each.ratio("search"), each.ratio("command"), each.ratio("processor")) == (2.0, 0.5, 1.0)
+    for job in (first, second):
+        assert (job.ratio("search"), job.ratio("command"), job.ratio("processor")) == (2.0, 0.5, 1.0)
 
 
 def test_medians_are_of_times_and_a_digest_that_changes_is_seen() -> None:
     runs = [replace(TOOK, search=1.0), replace(TOOK, search=5.0, digest="other"), replace(TOOK, search=2.0)]
-    found = median(runs)
-    assert (found.search, found.command, found.digest) == (2.0, 2.0, "abc other")
-    assert not Beside("a", found, TOOK).is_same
+    medians = median(runs)
+    assert (medians.search, medians.command, medians.digest) == (2.0, 2.0, "abc other")
+    assert not Beside("a", medians, TOOK).is_same
 
 
 def test_the_table_has_ratios_and_their_geometric_mean_and_says_what_differs() -> None:
-    found = [
+    jobs = [
         Beside("fast", replace(TOOK, search=0.4), TOOK),
         Beside("slow", replace(TOOK, search=0.1, digest="z", equations=("y",)), TOOK),
     ]
-    fast, slow, mean = shown(found).splitlines()[-3:]
+    fast, slow, mean = shown(jobs).splitlines()[-3:]
     assert fast.split()[:4] == ["fast", "0.400", "0.200", "2.00"]
     assert fast.split()[-2:] == ["same", "same"]
     assert slow.split()[-2:] == ["DIFFERS", "DIFFER"]
@@ -65,7 +65,7 @@ def test_the_table_has_ratios_and_their_geometric_mean_and_says_what_differs() -
 @pytest.mark.slow
 def test_label_files_of_the_paper_s_equations_are_made_where_there_is_no_folder_of_them(tmp_path: Path) -> None:
     made = jobs(tmp_path, None, range(2))
-    labels = [each for each in made.values() if "--target" in each]
+    labels = [job for job in made.values() if "--target" in job]
     assert len(labels) == 28
     name, *numbers = Path(labels[0][0]).read_text("utf-8").splitlines()[:2]
     assert name == "label,v,theta"

@@ -62,9 +62,15 @@ def test_the_error_is_the_largest_one_and_infinite_where_there_is_none():
 
 def test_a_row_is_summed_up_by_the_share_of_its_runs_within_budget_and_mark():
     runs = [ended(evaluations=250_000), ended(evaluations=400_000), ended(converged=False), ended(evaluations=100)]
-    its = summary(ROWS["P4"], "default", runs)
-    assert (its.runs, its.converged, its.marked, its.median, its.most) == (4, 75.0, 50.0, 250_000.0, None)
-    assert not its.is_met
+    summed = summary(ROWS["P4"], "default", runs)
+    assert (summed.runs, summed.converged, summed.marked, summed.median, summed.most) == (
+        4,
+        75.0,
+        50.0,
+        250_000.0,
+        None,
+    )
+    assert not summed.is_met
     assert summary(ROWS["P4"], "default", [ended()]).is_met
 
 
@@ -88,39 +94,39 @@ def test_a_difference_of_shares_is_given_in_standard_deviations():
 
 def test_a_run_ends_when_it_converges_and_is_the_same_again():
     task = Task("P2", "default", 100, 500_000)
-    its = run(task)
-    assert its.converged
-    assert its.evaluations < 100_000
-    assert largest_error(program(its.expression), X, X**2 + X) < 1e-6
-    assert run(task) == its
+    judged = run(task)
+    assert judged.converged
+    assert judged.evaluations < 100_000
+    assert largest_error(program(judged.expression), X, X**2 + X) < 1e-6
+    assert run(task) == judged
 
 
 def test_a_run_ends_when_its_evaluations_are_used_up():
-    its = run(Task("sextic", "paper", 100, 30_000))
-    assert not its.converged
-    assert 30_000 < its.evaluations < 45_000
+    judged = run(Task("sextic", "paper", 100, 30_000))
+    assert not judged.converged
+    assert 30_000 < judged.evaluations < 45_000
 
 
 def test_what_an_island_used_until_it_was_looked_at_counts(monkeypatch):
     """With all rows and no fit, two generations of 64 solutions on 20 rows after the first 64 are 3,840 evaluations."""
     looked = []
     advance = Island.advance
-    monkeypatch.setattr(Island, "advance", lambda its, number: looked.append(number) or advance(its, number))
-    its = run(Task("P5", "paper", 100, 3_000))
+    monkeypatch.setattr(Island, "advance", lambda ended, number: looked.append(number) or advance(ended, number))
+    judged = run(Task("P5", "paper", 100, 3_000))
     assert looked == [2]
-    assert 3_840 <= its.evaluations < 5_000
+    assert 3_840 <= judged.evaluations < 5_000
 
 
 def test_the_table_and_the_file_are_made_of_the_same_runs(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(
-        table1, "in_parallel", lambda function, tasks, _: [ended(each.row, each.preset) for each in tasks]
+        table1, "in_parallel", lambda function, tasks, _: [ended(task.row, task.preset) for task in tasks]
     )
     out = tmp_path / "t.json"
     options = ["--row", "P4", "--row", "gaussian", "--seeds", "0-1", "--out", str(out)]
     assert main(options) == 0
     assert "at or above" in capsys.readouterr().out
     written = json.loads(out.read_text("utf-8"))
-    assert [each["converged"] for each in written["summaries"]] == [100.0] * 4
+    assert [summary["converged"] for summary in written["summaries"]] == [100.0] * 4
     assert len(written["runs"]) == 8
 
 

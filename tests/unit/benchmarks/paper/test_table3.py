@@ -56,7 +56,7 @@ def test_the_papers_figures_stand_by_their_equations():
 def test_an_equation_is_exact_in_form_and_one_that_is_not_is_looked_for_on_the_front():
     columns = {"v": np.linspace(1.0, 9.0, 200), "theta": np.linspace(-2.0, 30.0, 200)[::-1]}
 
-    def found(expression):
+    def form_of(expression):
         front = [{"complexity": 5, "expression": "v"}, {"complexity": 8, "expression": "-0.05*v**2 - sin(theta)"}]
         shown = {
             "expression": expression, "complexity": 9, "front": front, "normalized_error": 0.1, "why": "time",
@@ -65,7 +65,7 @@ def test_an_equation_is_exact_in_form_and_one_that_is_not_is_looked_for_on_the_f
         result = {"equations": [shown], "search_seconds": 1.0, "seconds": 2.0, "digest": "d"}
         return judged(GLIDER_V, "given", 4, result, columns)
 
-    right, wrong, none = found("-(sin(theta) + v*v/20)"), found("-0.05*v**2 - cos(theta)"), found(None)
+    right, wrong, none = form_of("-(sin(theta) + v*v/20)"), form_of("-0.05*v**2 - cos(theta)"), form_of(None)
     assert (right.exact, right.seed, right.seconds) == (True, 4, 2.0)
     assert (wrong.exact, wrong.on_front) == (False, 8)
     assert "exact at size 8 of the front" in wrong.miss

@@ -107,5 +107,5 @@ def rows_of(name: str) -> tuple[dict[str, FloatArray], FloatArray]:
     """Return rows to judge by (x and y, R values each) and the true labels on them."""
     generator = np.random.default_rng(0)
     ranges = _RANGES.get(name.rstrip("12"), _POSITIVE)
-    columns = {each: generator.uniform(*its, ROWS) for each, its in zip("xy", ranges, strict=True)}
+    columns = {name: generator.uniform(*bounds, ROWS) for name, bounds in zip("xy", ranges, strict=True)}
     return columns, values_of(from_infix(EQUIVALENTS[name][0], tuple(columns)), np.array([*columns.values()]))

@@ -23,4 +23,4 @@ def test_a_law_is_found_and_read(monkeypatch):
     for equation in answer["equations"]:
         truth = case.system.truths[equation["variable"]]
         assert equation["expression"] == equation["front"][0]["expression"]
-        assert any(judge_form(each["expression"], truth, case.clean).is_right for each in equation["front"])
+        assert any(judge_form(member["expression"], truth, case.clean).is_right for member in equation["front"])

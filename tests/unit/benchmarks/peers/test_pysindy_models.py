@@ -35,9 +35,9 @@ def test_an_equation_within_its_library_is_found(method, monkeypatch):
     monkeypatch.setattr(pysindy_models, "WAVY_LIBRARIES", ((1, 1, True),))
     monkeypatch.setattr(pysindy_models, "THRESHOLDS", (0.07,))
     key = dataclasses.replace(KEY, method=method)
-    its = outcome(key, case(key), solve(method, key.seed, case(key)), {})
-    assert all(each.in_form for each in its.equations)
-    assert max(each.constants_error for each in its.equations) < 0.05
+    judgement = outcome(key, case(key), solve(method, key.seed, case(key)), {})
+    assert all(equation.in_form for equation in judgement.equations)
+    assert max(equation.constants_error for equation in judgement.equations) < 0.05
 
 
 @pytest.mark.slow
@@ -49,4 +49,4 @@ def test_the_weak_form_does_not_apply_to_uneven_times():
     columns[0, :100] **= 1.1
     uneven = dataclasses.replace(even, table=dataclasses.replace(even.table, columns=columns))
     answer = solve(WEAK, KEY.seed, uneven)
-    assert [each["expression"] for each in answer["equations"]] == [None, None]
+    assert [equation["expression"] for equation in answer["equations"]] == [None, None]

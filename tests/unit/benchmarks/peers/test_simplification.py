@@ -38,8 +38,8 @@ def test_a_name_of_sympys_can_be_a_variable():
     ],
 )
 def test_difference_and_ratio_are_constant_or_not(model, difference, ratio):
-    found = compared(model, "x*(y + 1)", XY)
-    assert (found["difference"], found["ratio"]) == (difference, ratio)
+    answer = compared(model, "x*(y + 1)", XY)
+    assert (answer["difference"], answer["ratio"]) == (difference, ratio)
 
 
 def test_what_sympy_cannot_do_is_no_credit():

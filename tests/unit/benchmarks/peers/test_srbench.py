@@ -12,9 +12,9 @@ from tests.unit.benchmarks.peers.equivalents import EQUIVALENTS, OTHERS, OVERCRE
 
 @pytest.fixture(scope="module")
 def comparer():
-    its = Comparer()
-    yield its
-    its.close()
+    comparer = Comparer()
+    yield comparer
+    comparer.close()
 
 
 @pytest.fixture(autouse=True)
@@ -67,9 +67,9 @@ def test_there_are_five_forms_for_each_file():
 
 def test_a_model_that_explains_nothing_is_not_compared():
     truth = EQUIVALENTS["lv1"][0]
-    found = assess(f"({truth}) + 100", truth, *rows_of("lv1"))
-    assert not found.is_right
-    assert found.reason.startswith("R² is -")
+    form = assess(f"({truth}) + 100", truth, *rows_of("lv1"))
+    assert not form.is_right
+    assert form.reason.startswith("R² is -")
 
 
 def test_a_model_that_is_not_finite_is_not_solved():

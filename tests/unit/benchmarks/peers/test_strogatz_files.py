@@ -60,7 +60,7 @@ def test_file_and_seed_decide_the_rows_and_the_level_the_noise(folder):
     one, same, louder = (split(rows, "lv1", 3, level).training for level in (0.01, 0.01, 0.1))
     assert one.digest == same.digest
     np.testing.assert_array_equal(one.column("x"), louder.column("x"))
-    small, large = (its.column("label") - np.cos(its.column("x")) for its in (one, louder))
+    small, large = (table.column("label") - np.cos(table.column("x")) for table in (one, louder))
     assert not np.allclose(10 * small, large)
     for other in (split(rows, "lv1", 4, 0.01), split(rows, "lv2", 3, 0.01)):
         assert not np.array_equal(other.training.column("x"), one.column("x"))

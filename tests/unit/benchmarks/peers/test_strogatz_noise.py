@@ -56,22 +56,22 @@ def judged(folder, answer):
 
 
 def test_an_equation_is_judged_by_both_rules(folder):
-    found = judged(folder, result("y*(2 - x - y*1.0005)", "x", "y*(2 - x)"))
-    assert (found.srbench, found.strict, found.on_front) == (False, True, 7)
-    assert found.constants_error == pytest.approx(5e-4, rel=1e-3)
+    judgement = judged(folder, result("y*(2 - x - y*1.0005)", "x", "y*(2 - x)"))
+    assert (judgement.srbench, judgement.strict, judgement.on_front) == (False, True, 7)
+    assert judgement.constants_error == pytest.approx(5e-4, rel=1e-3)
     assert judged(folder, result(TRUTH)).srbench
 
 
 def test_a_front_may_hold_what_was_not_chosen(folder):
-    found = judged(folder, result("y*(2 - x - y*1.01)", TRUTH))
-    assert (found.strict, found.on_front) == (False, 5)
-    assert found.strict_reason.startswith("a constant differs")
+    judgement = judged(folder, result("y*(2 - x - y*1.01)", TRUTH))
+    assert (judgement.strict, judgement.on_front) == (False, 5)
+    assert judgement.strict_reason.startswith("a constant differs")
 
 
 def test_no_equation_is_not_solved(folder):
-    found = judged(folder, result(None))
-    assert (found.srbench, found.strict) == (False, False)
-    assert (found.r_squared, found.on_front, found.srbench_reason) == (None, None, "no equation")
+    judgement = judged(folder, result(None))
+    assert (judgement.srbench, judgement.strict) == (False, False)
+    assert (judgement.r_squared, judgement.on_front, judgement.srbench_reason) == (None, None, "no equation")
 
 
 def test_rates_are_shares_of_the_runs():

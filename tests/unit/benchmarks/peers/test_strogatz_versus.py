@@ -45,18 +45,18 @@ def test_the_error_is_measured_anew(folder):
 
 @pytest.mark.parametrize(("expression", "seconds"), [("2*x", 1.0), ("2.01*x", None), (None, None)])
 def test_only_what_meets_the_target_has_a_time(folder, expression, seconds):
-    found = race(("lv2", 0), result(expression), rows_of(folder, "lv2"), PEER, 1e-4)
-    assert found.ours == seconds
-    assert found.peers == 4.0
+    race_run = race(("lv2", 0), result(expression), rows_of(folder, "lv2"), PEER, 1e-4)
+    assert race_run.ours == seconds
+    assert race_run.peers == 4.0
 
 
 def test_a_miss_counts_as_the_limit():
-    its = summary([RACE, MISSED], 16.0)
-    assert (its["met"], its["peers_met"]) == (1, 1)
-    assert its["mean_s"] == pytest.approx(4.0)
-    assert its["peers_mean_s"] == pytest.approx(8.0)
-    assert its["ratio"] == pytest.approx(0.5)
-    assert (its["slowest_s"], its["peers_slowest_s"], its["largest_error"]) == (16.0, 16.0, 1e-6)
+    summed = summary([RACE, MISSED], 16.0)
+    assert (summed["met"], summed["peers_met"]) == (1, 1)
+    assert summed["mean_s"] == pytest.approx(4.0)
+    assert summed["peers_mean_s"] == pytest.approx(8.0)
+    assert summed["ratio"] == pytest.approx(0.5)
+    assert (summed["slowest_s"], summed["peers_slowest_s"], summed["largest_error"]) == (16.0, 16.0, 1e-6)
 
 
 def test_medians_of_the_files_stand_side_by_side():
@@ -89,5 +89,5 @@ def test_both_search_in_turn_and_all_is_written(folder, monkeypatch, capsys):
     assert order == ["lv2 seed 0", ("lv2.csv", 0, 1e-4, 9.0), "lv2 seed 1", ("lv2.csv", 1, 1e-4, 9.0)]
     contents = json.loads(out.read_text())
     assert contents["summary"]["ratio"] == pytest.approx(0.25)
-    assert [each["peers"] for each in contents["runs"]] == [4.0, 4.0]
+    assert [content["peers"] for content in contents["runs"]] == [4.0, 4.0]
     assert "Operon s" in capsys.readouterr().out

@@ -35,4 +35,4 @@ def test_on_a_terminal_there_is_a_bar_for_each_warm_up(monkeypatch: pytest.Monke
         show(sentence_of(done, 2), "for the worker")
         show(sentence_of(done, 2), "for the coordinator")
     drawn = sys.stderr.getvalue()  # type: ignore[attr-defined]
-    assert all(each in drawn for each in ("for the worker", "for the coordinator", "50%", "100%"))
+    assert all(text in drawn for text in ("for the worker", "for the coordinator", "50%", "100%"))

@@ -155,7 +155,7 @@ def test_whatever_a_header_says_there_is_a_table_or_a_refusal(data):
     for name in data.draw(st.lists(st.sampled_from(sorted(header)), max_size=2)):
         whole = header[name]
         holder = data.draw(
-            st.sampled_from([each for each in (header, whole) if isinstance(each, dict | list) and each])
+            st.sampled_from([value for value in (header, whole) if isinstance(value, dict | list) and value])
         )
         place = data.draw(st.sampled_from([*holder])) if isinstance(holder, dict) else 0
         holder[name if holder is header else place] = copy.deepcopy(data.draw(st.sampled_from(HOSTILE)))

@@ -34,8 +34,8 @@ def bounds(*texts):
     ],
 )
 def test_a_bound_is_read_as_it_is_written(text, scope, lower, upper):
-    its = parse_bound(text, NAMES)
-    assert (its.scope, its.lower, its.upper) == (scope, lower, upper)
+    bound = parse_bound(text, NAMES)
+    assert (bound.scope, bound.lower, bound.upper) == (scope, lower, upper)
 
 
 def test_a_variable_called_c_is_a_term():
@@ -83,19 +83,19 @@ def test_constants_count_with_the_sign_that_they_act_with(text, bound, is_kept):
 
 
 def test_a_program_is_laid_out_so_that_each_bound_is_about_one_constant():
-    its = bounds("x*y > -1", "0 < x < 2")
-    program = its.laid_out(parsed("x*(3 - 2*y)"))
-    lower, upper = its.ranges(program)
+    limits = bounds("x*y > -1", "0 < x < 2")
+    program = limits.laid_out(parsed("x*(3 - 2*y)"))
+    lower, upper = limits.ranges(program)
     assert to_infix(program, NAMES) == "3.0*x - 2.0*x*y"
     assert lower.tolist() == [0.0, -math.inf]  # what is written behind a minus is the negative of the coefficient
     assert upper.tolist() == [2.0, 1.0]
-    assert to_infix(its.clipped(program), NAMES) == "2.0*x - 1.0*x*y"
-    assert its.laid_out(program) is program
+    assert to_infix(limits.clipped(program), NAMES) == "2.0*x - 1.0*x*y"
+    assert limits.laid_out(program) is program
 
 
 def test_a_factor_of_one_is_a_constant_where_a_bound_excludes_one():
-    its = bounds("x < 0.5")
-    assert to_infix(its.clipped(its.laid_out(parsed("x - y"))), NAMES) == "0.5*x - y"
+    limits = bounds("x < 0.5")
+    assert to_infix(limits.clipped(limits.laid_out(parsed("x - y"))), NAMES) == "0.5*x - y"
 
 
 def test_bounds_on_one_constant_are_kept_together_or_not_at_all():
@@ -125,4 +125,4 @@ def test_layouts_depend_on_the_program_alone(text):
     assert used.laid_out(first) == first
     flipped = with_constants(first, {place: -first.constants[place] for place in constant_places(first)})
     assert used.laid_out(flipped) is flipped, "other values of constants are no other layout"
-    assert [each.tolist() for each in used.ranges(flipped)] == [each.tolist() for each in fresh.ranges(first)]
+    assert [entry.tolist() for entry in used.ranges(flipped)] == [entry.tolist() for entry in fresh.ranges(first)]

@@ -54,6 +54,8 @@ def test_the_sine_of_a_large_number_is_no_number():
     assert np.isnan(values_of(from_infix("sin(1e6*x)", ("x", "y")), inputs())).all()
 
 
-@pytest.mark.parametrize("operator", [each for each in OPERATORS if each.code > CONSTANT], ids=lambda each: each.name)
+@pytest.mark.parametrize(
+    "operator", [operator for operator in OPERATORS if operator.code > CONSTANT], ids=lambda operator: operator.name
+)
 def test_every_operator_has_a_value(operator):
     assert np.isfinite(value_of(operator.code, 2.0, 3.0))

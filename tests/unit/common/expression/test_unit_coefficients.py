@@ -34,34 +34,36 @@ CASES = {
 @pytest.mark.parametrize("text", CASES)
 def test_terms_without_a_factor_get_one(text):
     terms, count = CASES[text]
-    its = make_coefficients_explicit(shortest(parsed(text)))
-    assert tuple(map(shown, its.terms)) == terms
-    assert len(its.origins) == count == len(constant_places(its.program))
-    assert sum(origin is None for origin in its.origins) == len(terms)
+    explicit = make_coefficients_explicit(shortest(parsed(text)))
+    assert tuple(map(shown, explicit.terms)) == terms
+    assert len(explicit.origins) == count == len(constant_places(explicit.program))
+    assert sum(origin is None for origin in explicit.origins) == len(terms)
 
 
 @pytest.mark.parametrize("text", CASES)
 def test_the_function_stays_and_the_constants_know_where_they_come_from(text):
     program = shortest(parsed(text))
-    its = make_coefficients_explicit(program)
-    assert values_of(its.program, INPUTS) == pytest.approx(values_of(program, INPUTS), rel=1e-13)
+    explicit = make_coefficients_explicit(program)
+    assert values_of(explicit.program, INPUTS) == pytest.approx(values_of(program, INPUTS), rel=1e-13)
     values = program.constants[constant_places(program)].tolist()
-    expected = [1.0 if origin is None else values[origin] for origin in its.origins]
-    assert its.program.constants[constant_places(its.program)].tolist() == expected
-    assert sorted(origin for origin in its.origins if origin is not None) == list(range(len(values)))
+    expected = [1.0 if origin is None else values[origin] for origin in explicit.origins]
+    assert explicit.program.constants[constant_places(explicit.program)].tolist() == expected
+    assert sorted(origin for origin in explicit.origins if origin is not None) == list(range(len(values)))
 
 
 @pytest.mark.parametrize("text", CASES)
 def test_no_constant_is_redundant(text):
     """The derivatives with respect to the constants are linearly independent."""
-    its = make_coefficients_explicit(shortest(parsed(text))).program
-    places = constant_places(its)
+    explicit = make_coefficients_explicit(shortest(parsed(text))).program
+    places = constant_places(explicit)
     columns = []
     for place in places:
-        moved = [its.constants.copy(), its.constants.copy()]
+        moved = [explicit.constants.copy(), explicit.constants.copy()]
         moved[0][place] += 1e-5
         moved[1][place] -= 1e-5
-        high, low = (type(its)(its.operators, its.left, its.right, constants) for constants in moved)
+        high, low = (
+            type(explicit)(explicit.operators, explicit.left, explicit.right, constants) for constants in moved
+        )
         columns.append((values_of(high, INPUTS) - values_of(low, INPUTS)) / 2e-5)
     unit = np.array([column / np.linalg.norm(column) for column in columns])
     assert np.linalg.svd(unit, compute_uv=False).min() > 1e-4

@@ -30,8 +30,8 @@ def test_the_smallest_limit_decides_and_is_named(
 ) -> None:
     monkeypatch.setattr(cores, "affinity", lambda: affinity)
     monkeypatch.setattr(cores, "cgroup_quota", lambda: quota)
-    found, why = usable_cores(environment)
-    assert found == number
+    count, why = usable_cores(environment)
+    assert count == number
     assert reason in why
 
 

@@ -67,9 +67,9 @@ def test_a_socket_is_dialled_from_any_folder(tmp_path: Path, monkeypatch: pytest
 
 
 def test_port_zero_becomes_a_free_port() -> None:
-    found = bindable(Address("tcp", "127.0.0.1", 0))
-    assert found.port > 0
-    assert bindable(found) == found
+    port = bindable(Address("tcp", "127.0.0.1", 0))
+    assert port.port > 0
+    assert bindable(port) == port
 
 
 def test_a_port_in_use_is_refused_with_advice() -> None:

@@ -130,10 +130,10 @@ def test_arrays_come_back_with_type_shape_and_bits(dtype: str, shape: tuple[int,
     array = np.arange(int(np.prod(shape)), dtype=dtype).reshape(shape)
     header, arrays = codec.decode_arrays(codec.encode_arrays({"a": [1, None, "x"]}, {"one": array, "two": array.T}))
     assert header == {"a": [1, None, "x"]}
-    for found, expected in ((arrays["one"], array), (arrays["two"], array.T)):
-        assert found.dtype == expected.dtype
-        assert found.shape == expected.shape
-        assert found.tobytes() == expected.tobytes()
+    for decoded, expected in ((arrays["one"], array), (arrays["two"], array.T)):
+        assert decoded.dtype == expected.dtype
+        assert decoded.shape == expected.shape
+        assert decoded.tobytes() == expected.tobytes()
 
 
 def test_big_endian_arrays_travel_as_little_endian_ones() -> None:

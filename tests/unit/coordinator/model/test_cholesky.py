@@ -9,17 +9,17 @@ from atoll_coordinator.model.cholesky import factorize, substitute
 @pytest.mark.slow
 def test_the_solution_solves_the_system() -> None:
     matrix, side = np.array([[2.0, 1e-4], [1e-4, 1e-6]]), np.array([1.0, -1.0])
-    factor, scale, found = matrix.copy(), np.zeros(2), side.copy()
+    factor, scale, solution = matrix.copy(), np.zeros(2), side.copy()
     assert factorize(factor, 2, scale, 0.0)
-    substitute(factor, 2, scale, found)
-    assert matrix @ found == pytest.approx(side)
+    substitute(factor, 2, scale, solution)
+    assert matrix @ solution == pytest.approx(side)
 
 
 def test_damping_raises_the_unit_diagonal() -> None:
-    matrix, scale, found = np.array([[4.0, 0.0], [0.0, 9.0]]), np.zeros(2), np.array([4.0, 9.0])
+    matrix, scale, solution = np.array([[4.0, 0.0], [0.0, 9.0]]), np.zeros(2), np.array([4.0, 9.0])
     assert factorize(matrix, 2, scale, 1.0)
-    substitute(matrix, 2, scale, found)
-    assert found == pytest.approx([0.5, 0.5])
+    substitute(matrix, 2, scale, solution)
+    assert solution == pytest.approx([0.5, 0.5])
 
 
 def test_systems_that_are_not_positive_are_refused() -> None:

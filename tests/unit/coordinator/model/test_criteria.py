@@ -87,36 +87,36 @@ def test_every_extension_that_is_one_costs_more(text):
 
 
 def misfit(low=0.81, high=1.21, counts=300.0, pieces=20.0, below=20.0, least=0.0):
-    return TrajectoryMisfit(*(np.array([each]) for each in (low, high, least, counts, pieces, below)))
+    return TrajectoryMisfit(*(np.array([value]) for value in (low, high, least, counts, pieces, below)))
 
 
 def test_near_the_independent_errors_every_row_counts():
-    its = misfit()
-    gain = its.total(np.array([1.1])) - its.total(np.array([0.9]))
+    criterion = misfit()
+    gain = criterion.total(np.array([1.1])) - criterion.total(np.array([0.9]))
     assert gain == pytest.approx(150.0 * np.log(1.1 / 0.9))
-    assert its.effective_rows(np.array([1.0])) == pytest.approx([300.0])
+    assert criterion.effective_rows(np.array([1.0])) == pytest.approx([300.0])
 
 
 def test_far_above_only_pieces_count():
-    its = misfit()
-    gain = its.total(np.array([1e6])) - its.total(np.array([1e4]))
+    criterion = misfit()
+    gain = criterion.total(np.array([1e6])) - criterion.total(np.array([1e4]))
     assert gain == pytest.approx(10.0 * np.log(100.0), rel=1e-3)
-    assert its.effective_rows(np.array([1e6])) == pytest.approx([20.0], rel=1e-3)
+    assert criterion.effective_rows(np.array([1e6])) == pytest.approx([20.0], rel=1e-3)
 
 
 @given(square=st.floats(1e-6, 1e6), low=st.floats(0.1, 1.0), pieces=st.floats(1.0, 300.0))
 def test_the_misfit_rises_without_jumps_at_the_rate_of_the_rows_that_decide(square, low, pieces):
-    its, step = misfit(low=low, pieces=pieces, below=pieces), 1e-5
-    before, after = its.total(np.array([square])), its.total(np.array([square * (1.0 + step)]))
-    rows = its.effective_rows(np.array([square]))[0]
+    criterion, step = misfit(low=low, pieces=pieces, below=pieces), 1e-5
+    before, after = criterion.total(np.array([square])), criterion.total(np.array([square * (1.0 + step)]))
+    rows = criterion.effective_rows(np.array([square]))[0]
     assert pieces - 1e-6 <= rows <= 300.0 + 1e-6
     assert after - before == pytest.approx(0.5 * rows * step, rel=0.1, abs=1e-6)
 
 
 def test_below_the_errors_of_the_integration_nothing_counts():
-    its = misfit(low=1.0, high=1.0, counts=20.0, below=2.0, least=1e-16)
-    assert its.total(np.array([1e-20])) == its.total(np.array([1e-16]))
-    assert its.total(np.array([1.0])) - its.total(np.array([1e-16])) == pytest.approx(np.log(1e16))
+    criterion = misfit(low=1.0, high=1.0, counts=20.0, below=2.0, least=1e-16)
+    assert criterion.total(np.array([1e-20])) == criterion.total(np.array([1e-16]))
+    assert criterion.total(np.array([1.0])) - criterion.total(np.array([1e-16])) == pytest.approx(np.log(1e16))
 
 
 def test_lengths_of_structures_are_sums_over_nodes_and_further_uses():

@@ -78,7 +78,7 @@ def test_an_empty_front_has_no_selection():
 
 def test_scaling_the_target_does_not_change_the_choice():
     front = (entry(3, 0.5), entry(9, 0.1), entry(12, 0.02))
-    scaled = tuple(replace(each, error=each.error * 1e6, mse=each.mse * 1e12) for each in front)
+    scaled = tuple(replace(entry, error=entry.error * 1e6, mse=entry.mse * 1e12) for entry in front)
     assert select_member(front, 60, target(0.01)) == select_member(scaled, 60, target(0.01, 1e6))
 
 

@@ -29,12 +29,12 @@ def quotient(x, y):
     return 4.0 - 2.0 * y / (x + 2.0 / x)
 
 
-def refine(its, config, front):
-    return fit_equation(its, config, decode_members(front, len(its.names)))
+def refine(sought, config, front):
+    return fit_equation(sought, config, decode_members(front, len(sought.names)))
 
 
-def refined_text(its, *front: str, config=CONFIG) -> str:
-    refined = refine(its, config, [entry(text, its) for text in front])
+def refined_text(sought, *front: str, config=CONFIG) -> str:
+    refined = refine(sought, config, [entry(text, sought) for text in front])
     assert refined is not None
     return shown(refined.program)
 
@@ -53,11 +53,11 @@ def is_near(text: str, other: str) -> bool:
     import sympy
 
     names = dict(zip("xy", sympy.symbols("x y"), strict=True))
-    one, two = (sympy.Poly(sympy.numer(sympy.together(sympy.sympify(each, names))), *names.values()).as_dict()
-                for each in (text, other))  # fmt: skip
+    one, two = (sympy.Poly(sympy.numer(sympy.together(sympy.sympify(entry, names))), *names.values()).as_dict()
+                for entry in (text, other))  # fmt: skip
     first = max(two)
     return one.keys() == two.keys() and all(
-        abs(one[each] / one[first] / (two[each] / two[first]) - 1) < 0.01 for each in two
+        abs(one[power] / one[first] / (two[power] / two[first]) - 1) < 0.01 for power in two
     )
 
 
@@ -67,27 +67,27 @@ LOTKA = "3*x - 2*x*y - x**2"
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.001])
 def test_constants_that_the_data_single_out_come_out_simple(noise):
-    its = problem(lotka, noise, rows=300)
-    assert is_same(refined_text(its, "1.2*x", "2.97*x - 2.04*x*y - 0.98*x*x"), LOTKA)
+    sought = problem(lotka, noise, rows=300)
+    assert is_same(refined_text(sought, "1.2*x", "2.97*x - 2.04*x*y - 0.98*x*x"), LOTKA)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.01, 0.1])
 def test_noisy_constants_come_out_as_estimates(noise):
-    its = problem(lotka, noise, rows=300)
-    assert is_near(refined_text(its, "1.2*x", "2.97*x - 2.04*x*y - 0.98*x*x"), LOTKA)
+    sought = problem(lotka, noise, rows=300)
+    assert is_near(refined_text(sought, "1.2*x", "2.97*x - 2.04*x*y - 0.98*x*x"), LOTKA)
 
 
 @pytest.mark.slow
 def test_what_the_data_do_not_support_is_left_out():
-    its = problem(lotka, 0.05, rows=300)
-    assert is_near(refined_text(its, "3.0*x - 2.0*x*y - x*x + 0.01*sin(7.0*y)*x + 0.002"), LOTKA)
+    sought = problem(lotka, 0.05, rows=300)
+    assert is_near(refined_text(sought, "3.0*x - 2.0*x*y - x*x + 0.01*sin(7.0*y)*x + 0.002"), LOTKA)
 
 
 def test_an_exact_member_stays_as_it_is_bit_for_bit():
-    its = problem(lotka)
-    front = [entry("1.5*x", its), entry("x*(3.0 - x - 2.0*y)", its)]
-    refined = refine(its, CONFIG, front)
+    sought = problem(lotka)
+    front = [entry("1.5*x", sought), entry("x*(3.0 - x - 2.0*y)", sought)]
+    refined = refine(sought, CONFIG, front)
     assert refined is not None
     assert refined.program == Program.from_bytes(front[1].program, 2)
     assert (refined.member, refined.error, refined.mse) == (1, front[1].error, front[1].mse)
@@ -98,8 +98,8 @@ def test_the_last_digits_of_exact_constants_are_set_right():
 
 
 def test_constants_that_are_not_simple_keep_their_digits():
-    its = problem(lambda x, y: 0.123456789 * x - math.pi * y)
-    refined = refine(its, CONFIG, [entry("0.12*x - 3.1*y", its)])
+    sought = problem(lambda x, y: 0.123456789 * x - math.pi * y)
+    refined = refine(sought, CONFIG, [entry("0.12*x - 3.1*y", sought)])
     assert refined is not None
     assert refined.mse < 1e-24
     assert sorted(np.abs(refined.program.constants).tolist())[-2:] == pytest.approx([0.123456789, math.pi], rel=1e-12)
@@ -107,82 +107,84 @@ def test_constants_that_are_not_simple_keep_their_digits():
 
 @pytest.mark.slow
 def test_a_step_beside_the_best_member_is_found():
-    its = problem(quotient, 0.01, rows=300)
-    assert is_near(refined_text(its, "4.1 - 2.0*y/x", "4.1 - 2.1*y/(x + 0.8)"), "4 - 2*y/(x + 2/x)")
+    sought = problem(quotient, 0.01, rows=300)
+    assert is_near(refined_text(sought, "4.1 - 2.0*y/x", "4.1 - 2.1*y/(x + 0.8)"), "4 - 2*y/(x + 2/x)")
 
 
 def test_operators_that_are_not_allowed_are_not_brought_in():
-    its = problem(quotient, 0.01, rows=300)
+    sought = problem(quotient, 0.01, rows=300)
     config = CONFIG.model_copy(update={"space": SpaceConfig(operators=("+", "-", "*"))})
-    assert "/" not in refined_text(its, "4.1 - 0.7*y", "4.0 - 0.7*y - 0.1*x*y", config=config)
+    assert "/" not in refined_text(sought, "4.1 - 0.7*y", "4.0 - 0.7*y - 0.1*x*y", config=config)
 
 
 @pytest.mark.slow
 def test_a_double_angle_and_a_shared_factor_become_the_shorter_form():
-    its = problem(lambda x, y: (np.cos(y) ** 2 + 0.1 * np.sin(y) ** 2) * np.sin(x), 0.02, rows=300)
-    text = refined_text(its, "0.45*cos(2.0*y)*sin(x) + 0.55*sin(x)")
+    sought = problem(lambda x, y: (np.cos(y) ** 2 + 0.1 * np.sin(y) ** 2) * np.sin(x), 0.02, rows=300)
+    text = refined_text(sought, "0.45*cos(2.0*y)*sin(x) + 0.55*sin(x)")
     assert text.count("sin") + text.count("cos") == 2
     assert "2.0*y" not in text
 
 
 def test_standard_errors_are_those_of_the_fit_and_the_fitted_values_stay_known():
-    its = problem(lambda x, y: 3.0 * x - 0.7 * y, noise=0.01)
-    refined = refine(its, CONFIG, [entry("2.8*x - 0.9*y", its)])
+    sought = problem(lambda x, y: 3.0 * x - 0.7 * y, noise=0.01)
+    refined = refine(sought, CONFIG, [entry("2.8*x - 0.9*y", sought)])
     assert refined is not None
-    expected, (squares,), *_ = np.linalg.lstsq(its.inputs.T, its.target.values, rcond=None)
-    assert sorted(abs(each.fitted) for each in refined.constants) == pytest.approx(sorted(np.abs(expected)), rel=1e-6)
-    covariance = np.linalg.inv(its.inputs @ its.inputs.T) * squares / (len(its.target.values) - 2)
-    errors = sorted(each.std_error for each in refined.constants)
+    expected, (squares,), *_ = np.linalg.lstsq(sought.inputs.T, sought.target.values, rcond=None)
+    assert sorted(abs(constant.fitted) for constant in refined.constants) == pytest.approx(
+        sorted(np.abs(expected)), rel=1e-6
+    )
+    covariance = np.linalg.inv(sought.inputs @ sought.inputs.T) * squares / (len(sought.target.values) - 2)
+    errors = sorted(constant.std_error for constant in refined.constants)
     assert errors == pytest.approx(sorted(np.sqrt(np.diag(covariance))), rel=1e-6)
     shown = np.array(sorted(np.abs(refined.program.constants))[-2:])
     assert (np.abs(shown - [0.7, 3.0]) < 5.0 * np.array(errors)).all()
 
 
 def test_a_member_that_meets_the_target_is_never_exchanged_for_one_that_misses_it():
-    its = problem(lotka, 0.1, rows=300)
-    front = [entry("2.0*x - 2.0*x*y", its), entry("2.97*x - 2.04*x*y - 0.98*x*x", its)]
+    sought = problem(lotka, 0.1, rows=300)
+    front = [entry("2.0*x - 2.0*x*y", sought), entry("2.97*x - 2.04*x*y - 0.98*x*x", sought)]
     strict = CONFIG.model_copy(
-        update={"budget": BudgetConfig(target_error=front[1].error / its.target.standard_deviation)}
+        update={"budget": BudgetConfig(target_error=front[1].error / sought.target.standard_deviation)}
     )
-    refined = refine(its, strict, front)
+    refined = refine(sought, strict, front)
     assert refined is None or refined.error <= front[1].error
 
 
 @pytest.mark.slow
 def test_the_largest_size_is_respected():
-    its = problem(lotka, 0.01, rows=40)
+    sought = problem(lotka, 0.01, rows=40)
     config = CONFIG.model_copy(update={"space": SpaceConfig(max_size=3)})
-    refined = refine(its, config, [entry("1.2*x", its)])
+    refined = refine(sought, config, [entry("1.2*x", sought)])
     assert refined is None or len(refined.program) <= 3
 
 
 def test_the_error_is_the_loss_of_the_job():
-    its = problem(lotka, 0.1)
+    sought = problem(lotka, 0.1)
     config = CONFIG.model_copy(update={"evolution": EvolutionConfig(loss="rmse")})
-    refined = refine(its, config, [entry("2.9*x - 2.0*x*y - x*x", its)])
+    refined = refine(sought, config, [entry("2.9*x - 2.0*x*y - x*x", sought)])
     assert refined is not None
     assert refined.error == math.sqrt(refined.mse)
 
 
 @pytest.mark.slow
 def test_many_rows_are_compared_on_some_and_measured_on_all():
-    its = problem(lotka, 0.01, rows=5000)
-    front = [entry("2.97*x - 2.04*x*y - 0.98*x*x", its)]
-    refined = refine(its, CONFIG, front)
+    sought = problem(lotka, 0.01, rows=5000)
+    front = [entry("2.97*x - 2.04*x*y - 0.98*x*x", sought)]
+    refined = refine(sought, CONFIG, front)
     assert refined is not None
     assert is_same(shown(refined.program), LOTKA)
-    assert refined.mse == pytest.approx(entry(LOTKA.replace("**2", "*x"), its).mse, rel=1e-9)
+    assert refined.mse == pytest.approx(entry(LOTKA.replace("**2", "*x"), sought).mse, rel=1e-9)
 
 
 def test_constants_fitted_to_given_left_hand_sides_have_intervals():
     data = dataset(lambda x, y: 3.0 * x + 0.002 * y, noise=0.1)
     front = (entry("2.9*x + 0.1*y", data.problem("label")),)
     constants = refine_all(Preparation(data), CONFIG, {"label": Pool(front)}).equations["label"].constants
-    assert all(each.identifiable for each in constants)
-    for each in constants:
-        low, high = each.interval
-        assert (low + high) / 2.0 == pytest.approx(each.fitted)
-        assert high - low == pytest.approx(2.0 * student_95(200 - 1) * each.std_error, rel=1e-6)
+    assert all(constant.identifiable for constant in constants)
+    for constant in constants:
+        low, high = constant.interval
+        assert (low + high) / 2.0 == pytest.approx(constant.fitted)
+        assert high - low == pytest.approx(2.0 * student_95(200 - 1) * constant.std_error, rel=1e-6)
 
 
 def test_factors_of_one_have_intervals_where_left_hand_sides_are_given():
@@ -198,57 +200,57 @@ def test_factors_of_one_have_intervals_where_left_hand_sides_are_given():
 @pytest.mark.slow
 def test_an_empty_front_stays_empty_and_all_variables_are_refined():
     data = dataset(lotka)
-    its = data.problem("label")
-    assert refine(its, CONFIG, []) is None
+    sought = data.problem("label")
+    assert refine(sought, CONFIG, []) is None
     preparation = Preparation(data)
     assert refine_all(preparation, CONFIG, {"label": Pool(())}).equations == {}
-    assert set(refine_all(preparation, CONFIG, {"label": Pool((entry("2.0*x", its),))}).equations) == {"label"}
+    assert set(refine_all(preparation, CONFIG, {"label": Pool((entry("2.0*x", sought),))}).equations) == {"label"}
 
 
 def test_a_member_without_a_finite_value_is_not_shown():
-    its = problem(lotka, rows=60)
+    sought = problem(lotka, rows=60)
     broken = FrontEntry(2, 1e-15, 1e-30, 0, 1, 0, parsed("log(y)").to_bytes())
-    refined = refine(its, CONFIG, [broken])
+    refined = refine(sought, CONFIG, [broken])
     assert refined is None or math.isfinite(refined.error)
 
 
 def test_it_is_repeatable():
-    its = problem(quotient, 0.1, rows=60)
-    front = [entry(text, its) for text in ("4.0 - y", "4.1 - 2.0*y/x")]
-    first, second = refine(its, CONFIG, front), refine(its, CONFIG, front)
+    sought = problem(quotient, 0.1, rows=60)
+    front = [entry(text, sought) for text in ("4.0 - y", "4.1 - 2.0*y/x")]
+    first, second = refine(sought, CONFIG, front), refine(sought, CONFIG, front)
     assert isinstance(first, Refined)
     assert isinstance(second, Refined)
-    assert [getattr(first, each.name) for each in fields(Refined)] == [
-        getattr(second, each.name) for each in fields(Refined)
+    assert [getattr(first, field.name) for field in fields(Refined)] == [
+        getattr(second, field.name) for field in fields(Refined)
     ]
 
 
 @pytest.mark.slow
 def test_the_work_is_bounded(monkeypatch):
-    its = problem(quotient, 0.1)
-    front = [entry(text, its) for text in ("4.0 - y", "4.1 - 2.1*y/(x + 0.8) + 0.1*sin(3.0*x*y) - 0.2*cos(x)/y")]
+    sought = problem(quotient, 0.1)
+    front = [entry(text, sought) for text in ("4.0 - y", "4.1 - 2.1*y/(x + 0.8) + 0.1*sin(3.0*x*y) - 0.2*cos(x)/y")]
     spent = []
     for most in (100_000, 2_000_000):
         monkeypatch.setattr(shorten, "SETTINGS", settings("regression", most_evaluations=most))
-        shortening = shorten.Shortening(its, frozenset({2, 3, 4, 5, 6, 7}))
-        assert shortening.candidates([Program.from_bytes(each.program, 2) for each in front])
+        shortening = shorten.Shortening(sought, frozenset({2, 3, 4, 5, 6, 7}))
+        assert shortening.candidates([Program.from_bytes(entry.program, 2) for entry in front])
         spent.append(shortening.least_squares.evaluations)
     assert spent[0] < 0.5 * spent[1]
 
 
 def test_a_snapped_model_is_never_longer():
-    its = problem(lotka, 0.1)
-    criterion, least_squares = RegressionCriterion.of(its.target), LeastSquares(its)
+    sought = problem(lotka, 0.1)
+    criterion, least_squares = RegressionCriterion.of(sought.target), LeastSquares(sought)
     fitted = least_squares.fit(parsed("2.9*x - 2.0*x*y - x*x"))
     assert round_constants(fitted, criterion, least_squares).length <= description_length(fitted, criterion)
 
 
 def test_operators_and_variables_of_one_equation_hold_for_its_refinement():
     """One step from the front there is the truth, which is not taken where it may not be."""
-    its = problem(lambda x, y: x + y, rows=300)
-    assert refined_text(its, "1.7*x") == "x + y"
+    sought = problem(lambda x, y: x + y, rows=300)
+    assert refined_text(sought, "1.7*x") == "x + y"
     for space in (SpaceConfig(operators_of={"label": ("*", "/")}), SpaceConfig(variables_of={"label": ("x",)})):
-        refined = refine(its, CONFIG.model_copy(update={"space": space}), [entry("1.7*x", its)])
+        refined = refine(sought, CONFIG.model_copy(update={"space": space}), [entry("1.7*x", sought)])
         assert refined is None or "y" not in shown(refined.program)
 
 

@@ -22,9 +22,9 @@ from tests.unit.library.model.results import result
     ],
 )
 def test_characters_that_cannot_be_written_are_escaped_in_texts_and_names(given: str, taken: str) -> None:
-    found = result({"x": "-x"}, reason=given, symbols={"x": "x", given: "u"}, said=[[given]])
-    found["equations"][0]["lhs"] = given
-    read = Result.load(found)
+    contents = result({"x": "-x"}, reason=given, symbols={"x": "x", given: "u"}, said=[[given]])
+    contents["equations"][0]["lhs"] = given
+    read = Result.load(contents)
     assert (read.reason, read.equations[0].lhs) == (taken, taken)
     assert read.symbols == {"x": "x", taken: "u"}
     assert read.as_dict()["said"] == [[taken]]

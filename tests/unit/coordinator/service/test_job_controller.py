@@ -33,7 +33,7 @@ def test_an_ended_job_is_shown_with_its_equations() -> None:
         view = recovered(store, READABLE).shown.view("job", 1.0)
     assert view is not None
     assert (view.state, view.seed, view.point_evaluations, view.warnings) == ("done", 3, 7, ("a warning",))
-    assert [each.expression for each in view.variables] == ["x*y"]
+    assert [variable.expression for variable in view.variables] == ["x*y"]
 
 
 @pytest.mark.parametrize(

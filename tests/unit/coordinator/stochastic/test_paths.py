@@ -21,9 +21,9 @@ def test_a_state_without_noise_in_a_step_follows_the_drift_alone() -> None:
         return step_moments(drift, noise, points, lengths, "Euler-Maruyama")
 
     simulator = Simulator(moments, np.random.default_rng(1))
-    found = simulator.paths(np.ones((2, 400)), np.zeros((0, 2)), np.full(2, 0.25))
-    assert np.array_equal(found[1:, 0], found[:-1, 0] + 0.25 * found[:-1, 1])
-    assert abs(found[1, 1].std() - 2.0 * 0.5) < 0.15
+    simulated_paths = simulator.paths(np.ones((2, 400)), np.zeros((0, 2)), np.full(2, 0.25))
+    assert np.array_equal(simulated_paths[1:, 0], simulated_paths[:-1, 0] + 0.25 * simulated_paths[:-1, 1])
+    assert abs(simulated_paths[1, 1].std() - 2.0 * 0.5) < 0.15
 
 
 def test_of_an_ensemble_mean_and_bounds_are_those_of_paths_that_are_finite_to_the_end() -> None:

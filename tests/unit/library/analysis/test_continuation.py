@@ -15,19 +15,19 @@ from atoll_core.data.dataset import FloatArray
 from tests.unit.library.analysis.systems import COMPETITION, LORENZ, box, flow
 
 
-def constant(its: Flow) -> ContinuationParameter:
+def constant(system: Flow) -> ContinuationParameter:
     """Return the first constant as what varies."""
-    return ContinuationParameter("c1", float(its.parameters[0]), (0,), (1.0,))
+    return ContinuationParameter("c1", float(system.parameters[0]), (0,), (1.0,))
 
 
 def test_folds_of_the_cubic_are_where_its_derivative_vanishes() -> None:
-    its = flow(x="0.1 + x - x**3")
-    branches = continuation(its, box((-2.0, 2.0)), constant(its), (-1.0, 1.0))
-    found = special_points(branches)
-    assert [each.kind for each in found] == ["fold", "fold"]
+    system = flow(x="0.1 + x - x**3")
+    branches = continuation(system, box((-2.0, 2.0)), constant(system), (-1.0, 1.0))
+    points = special_points(branches)
+    assert [point.kind for point in points] == ["fold", "fold"]
     fold = 2.0 / (3.0 * np.sqrt(3.0))
-    np.testing.assert_allclose([each.value for each in found], [-fold, fold], rtol=1e-9)
-    np.testing.assert_allclose([each.point[0] for each in found], [3**-0.5, -(3**-0.5)], rtol=1e-5)
+    np.testing.assert_allclose([point.value for point in points], [-fold, fold], rtol=1e-9)
+    np.testing.assert_allclose([point.point[0] for point in points], [3**-0.5, -(3**-0.5)], rtol=1e-5)
     assert len(branches) == 1
     assert set(branches[0].unstable.tolist()) == {0, 1}
 
@@ -36,20 +36,20 @@ def test_hopf_points_of_the_nerve_are_where_the_trace_vanishes() -> None:
     """FitzHugh-Nagumo: v' = v - v**3/3 - w + i, w' = e (v + a - b w): the trace is 0 at v = +-sqrt(1 - b e)."""
     a, b, e = 0.7, 0.8, 0.08
     nerve = flow(v="0.5 + v - v**3/3.0 - w", w=f"{e}*(v + {a} - {b}*w)")
-    found = special_points(continuation(nerve, box((-3.0, 3.0), (-2.0, 3.0)), constant(nerve), (-0.5, 2.0)))
-    assert [each.kind for each in found] == ["Hopf", "Hopf"]
+    points = special_points(continuation(nerve, box((-3.0, 3.0), (-2.0, 3.0)), constant(nerve), (-0.5, 2.0)))
+    assert [point.kind for point in points] == ["Hopf", "Hopf"]
     v = np.sqrt(1.0 - b * e) * np.array([-1.0, 1.0])
-    np.testing.assert_allclose([each.point[0] for each in found], v, rtol=1e-8)
-    np.testing.assert_allclose([each.value for each in found], (v + a) / b - v + v**3 / 3.0, rtol=1e-8)
+    np.testing.assert_allclose([point.point[0] for point in points], v, rtol=1e-8)
+    np.testing.assert_allclose([point.value for point in points], (v + a) / b - v + v**3 / 3.0, rtol=1e-8)
     frequency = np.sqrt(e - (b * e) ** 2)
-    np.testing.assert_allclose([each.frequency for each in found], [frequency, frequency], rtol=1e-7)
+    np.testing.assert_allclose([point.frequency for point in points], [frequency, frequency], rtol=1e-7)
 
 
 def test_a_pitchfork_is_a_branch_point() -> None:
-    its = flow(x="0.5*x - x**3")
-    found = special_points(continuation(its, box((-2.0, 2.0)), constant(its), (-1.0, 1.0)))
-    assert {each.kind for each in found} == {"branch point"}
-    np.testing.assert_allclose([each.value for each in found], 0.0, atol=1e-6)
+    system = flow(x="0.5*x - x**3")
+    points = special_points(continuation(system, box((-2.0, 2.0)), constant(system), (-1.0, 1.0)))
+    assert {point.kind for point in points} == {"branch point"}
+    np.testing.assert_allclose([point.value for point in points], 0.0, atol=1e-6)
 
 
 def test_nullclines_lie_where_a_rate_vanishes() -> None:
@@ -73,8 +73,8 @@ def test_energy_and_lotka_volterras_integral_are_hinted() -> None:
     (energy,) = conserved_quantities(flow(x="y", y="-2.0*sin(x)"), box((-2.0, 2.0), (-2.0, 2.0)))
     assert {name: value for value, name in energy.terms} == pytest.approx({"y**2": -0.25, "cos(x)": 0.5 * 1.0 + 0.5})
     (volterra,) = conserved_quantities(flow(x="x*(1.0 - y)", y="y*(x - 2.0)"), box((0.1, 4.0), (0.1, 4.0)))
-    its = {name: value for value, name in volterra.terms}
-    assert {name: value / its["x"] for name, value in its.items()} == pytest.approx(
+    system = {name: value for value, name in volterra.terms}
+    assert {name: value / system["x"] for name, value in system.items()} == pytest.approx(
         {"x": 1.0, "y": 1.0, "log(x)": -2.0, "log(y)": -1.0}
     )
 
@@ -155,16 +155,16 @@ ABOVE = ((0.1, 2.0), (0.1, 2.0))
     ],
 )
 def test_laws_of_the_literature_are_hinted_as_they_are_written(equations: Any, sides: Any, laws: list[str]) -> None:
-    assert [each.text for each in conserved_quantities(flow(**equations), box(*sides))] == laws
+    assert [quantity.text for quantity in conserved_quantities(flow(**equations), box(*sides))] == laws
 
 
 @pytest.mark.parametrize(("side", "of_y"), [((0.1, 2.0), [-1.0]), ((-2.0, -0.1), [1.0]), ((-2.0, 2.0), [])])
 def test_a_law_holds_on_the_measured_side_of_zero(side: tuple[float, float], of_y: list[float]) -> None:
     """The force is the size of x, so that x**2 - y**2 is constant above 0 and x**2 + y**2 below."""
-    found = conserved_quantities(flow(x="y", y="sqrt(x**2)"), box(side, (-2.0, 2.0)))
-    terms = [{name: value for value, name in each.terms} for each in found]
-    assert [its.keys() for its in terms] == [{"x**2", "y**2"}] * len(of_y)
-    assert [its["y**2"] / its["x**2"] for its in terms] == pytest.approx(of_y)
+    quantities = conserved_quantities(flow(x="y", y="sqrt(x**2)"), box(side, (-2.0, 2.0)))
+    terms = [{name: value for value, name in quantity.terms} for quantity in quantities]
+    assert [term.keys() for term in terms] == [{"x**2", "y**2"}] * len(of_y)
+    assert [term["y**2"] / term["x**2"] for term in terms] == pytest.approx(of_y)
 
 
 def test_elimination_begins_with_the_last_function_and_divides_by_the_largest_number() -> None:
@@ -183,15 +183,15 @@ def derivatives(gradients: FloatArray, rates: FloatArray) -> _Derivatives:
 def test_a_billionth_of_a_gradient_along_the_flow_is_rounding_whatever_the_sizes_of_rates(size: float) -> None:
     """Along (1, -1) the sum of the states is kept; the other function is the first of them."""
     sizes = size * np.where(np.arange(100) == 0, 1.0, 0.1)
-    its = derivatives(np.tile([[1.0, 1.0], [1.0, 0.0]], (100, 1, 1)), sizes[:, None] * [1.0, -1.0])
-    assert its.is_kept(np.array([1.0, 0.0]))
-    assert its.is_kept(np.array([1.0, 1.8e-9]))
-    assert not its.is_kept(np.array([1.0, 2.2e-9]))
+    derived = derivatives(np.tile([[1.0, 1.0], [1.0, 0.0]], (100, 1, 1)), sizes[:, None] * [1.0, -1.0])
+    assert derived.is_kept(np.array([1.0, 0.0]))
+    assert derived.is_kept(np.array([1.0, 1.8e-9]))
+    assert not derived.is_kept(np.array([1.0, 2.2e-9]))
 
 
 def test_fewer_points_than_functions_leave_as_many_combinations_as_they_do_not_decide() -> None:
-    its = derivatives(np.array([[[1.0, 2.0, 3.0]]]), np.array([[5.0]]))
-    combinations = _null_space([its], np.array([1.0, 0.5, 1.0]))
+    derived = derivatives(np.array([[[1.0, 2.0, 3.0]]]), np.array([[5.0]]))
+    combinations = _null_space([derived], np.array([1.0, 0.5, 1.0]))
     assert combinations.shape == (2, 3)
     np.testing.assert_allclose(combinations @ [1.0, 1.0, 3.0], 0.0, atol=1e-12)
 

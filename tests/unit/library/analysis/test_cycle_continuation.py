@@ -23,12 +23,12 @@ CIRCLE = np.arange(400) * (2.0 * np.pi / 400)
 
 
 def along(
-    its: Flow, where: Box, name: str, bounds: tuple[float, float], *cycles: LimitCycle, has_hopf: bool = False
+    system: Flow, where: Box, name: str, bounds: tuple[float, float], *cycles: LimitCycle, has_hopf: bool = False
 ) -> list[CycleBranch]:
     """Return the branches from `cycles` of the model as it is, or from the Hopf points."""
-    explicit, parameter = Coefficients.of(its.field).find(its, name)
+    explicit, parameter = Coefficients.of(system.field).find(system, name)
     branches = continuation(explicit, where, parameter, bounds) if has_hopf else ()
-    known = [(parameter.value, each) for each in cycles]
+    known = [(parameter.value, cycle) for cycle in cycles]
     return [*cycle_continuation(explicit, where, parameter, bounds, branches=branches, known=known)]
 
 
@@ -41,14 +41,14 @@ def unit_circle(size: int) -> LimitCycle:
 
 @pytest.mark.slow
 def test_the_hopf_normal_form_has_circles_of_radius_sqrt_mu() -> None:
-    its = flow(x="0.5*x - y - x*(x**2 + y**2)", y="x + 0.5*y - y*(x**2 + y**2)")
-    (branch,) = along(its, SQUARE, "c1,c2", (-1.0, 1.0), has_hopf=True)
+    system = flow(x="0.5*x - y - x*(x**2 + y**2)", y="x + 0.5*y - y*(x**2 + y**2)")
+    (branch,) = along(system, SQUARE, "c1,c2", (-1.0, 1.0), has_hopf=True)
     assert branch.ends == ("Hopf point", "end of the range")
-    radii = [np.hypot(*each.points.T) for each in branch.cycles]
+    radii = [np.hypot(*cycle.points.T) for cycle in branch.cycles]
     np.testing.assert_allclose(radii, np.tile(np.sqrt(branch.values)[:, None], 400), rtol=1e-9)
-    np.testing.assert_allclose([each.period for each in branch.cycles], 2.0 * np.pi, rtol=1e-12)
+    np.testing.assert_allclose([cycle.period for cycle in branch.cycles], 2.0 * np.pi, rtol=1e-12)
     exponents = -4.0 * np.pi * branch.values  # r' = mu r - r**3 is -2 mu times what is linear beside the circle
-    np.testing.assert_allclose([each.log_multiplier_product for each in branch.cycles], exponents, rtol=1e-9)
+    np.testing.assert_allclose([cycle.log_multiplier_product for cycle in branch.cycles], exponents, rtol=1e-9)
     assert branch.special == ()
 
 
@@ -56,8 +56,8 @@ def test_the_hopf_normal_form_has_circles_of_radius_sqrt_mu() -> None:
 def test_cycles_of_bautins_form_turn_back_at_a_fold() -> None:
     """r' = r (mu + r**2 - r**4) has circles mu = r**4 - r**2, whose least mu is -1/4."""
     square = "(x**2 + y**2)"
-    its = flow(x=f"0.5*x - y + x*({square} - {square}**2)", y=f"x + 0.5*y + y*({square} - {square}**2)")
-    (branch,) = along(its, SQUARE, "c1,c2", (-1.0, 1.0), has_hopf=True)
+    system = flow(x=f"0.5*x - y + x*({square} - {square}**2)", y=f"x + 0.5*y + y*({square} - {square}**2)")
+    (branch,) = along(system, SQUARE, "c1,c2", (-1.0, 1.0), has_hopf=True)
     ((fold),) = branch.special
     assert fold.kind == "fold"
     assert fold.value == pytest.approx(-0.25, abs=1e-9)
@@ -72,22 +72,22 @@ def test_a_branch_joins_the_hopf_points_of_the_nerve() -> None:
     nerve = flow(v="0.5 + v - v**3/3.0 - w", w="0.08*(v + 0.7 - 0.8*w)")
     (branch,) = along(nerve, box((-3.0, 3.0), (-2.0, 3.0)), "c1", (-0.5, 2.0), has_hopf=True)
     assert branch.ends == ("Hopf point", "Hopf point")
-    assert [each.kind for each in branch.special] == ["fold", "fold"]
-    folds = [each.value for each in branch.special]
+    assert [point.kind for point in branch.special] == ["fold", "fold"]
+    folds = [point.value for point in branch.special]
     assert sum(folds) == pytest.approx(1.75, abs=1e-7)  # turning v, w and the current about the middle keeps the nerve
-    for each in branch.special:
-        assert each.cycle.multipliers[1].real == pytest.approx(1.0, abs=0.01)
+    for point in branch.special:
+        assert point.cycle.multipliers[1].real == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.slow
 def test_van_der_pol_has_its_period_along_mu() -> None:
     where = box((-3.0, 3.0), (-20.0, 20.0))
-    its = flow(x="y", y="(1.0 - x**2)*y - x")
+    system = flow(x="y", y="(1.0 - x**2)*y - x")
     cycles = limit_cycles(VAN_DER_POL, where, fixed_points(VAN_DER_POL, where).points).cycles
-    (branch,) = along(its, where, "c1,y:x**2*y", (0.5, 10.0), *cycles)
+    (branch,) = along(system, where, "c1,y:x**2*y", (0.5, 10.0), *cycles)
     assert branch.values[-1] == pytest.approx(10.0, rel=1e-12)
     assert branch.cycles[-1].period == pytest.approx(19.07837, rel=1e-6)  # Andersen and Geer 1982
-    assert all(each.is_stable for each in branch.cycles)
+    assert all(cycle.is_stable for cycle in branch.cycles)
 
 
 @pytest.mark.slow
@@ -115,16 +115,16 @@ def test_a_twisted_neighbourhood_doubles_its_period() -> None:
 def test_other_multipliers_leave_the_unit_circle_at_zero(kind: str, others: dict[str, str]) -> None:
     """Beside r = 1 they are exp(2 pi m), or exp(2 pi (m +- 0.3 i))."""
     circle = {"x": "-y + x*(1.0 - x**2 - y**2)", "y": "x + y*(1.0 - x**2 - y**2)"}
-    its = Flow.of(VectorField.of({**circle, **others}, ["m"]), np.array([-0.5]))
-    (branch,) = along(its, box(*[(-2.0, 2.0)] * its.size), "m", (-1.0, 1.0), unit_circle(its.size))
-    assert [(each.kind, round(each.value, 6) + 0.0) for each in branch.special] == [(kind, 0.0)]
+    system = Flow.of(VectorField.of({**circle, **others}, ["m"]), np.array([-0.5]))
+    (branch,) = along(system, box(*[(-2.0, 2.0)] * system.size), "m", (-1.0, 1.0), unit_circle(system.size))
+    assert [(point.kind, round(point.value, 6) + 0.0) for point in branch.special] == [(kind, 0.0)]
 
 
 @pytest.mark.slow
 def test_lorenz_cycles_end_at_the_homoclinic_orbit() -> None:
     """From the Hopf point at r = 470/19 to r = 13.926 (Sparrow 1982), where no multiplier is known any more."""
-    its, where = LORENZ, box((0.5, 25.0), (0.5, 25.0), (1.0, 50.0))  # one of two that are alike
-    (branch,) = along(its, where, "c2", (12.0, 26.0), has_hopf=True)
+    system, where = LORENZ, box((0.5, 25.0), (0.5, 25.0), (1.0, 50.0))  # one of two that are alike
+    (branch,) = along(system, where, "c2", (12.0, 26.0), has_hopf=True)
     assert branch.ends == ("Hopf point", "period without bounds")
     assert branch.values[0] == pytest.approx(470.0 / 19.0, abs=0.05)
     assert branch.values[-1] == pytest.approx(13.926, abs=1e-3)
@@ -135,10 +135,10 @@ def test_lorenz_cycles_end_at_the_homoclinic_orbit() -> None:
 def test_roessler_doubles_its_period_twice_and_again() -> None:
     """a = b = 0.2. Periods and multipliers of the cycles of one and two turns at c = 5.7: ChaosBook.org, extras,
     Roessler.html. The first doubling is at c = 2.83 (as measured in simulations by many)."""
-    its, where = flow(x="-y - z", y="x + 0.2*y", z="0.2 + z*(x - 2.5)"), box((-8, 8), (-8, 8), (0, 12))
-    cycles = limit_cycles(its, where, fixed_points(its, where).points).cycles
-    branches = along(its, where, "c3", (2.0, 5.7), *(each for each in cycles if each.is_stable))
-    doublings = [each.value for branch in branches for each in branch.special]
+    system, where = flow(x="-y - z", y="x + 0.2*y", z="0.2 + z*(x - 2.5)"), box((-8, 8), (-8, 8), (0, 12))
+    cycles = limit_cycles(system, where, fixed_points(system, where).points).cycles
+    branches = along(system, where, "c3", (2.0, 5.7), *(cycle for cycle in cycles if cycle.is_stable))
+    doublings = [point.value for branch in branches for point in branch.special]
     np.testing.assert_allclose(doublings, [2.8324, 3.8374, 4.1242], atol=1e-4)
     assert [branch.ends[0] for branch in branches] == ["end of the range", "period doubling", "period doubling"]
     first, second = branches[0].cycles[-1], branches[1].cycles[-1]

@@ -14,11 +14,11 @@ TIMES = np.linspace(0.0, 20.0, 401)
 
 def test_a_wave_has_period_amplitudes_and_phases() -> None:
     waves = np.array([np.sin(2.0 * TIMES), 3.0 * np.sin(2.0 * TIMES - 0.5 * np.pi)]).T
-    found = motion(TIMES, waves)
-    assert found.period == pytest.approx(np.pi, rel=1e-3)
-    np.testing.assert_allclose(found.amplitudes, [1.0, 3.0], rtol=1e-2)
-    assert found.phases is not None
-    np.testing.assert_allclose(found.phases, [0.0, 0.25], atol=1e-2)
+    described = motion(TIMES, waves)
+    assert described.period == pytest.approx(np.pi, rel=1e-3)
+    np.testing.assert_allclose(described.amplitudes, [1.0, 3.0], rtol=1e-2)
+    assert described.phases is not None
+    np.testing.assert_allclose(described.phases, [0.0, 0.25], atol=1e-2)
 
 
 def test_a_decay_has_no_period() -> None:
@@ -32,13 +32,13 @@ def test_velocities_are_differences_and_begin_as_fitted() -> None:
         "values": {"a": np.cos(TIMES).tolist()},
         "start": {"a": 1.0, "a_dot": 7.0},
     }
-    found = {
+    described = {
         "schema": 1,
         "symbols": {"a": "a", "a_dot": "a_dot"},
         "equations": [{"variable": "a", "lhs": "d2a/dt2", "expression": "-a"}],
         "simulation": {"trajectories": [angle]},
     }
-    (measured,) = measured_trajectories(Result.of(found), VectorField.from_result(Result.of(found)))
+    (measured,) = measured_trajectories(Result.of(described), VectorField.from_result(Result.of(described)))
     np.testing.assert_allclose(measured.states[1:-1, 1], -np.sin(TIMES)[1:-1], atol=1e-3)
     assert measured.states[0].tolist() == [1.0, 7.0]
 
@@ -46,34 +46,36 @@ def test_velocities_are_differences_and_begin_as_fitted() -> None:
 @pytest.mark.slow
 def test_driven_models_are_compared_along_the_recorded_inputs_or_not_at_all() -> None:
     """x' = u - x with u = 2 sin(t) from the wave's beginning: x = sin(t) - cos(t)."""
-    found = result({"x": "u - x"}, ("u",))
+    contents = result({"x": "u - x"}, ("u",))
     times = 5.0 + TIMES
     x = {"x": (np.sin(TIMES) - np.cos(TIMES)).tolist()}
-    found["simulation"] = {"trajectories": [{"name": "1", "times": times.tolist(), "values": x, "start": {"x": -1.0}}]}
-    unknown = Model(found).analyse()
+    contents["simulation"] = {
+        "trajectories": [{"name": "1", "times": times.tolist(), "values": x, "start": {"x": -1.0}}]
+    }
+    unknown = Model(contents).analyse()
     assert unknown.comparisons == ()
     assert "not compared with the data of trajectory 1" in str(unknown)
     recorded = {"name": "1", "times": times.tolist(), "measured": x, "inputs": {"u": (2.0 * np.sin(TIMES)).tolist()}}
-    found["data"]["trajectories"] = [recorded]
-    known = Model(found).analyse()
-    (its,) = known.comparisons
-    assert its.has_same_period
-    assert its.has_same_amplitudes
-    assert its.simulated.period == pytest.approx(2.0 * np.pi, rel=1e-2)
+    contents["data"]["trajectories"] = [recorded]
+    known = Model(contents).analyse()
+    (comparison,) = known.comparisons
+    assert comparison.has_same_period
+    assert comparison.has_same_amplitudes
+    assert comparison.simulated.period == pytest.approx(2.0 * np.pi, rel=1e-2)
     assert known.as_dict()["not_compared"] == []
 
 
 @pytest.mark.slow
 def test_of_closed_orbits_the_period_is_said_also_where_the_data_are_too_short() -> None:
     """A pendulum of amplitude 1 has the period 4 K(sin(1/2)) = 6.6998."""
-    found = result({"x": "y", "y": "-sin(x)"})
+    contents = result({"x": "y", "y": "-sin(x)"})
     times = np.linspace(0.0, 8.0, 41)
     values = {"x": np.cos(times).tolist(), "y": (-np.sin(times)).tolist()}
     course = {"name": "1", "times": times.tolist(), "values": values, "start": {"x": 1.0, "y": 0.0}}
-    found["simulation"] = {"trajectories": [course]}
-    known = Model(found).analyse()
-    (its,) = known.comparisons
-    assert its.measured.period is None
-    assert its.orbit_period == pytest.approx(6.6998, rel=1e-3)
+    contents["simulation"] = {"trajectories": [course]}
+    known = Model(contents).analyse()
+    (comparison,) = known.comparisons
+    assert comparison.measured.period is None
+    assert comparison.orbit_period == pytest.approx(6.6998, rel=1e-3)
     assert "goes round a closed orbit of period 6.7" in str(known)
-    assert known.as_dict()["dynamics"][0]["orbit_period"] == its.orbit_period
+    assert known.as_dict()["dynamics"][0]["orbit_period"] == comparison.orbit_period

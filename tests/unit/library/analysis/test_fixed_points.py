@@ -56,30 +56,30 @@ SEVEN = {
 
 @pytest.mark.parametrize("name", SEVEN)
 def test_the_papers_systems_have_their_fixed_points(name: str) -> None:
-    its, where, expected = SEVEN[name]
-    found = fixed_points(its, where)
-    assert found.are_isolated
-    points = sorted(found.points, key=lambda each: tuple(np.round(each.point, 3) + 0.0))
-    assert [each.kind for each in points] == [expected[point] for point in sorted(expected)]
+    system, where, expected = SEVEN[name]
+    fixed = fixed_points(system, where)
+    assert fixed.are_isolated
+    points = sorted(fixed.points, key=lambda point: tuple(np.round(point.point, 3) + 0.0))
+    assert [point.kind for point in points] == [expected[point] for point in sorted(expected)]
     atol = 1e-3 if "non-hyperbolic" in expected.values() else 1e-9
-    np.testing.assert_allclose([each.point for each in points], sorted(expected), atol=atol)
+    np.testing.assert_allclose([point.point for point in points], sorted(expected), atol=atol)
 
 
 def test_predator_and_prey_coexist_at_an_unstable_focus() -> None:
-    its = flow(x="x*(4.0 - x - y/(1.0 + x))", y="y*(x/(1.0 + x) - 0.075*y)")
-    found = fixed_points(its, box((0.1, 3.9), (0.1, 40.0))).points
+    system = flow(x="x*(4.0 - x - y/(1.0 + x))", y="y*(x/(1.0 + x) - 0.075*y)")
+    points = fixed_points(system, box((0.1, 3.9), (0.1, 40.0))).points
     roots = np.roots([-1.0, 2.0, 7.0 - 1.0 / 0.075, 4.0])  # (4 - x)(1 + x)**2 - x/0.075
-    (prey,) = (float(each.real) for each in roots if abs(each.imag) < 1e-9)
-    assert [each.kind for each in found] == ["unstable focus"]
-    np.testing.assert_allclose(found[0].point, [prey, (4.0 - prey) * (1.0 + prey)])
+    (prey,) = (float(root.real) for root in roots if abs(root.imag) < 1e-9)
+    assert [point.kind for point in points] == ["unstable focus"]
+    np.testing.assert_allclose(points[0].point, [prey, (4.0 - prey) * (1.0 + prey)])
 
 
 @pytest.mark.slow
 def test_attraction_without_a_negative_eigenvalue_is_seen_in_simulations() -> None:
     degenerate = flow(x="-x**3", y="-y")
-    assert [each.is_stable for each in fixed_points(degenerate, box((-1, 1), (-1, 1))).points] == [True]
+    assert [point.is_stable for point in fixed_points(degenerate, box((-1, 1), (-1, 1))).points] == [True]
     passing = flow(x="x**2", y="-y")
-    assert [each.is_stable for each in fixed_points(passing, box((-1, 1), (-1, 1))).points] == [False]
+    assert [point.is_stable for point in fixed_points(passing, box((-1, 1), (-1, 1))).points] == [False]
 
 
 def test_a_line_of_fixed_points_is_told() -> None:
@@ -88,18 +88,18 @@ def test_a_line_of_fixed_points_is_told() -> None:
 
 @pytest.mark.slow
 def test_a_weak_focus_is_no_centre() -> None:
-    (found,) = fixed_points(flow(x="-y - x*(x**2 + y**2)", y="x - y*(x**2 + y**2)"), box((-1, 1), (-1, 1))).points
-    assert (found.kind, found.is_stable) == ("non-hyperbolic", True)
-    (found,) = fixed_points(flow(x="-y", y="x"), box((-1, 1), (-1, 1))).points
-    assert (found.kind, found.is_stable) == ("centre", False)
+    (point,) = fixed_points(flow(x="-y - x*(x**2 + y**2)", y="x - y*(x**2 + y**2)"), box((-1, 1), (-1, 1))).points
+    assert (point.kind, point.is_stable) == ("non-hyperbolic", True)
+    (point,) = fixed_points(flow(x="-y", y="x"), box((-1, 1), (-1, 1))).points
+    assert (point.kind, point.is_stable) == ("centre", False)
 
 
 def test_lorenz_has_saddle_foci_beside_a_saddle() -> None:
-    found = fixed_points(LORENZ, box((-25.0, 25.0), (-25.0, 25.0), (0.0, 50.0))).points
-    assert [each.kind for each in found] == ["saddle-focus", "saddle", "saddle-focus"]
+    points = fixed_points(LORENZ, box((-25.0, 25.0), (-25.0, 25.0), (0.0, 50.0))).points
+    assert [point.kind for point in points] == ["saddle-focus", "saddle", "saddle-focus"]
     side = float(np.sqrt(72.0))
     np.testing.assert_allclose(
-        [each.point for each in found], [(-side, -side, 27), (0, 0, 0), (side, side, 27)], atol=1e-9
+        [point.point for point in points], [(-side, -side, 27), (0, 0, 0), (side, side, 27)], atol=1e-9
     )
 
 
@@ -115,13 +115,13 @@ def test_lorenz_has_saddle_foci_beside_a_saddle() -> None:
     ],
 )
 def test_kinds_follow_from_eigenvalues(eigenvalues: list[complex], kind: str) -> None:
-    assert kind_of(np.array(sorted(eigenvalues, key=lambda each: -complex(each).real), dtype=complex)) == kind
+    assert kind_of(np.array(sorted(eigenvalues, key=lambda point: -complex(point).real), dtype=complex)) == kind
 
 
 def test_a_real_part_of_rounding_is_none() -> None:
-    its = flow(theta="cot(phi)*cos(theta)", phi="(cos(phi)**2 + 0.1*sin(phi)**2)*sin(theta)")
-    (found,) = fixed_points(its, box((2.0, 4.0), (0.5, 2.5))).points
-    np.testing.assert_array_equal(found.eigenvalues.real, 0.0)
+    system = flow(theta="cot(phi)*cos(theta)", phi="(cos(phi)**2 + 0.1*sin(phi)**2)*sin(theta)")
+    (point,) = fixed_points(system, box((2.0, 4.0), (0.5, 2.5))).points
+    np.testing.assert_array_equal(point.eigenvalues.real, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -141,5 +141,5 @@ def test_where_rates_only_become_small_is_no_fixed_point(equations: dict[str, st
 @pytest.mark.slow
 @pytest.mark.parametrize("damping", [0.1, 0.001])
 def test_a_damping_that_grows_with_the_amplitude_makes_no_centre(damping: float) -> None:
-    (its,) = fixed_points(flow(x="y", y=f"-x - {damping}*y**3"), box((-2.0, 2.0), (-2.0, 2.0))).points
-    assert its.kind == "non-hyperbolic"
+    (point,) = fixed_points(flow(x="y", y=f"-x - {damping}*y**3"), box((-2.0, 2.0), (-2.0, 2.0))).points
+    assert point.kind == "non-hyperbolic"

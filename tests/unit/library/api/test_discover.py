@@ -67,7 +67,7 @@ def test_what_is_no_option_or_no_value_of_one_is_refused_in_the_words_of_python(
 
 def test_every_option_of_run_changes_the_job_or_is_refused() -> None:
     """None is taken and ignored: those that describe a job are in groups of their own, and a job file."""
-    verbs = next(each for each in build_parser()._actions if isinstance(each, argparse._SubParsersAction))
+    verbs = next(action for action in build_parser()._actions if isinstance(action, argparse._SubParsersAction))
     described = {"data", "search", "budget"}
     for group in verbs.choices["run"]._action_groups:
         for action in group._group_actions:
@@ -90,8 +90,8 @@ VIEW = JobView(
 class Client:
     """Stands for a connection to a coordinator with one job, which has found `found` when it is cancelled."""
 
-    def __init__(self, found: dict[str, Any] | None) -> None:
-        self.found = found
+    def __init__(self, contents: dict[str, Any] | None) -> None:
+        self.found = contents
         self.is_cancelled = False
 
     def hand_in(self, *given: object) -> None:

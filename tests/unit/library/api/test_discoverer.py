@@ -17,18 +17,18 @@ X = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 7.0]])
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, dict[str, Any]]]:
     """What `discover` was called with; it finds dx0/dt = x1, dx1/dt = -x0."""
-    found: list[tuple[Any, dict[str, Any]]] = []
+    calls: list[tuple[Any, dict[str, Any]]] = []
 
     def discover(data: Any, **options: Any) -> Model:
-        found.append((data, options))
+        calls.append((data, options))
         return Model(result({"x0": "x1", "x1": "-1.23456789*x0"}))
 
     monkeypatch.setattr(discoverer, "discover", discover)
-    return found
+    return calls
 
 
 def test_lists_are_trajectories_with_inputs_and_derivatives(calls: list[tuple[Any, dict[str, Any]]]) -> None:
-    its = Discoverer(seed=3).fit(
+    fitted = Discoverer(seed=3).fit(
         [X, X[:2]], [np.arange(3.0), np.arange(2.0)], u=[X[:, :1], X[:2, :1]], x_dot=[X, X[:2]]
     )
     ((data, options),) = calls
@@ -36,8 +36,8 @@ def test_lists_are_trajectories_with_inputs_and_derivatives(calls: list[tuple[An
     assert data[1]["x1"].tolist() == [2.0, 4.0]
     expected = {"time": "t", "states": ["x0", "x1"], "inputs": ["u0"], "derivatives": ["x0_dot", "x1_dot"], "seed": 3}
     assert options == expected
-    assert its.feature_names_in_.tolist() == ["x0", "x1", "u0"]
-    assert its.n_features_in_ == 2
+    assert fitted.feature_names_in_.tolist() == ["x0", "x1", "u0"]
+    assert fitted.n_features_in_ == 2
 
 
 def test_one_number_is_the_time_between_rows(calls: list[tuple[Any, dict[str, Any]]]) -> None:
@@ -49,15 +49,15 @@ def test_one_number_is_the_time_between_rows(calls: list[tuple[Any, dict[str, An
 
 @pytest.mark.usefixtures("calls")
 def test_results_have_the_names_that_users_know(capsys: pytest.CaptureFixture[str]) -> None:
-    its = Discoverer().fit(X, 1.0)
-    assert its.equations(3) == ["x1", "-1.23*x0"]
-    assert its.equations_ == {"x0": "x1", "x1": "-1.23457*x0"}
-    its.print(2)
+    fitted = Discoverer().fit(X, 1.0)
+    assert fitted.equations(3) == ["x1", "-1.23*x0"]
+    assert fitted.equations_ == {"x0": "x1", "x1": "-1.23457*x0"}
+    fitted.print(2)
     assert capsys.readouterr().out == "dx0/dt = x1\ndx1/dt = -1.2*x0\n"
-    assert its.predict(X)[:, 0].tolist() == [2.0, 4.0, 7.0]
-    assert [each.shape for each in its.predict([X, X[:2]])] == [(3, 2), (2, 2)]
-    assert its.simulate([1.0, 0.0], [0.0, 0.1]).shape == (2, 2)
-    assert its.score(X, x_dot=its.predict(X)) == 1.0
+    assert fitted.predict(X)[:, 0].tolist() == [2.0, 4.0, 7.0]
+    assert [values.shape for values in fitted.predict([X, X[:2]])] == [(3, 2), (2, 2)]
+    assert fitted.simulate([1.0, 0.0], [0.0, 0.1]).shape == (2, 2)
+    assert fitted.score(X, x_dot=fitted.predict(X)) == 1.0
 
 
 @pytest.mark.usefixtures("calls")
@@ -79,16 +79,16 @@ def test_what_does_not_fit_is_refused() -> None:
 def test_a_list_of_rows_is_one_trajectory(calls: list[tuple[Any, dict[str, Any]]]) -> None:
     Discoverer().fit(X.tolist())
     ((data, _),) = calls
-    assert [each["x1"].tolist() for each in data] == [[2.0, 4.0, 7.0]]
+    assert [values["x1"].tolist() for values in data] == [[2.0, 4.0, 7.0]]
 
 
 def test_of_groups_the_constants_of_one_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = result({"x0": "-2.0*x0"}, groups=[{"group": name, "trajectories": [name]} for name in ("1", "2")])
-    found["equations"][0]["groups"] = [{"group": "1", "expression": "-x0"}, {"group": "2", "expression": "-3.0*x0"}]
-    monkeypatch.setattr(discoverer, "discover", lambda *_, **__: Model(found))
-    its = Discoverer(per_trajectory=True).fit([X[:, :1], X[:, :1]], 1.0)
-    assert its.predict([[1.0], [2.0]], group=2).tolist() == [[-3.0], [-6.0]]
-    assert its.simulate([1.0], [0.0, 1.0], group=1)[-1, 0] == pytest.approx(np.exp(-1.0))
-    assert its.score(X[:, :1], x_dot=-3.0 * X[:, :1], group=2) == 1.0
+    contents = result({"x0": "-2.0*x0"}, groups=[{"group": name, "trajectories": [name]} for name in ("1", "2")])
+    contents["equations"][0]["groups"] = [{"group": "1", "expression": "-x0"}, {"group": "2", "expression": "-3.0*x0"}]
+    monkeypatch.setattr(discoverer, "discover", lambda *_, **__: Model(contents))
+    fitted = Discoverer(per_trajectory=True).fit([X[:, :1], X[:, :1]], 1.0)
+    assert fitted.predict([[1.0], [2.0]], group=2).tolist() == [[-3.0], [-6.0]]
+    assert fitted.simulate([1.0], [0.0, 1.0], group=1)[-1, 0] == pytest.approx(np.exp(-1.0))
+    assert fitted.score(X[:, :1], x_dot=-3.0 * X[:, :1], group=2) == 1.0
     with pytest.raises(UsageError, match="choose one with of_group"):
-        its.predict([[1.0]])
+        fitted.predict([[1.0]])

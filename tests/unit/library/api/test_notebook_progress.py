@@ -26,15 +26,15 @@ class Handle:
 @pytest.fixture
 def handle(monkeypatch: pytest.MonkeyPatch) -> Handle:
     """The output of a kernel, as `IPython.display.display` returns it."""
-    its, module = Handle(), ModuleType("IPython.display")
+    handle, module = Handle(), ModuleType("IPython.display")
     module.HTML = str  # type: ignore[attr-defined]
-    module.display = lambda *_, **__: its  # type: ignore[attr-defined]
+    module.display = lambda *_, **__: handle  # type: ignore[attr-defined]
     parent = ModuleType("IPython")
     parent.display = module  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "IPython", parent)
     monkeypatch.setitem(sys.modules, "IPython.display", module)
     monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
-    return its
+    return handle
 
 
 def test_what_has_not_changed_is_not_written_again(handle: Handle) -> None:

@@ -18,18 +18,18 @@ def test_features_are_columns_and_predictions_are_values(monkeypatch: pytest.Mon
 
     def discover(data: Any, **options: Any) -> Model:
         calls.append((data, options))
-        found = result({"y": "x0"}, ("x0",))
-        found["equations"][0] |= {"lhs": "y", "expression": "2.0*x0"}
-        del found["symbols"]["y"]
-        return Model(found)
+        contents = result({"y": "x0"}, ("x0",))
+        contents["equations"][0] |= {"lhs": "y", "expression": "2.0*x0"}
+        del contents["symbols"]["y"]
+        return Model(contents)
 
     monkeypatch.setattr(regressor, "discover", discover)
     known = {"bound": "c > 0", "require": {"y": ["x0"]}, "unit": {"x0": "m"}}
-    its = regressor.Regressor(seed=5, max_epochs=2, **known).fit([[1.0], [2.0]], [2.0, 4.0])
+    fitted = regressor.Regressor(seed=5, max_epochs=2, **known).fit([[1.0], [2.0]], [2.0, 4.0])
     ((data, options),) = calls
     assert {name: values.tolist() for name, values in data.items()} == {"x0": [1.0, 2.0], "y": [2.0, 4.0]}
     assert (options["target"], options["seed"], options["max_epochs"]) == ("y", 5, 2)
     assert known.items() <= options.items()
-    assert its.predict(np.array([[3.0]])).tolist() == [6.0]
-    assert its.equation_ == "2*x0"
-    assert its.score([[1.0], [2.0]], [2.0, 4.0]) == 1.0
+    assert fitted.predict(np.array([[3.0]])).tolist() == [6.0]
+    assert fitted.equation_ == "2*x0"
+    assert fitted.score([[1.0], [2.0]], [2.0, 4.0]) == 1.0

@@ -32,10 +32,10 @@ def test_another_number_of_workers_does_not_end_the_service_of_a_call(services: 
     assert session.local_address(1) == "tcp/1"
     assert session.local_address(2) == "tcp/2"
     assert session.local_address(None) == session.local_address(1) == "tcp/1"
-    assert all(each.is_alive for each in services.values())
-    its = [*services.values()]
+    assert all(service.is_alive for service in services.values())
+    running = [*services.values()]
     session.close()
-    assert not any(each.is_alive for each in its)
+    assert not any(service.is_alive for service in running)
     assert services == {}
 
 

@@ -83,8 +83,8 @@ def test_an_index_of_a_pandas_frame_is_a_column_where_it_says_something() -> Non
 
 def test_coordinates_of_an_xarray_data_set_are_columns() -> None:
     xarray = pytest.importorskip("xarray")
-    its = xarray.Dataset({"x": ("t", [1.0, 2.0])}, coords={"t": [0.0, 0.5]})
-    assert table_of(its, DataConfig()).names == ("t", "x")
+    lines = xarray.Dataset({"x": ("t", [1.0, 2.0])}, coords={"t": [0.0, 0.5]})
+    assert table_of(lines, DataConfig()).names == ("t", "x")
 
 
 def test_files_are_read_as_the_command_line_reads_them(tmp_path: Path) -> None:

@@ -38,8 +38,8 @@ def test_the_end_of_a_job_decides_the_exit_code(
 
 def test_a_known_equation_misses_no_target() -> None:
     known = VariableView(variable="y", lhs="dy/dt", epoch=0, finished=True, why="known", normalized_error=0.5)
-    found = VariableView(variable="x", lhs="dx/dt", epoch=1, finished=True, why="target", converged=True)
-    missed = found.model_copy(update={"converged": False, "why": "max-epochs"})
-    assert ending(job_view(state="done", target_error=1e-6, variables=(known, found))) == (0, None)
+    searched = VariableView(variable="x", lhs="dx/dt", epoch=1, finished=True, why="target", converged=True)
+    missed = searched.model_copy(update={"converged": False, "why": "max-epochs"})
+    assert ending(job_view(state="done", target_error=1e-6, variables=(known, searched))) == (0, None)
     sentence = "--target-error 1e-06 was not met within the budget by dx/dt"
     assert ending(job_view(state="done", target_error=1e-6, variables=(known, missed))) == (4, sentence)

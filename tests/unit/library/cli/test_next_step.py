@@ -82,21 +82,21 @@ def after(
     ],
 )
 def test_the_command_suits_the_outcome(proposed: str, outcome: dict[str, Any]) -> None:
-    found = after(**outcome)
-    assert found is not None
-    assert found.startswith(f"{proposed}  #" if "#" not in proposed else proposed)
+    advice = after(**outcome)
+    assert advice is not None
+    assert advice.startswith(f"{proposed}  #" if "#" not in proposed else proposed)
 
 
 def test_a_budget_that_was_given_is_replaced() -> None:
     words = ["run", "a.csv", "--max-epochs", "20", "--id=old"]
-    found = after("doubtful", **ENDED_BY_EPOCHS, words=words)  # type: ignore[arg-type]
-    assert found is not None
-    assert found.startswith("coordinator run a.csv --max-epochs 40  #")
-    found = after(
+    advice = after("doubtful", **ENDED_BY_EPOCHS, words=words)  # type: ignore[arg-type]
+    assert advice is not None
+    assert advice.startswith("coordinator run a.csv --max-epochs 40  #")
+    advice = after(
         "doubtful", why="max-time", config={"budget": {"max_time": 58.6}}, words=["run", "a", "--max-time", "1m"]
     )
-    assert found is not None
-    assert found.startswith("coordinator run a --max-time 120s  #")
+    assert advice is not None
+    assert advice.startswith("coordinator run a --max-time 120s  #")
 
 
 @pytest.mark.parametrize("changes", [{"state": "cancelled"}, {"state": "failed"}, {"equations": []}])
@@ -112,6 +112,6 @@ def test_what_is_proposed_can_be_said() -> None:
         {"system": {"kind": "process"}},
         {"verdict": "doubtful", "loose": True},
     ):
-        found = after(**outcome)  # type: ignore[arg-type]
-        assert found is not None
-        assert parse(shlex.split(found.partition("  # ")[0])[1:]).verb
+        advice = after(**outcome)  # type: ignore[arg-type]
+        assert advice is not None
+        assert parse(shlex.split(advice.partition("  # ")[0])[1:]).verb

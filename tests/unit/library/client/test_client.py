@@ -219,10 +219,10 @@ def test_jobs_are_listed_page_by_page() -> None:
         asked.append(body)
         end = len(ids) if body.before is None else body.before
         start = max(0, end - min(body.limit, 3))
-        return JobList(jobs=tuple(job_view(job=each) for each in ids[start:end]), before=start or None)
+        return JobList(jobs=tuple(job_view(job=request) for request in ids[start:end]), before=start or None)
 
     client, _ = client_with(handle)
     assert [view.job for view in client.jobs()] == ids
     assert len(asked) == 3
     assert [view.job for view in client.jobs(last=4)] == ids[-4:]
-    assert [each.limit for each in asked[3:]] == [4, 1]
+    assert [request.limit for request in asked[3:]] == [4, 1]

@@ -15,12 +15,12 @@ def model() -> Model:
     matplotlib.use("agg")
     times = [0.0, 0.5, 1.0]
     curves = {"x": [1.0, 0.5, 0.0], "y": [0.0, 0.5, None]}
-    found = result({"x": "-y", "y": "x"})
+    contents = result({"x": "-y", "y": "x"})
     measured = {"x": [1.0, 0.7, None], "y": [0.0, 0.5, 1.0]}
     part = {"name": "1", "times": times, "values": curves, "lower": curves, "upper": curves, "measured": measured}
-    found["simulation"] = {"trajectories": [part]}
-    found["equations"][0]["front"] = [{"complexity": 3, "normalized_error": 0.1, "selected": True}]
-    return Model(found)
+    contents["simulation"] = {"trajectories": [part]}
+    contents["equations"][0]["front"] = [{"complexity": 3, "normalized_error": 0.1, "selected": True}]
+    return Model(contents)
 
 
 def test_residuals_are_measured_less_simulated(model: Model) -> None:

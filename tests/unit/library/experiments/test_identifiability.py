@@ -27,54 +27,56 @@ def of_decay(text: str) -> Identifiability:
 
 def test_the_profile_of_a_linear_model_is_its_quadratic() -> None:
     x = 1.0 + 2.0 * TIMES + 0.3 * NOISE
-    found = identify(Result.of(measured({"x": "1.8"}, [(TIMES, {"x": x})], 0.3)))
+    identified = identify(Result.of(measured({"x": "1.8"}, [(TIMES, {"x": x})], 0.3)))
     design = np.stack([np.ones(20), TIMES], axis=1)
     solution, squares, *_ = np.linalg.lstsq(design, x, rcond=None)
     error = float(np.sqrt(squares[0] / 18.0 * np.linalg.inv(design.T @ design)[1, 1]))
-    slope = found["c1"]
-    assert found.freedom == 18.0
-    assert found.quantile == pytest.approx(2.1009, abs=1e-4)  # Student's t with 18 degrees of freedom
+    slope = identified["c1"]
+    assert identified.freedom == 18.0
+    assert identified.quantile == pytest.approx(2.1009, abs=1e-4)  # Student's t with 18 degrees of freedom
     assert slope.estimate == pytest.approx(solution[1], rel=1e-6)
     assert slope.std_error == pytest.approx(error, rel=1e-5)
     np.testing.assert_allclose(slope.deviances, ((slope.values - slope.estimate) / error) ** 2, atol=1e-3)
     np.testing.assert_allclose(slope.interval, slope.quadratic, rtol=1e-4)
     assert slope.verdict == "determined"
-    assert found.sloppy == ()
+    assert identified.sloppy == ()
 
 
 @pytest.mark.parametrize(
     ("text", "relation"), [("-1.5*(0.4*x)", "c1*c2"), ("0.2*x - 0.8*x", "c1 - c2"), ("-1.5*x/2.5", "c1/c2")]
 )
 def test_of_a_decay_one_combination_is_determined(text: str, relation: str) -> None:
-    found = of_decay(text)
-    assert [each.verdict for each in found.constants] == ["structurally non-identifiable"] * 2
-    assert [each.words for each in found.sloppy] == [f"only {relation} is determined, not c1 and c2 by themselves"]
-    assert relation in str(found)
+    identified = of_decay(text)
+    assert [constant.verdict for constant in identified.constants] == ["structurally non-identifiable"] * 2
+    assert [relation.words for relation in identified.sloppy] == [
+        f"only {relation} is determined, not c1 and c2 by themselves"
+    ]
+    assert relation in str(identified)
 
 
 def test_saturation_that_was_not_reached_is_open_to_one_side() -> None:
     x = 0.5 * np.exp(-0.2 * TIMES) + 0.005 * NOISE
-    found = identify(Result.of(measured({"x": "-2*x/(10 + x)"}, [(TIMES, {"x": x})], 0.005)))
-    fastest, half = found["c1"], found["c2"]
+    identified = identify(Result.of(measured({"x": "-2*x/(10 + x)"}, [(TIMES, {"x": x})], 0.005)))
+    fastest, half = identified["c1"], identified["c2"]
     assert (fastest.verdict, half.verdict) == ("open below", "open above")  # the text has -2
     assert (fastest.interval[0], half.interval[1]) == (-np.inf, np.inf)
     assert 0.0 < half.interval[0] < half.estimate
-    assert half.deviances[-1] < found.quantile**2
+    assert half.deviances[-1] < identified.quantile**2
     assert half.sentence.endswith(f"open above: at least {half.interval[0]:.4g}")
-    assert found.sloppy[0].words == "only c1/c2 is determined, not c1 and c2 by themselves"
+    assert identified.sloppy[0].words == "only c1/c2 is determined, not c1 and c2 by themselves"
 
 
 def test_a_minus_in_the_text_turns_an_interval_round() -> None:
-    found = of_decay("-0.5*x")
-    its = found["c1"]
-    assert its.estimate < 0.0
-    assert its.interval[0] < its.estimate < its.interval[1] < 0.0
-    assert np.all(np.diff(its.values) > 0.0)
+    identified = of_decay("-0.5*x")
+    constant = identified["c1"]
+    assert constant.estimate < 0.0
+    assert constant.interval[0] < constant.estimate < constant.interval[1] < 0.0
+    assert np.all(np.diff(constant.values) > 0.0)
 
 
 def test_factors_of_one_are_constants_that_have_no_number() -> None:
-    found = of_decay("-x")
-    (only,) = found.constants
+    identified = of_decay("-x")
+    (only,) = identified.constants
     assert (only.name, only.is_written) == ("1 of x (dx)", False)
     assert abs(only.estimate - 0.6) < 0.02
 
@@ -82,8 +84,10 @@ def test_factors_of_one_are_constants_that_have_no_number() -> None:
 def test_inputs_act_along_the_profile() -> None:
     u = np.sin(TIMES)
     course = np.array([1.0 + (1.0 - np.cos(time)) * 0.7 for time in TIMES])
-    found = identify(Result.of(measured({"x": "0.5*u"}, [(TIMES, {"x": course + 0.01 * NOISE, "u": u})], 0.01, ("u",))))
-    low, high = found["c1"].interval
+    identified = identify(
+        Result.of(measured({"x": "0.5*u"}, [(TIMES, {"x": course + 0.01 * NOISE, "u": u})], 0.01, ("u",)))
+    )
+    low, high = identified["c1"].interval
     assert low < 0.7 < high < low + 0.1
 
 
@@ -98,9 +102,9 @@ def test_errors_that_go_together_widen_intervals() -> None:
 def test_rows_that_a_result_does_not_list_count_as_well() -> None:
     full = measured({"x": "-0.5*x"}, [(TIMES, {"x": DECAY})], 0.02)
     full["data"]["trajectories"][0]["rows"] = 80
-    found = identify(Result.of(full))
-    assert "20 of 80 rows" in found.source
-    assert found["c1"].std_error == pytest.approx(0.5 * of_decay("-0.5*x")["c1"].std_error, rel=0.05)
+    identified = identify(Result.of(full))
+    assert "20 of 80 rows" in identified.source
+    assert identified["c1"].std_error == pytest.approx(0.5 * of_decay("-0.5*x")["c1"].std_error, rel=0.05)
 
 
 def test_an_interval_of_the_model_is_by_its_profile_where_that_is_asked_for() -> None:
@@ -131,16 +135,16 @@ def test_what_cannot_be_profiled_is_a_sentence(changes: dict[str, object], sente
 def of_groups() -> dict[str, Any]:
     """Return a result of decays whose rate is 0.6 in group a and 1.2 in group b."""
     fast = 3.0 * np.exp(-1.2 * TIMES) + 0.02 * NOISE
-    found = measured({"x": "-0.9*x"}, [(TIMES, {"x": DECAY}), (TIMES, {"x": fast})], 0.02)
-    found["config"] = {"data": {"group": "strain"}}
+    identified = measured({"x": "-0.9*x"}, [(TIMES, {"x": DECAY}), (TIMES, {"x": fast})], 0.02)
+    identified["config"] = {"data": {"group": "strain"}}
     part = {"program": None, "constants": []}
-    found["equations"][0]["groups"] = [
+    identified["equations"][0]["groups"] = [
         part | {"group": name, "expression": f"-{rate}*x"} for name, rate in (("a", 0.6), ("b", 1.2))
     ]
-    found["groups"] = [
+    identified["groups"] = [
         {"group": name, "trajectories": [number], "covariance": None} for name, number in (("a", "1"), ("b", "2"))
     ]
-    return found
+    return identified
 
 
 def table_of_groups(*names: str) -> dict[str, Any]:
@@ -156,15 +160,15 @@ def test_constants_that_differ_between_groups_cannot_be_profiled_together() -> N
 
 @pytest.mark.parametrize("names", ["abc", "b"])
 def test_of_data_those_of_the_chosen_group_are_used(names: str) -> None:
-    found = Model(of_groups()).of_group("b").identifiability(data=table_of_groups(*names))
-    assert found["c1"].estimate == pytest.approx(-1.2, rel=0.05)
-    assert found["c1"].verdict == "determined"
+    identified = Model(of_groups()).of_group("b").identifiability(data=table_of_groups(*names))
+    assert identified["c1"].estimate == pytest.approx(-1.2, rel=0.05)
+    assert identified["c1"].verdict == "determined"
 
 
 def test_a_group_has_its_share_of_the_independent_rows() -> None:
-    found = of_groups()
+    contents = of_groups()
     errors = {"errors": {"independent_rows": 10.0, "piece": None}, "sd": 0.02, "relative": 0.02, "method": "loess"}
-    chosen = Model(found | {"noise": {"x": errors}}).of_group("b")
+    chosen = Model(contents | {"noise": {"x": errors}}).of_group("b")
     assert measured_of(chosen.result).independent.tolist() == pytest.approx([5.0])
 
 
@@ -177,11 +181,11 @@ def test_data_without_the_chosen_group_are_refused() -> None:
 
 
 def test_of_trajectories_the_chosen_one_is_used() -> None:
-    found = of_groups()
-    found["config"] = {"data": {"trajectory": "run", "per_trajectory": True}}
-    for number, group in enumerate(found["groups"], start=1):
-        group["group"] = found["equations"][0]["groups"][number - 1]["group"] = str(number)
-    chosen = Model(found).of_group(2)
+    contents = of_groups()
+    contents["config"] = {"data": {"trajectory": "run", "per_trajectory": True}}
+    for number, group in enumerate(contents["groups"], start=1):
+        group["group"] = contents["equations"][0]["groups"][number - 1]["group"] = str(number)
+    chosen = Model(contents).of_group(2)
     data = table_of_groups("a", "b")
     data["run"] = np.where(data.pop("strain") == "a", 1.0, 2.0)
     assert chosen.identifiability(data=data)["c1"].estimate == pytest.approx(-1.2, rel=0.05)
@@ -201,23 +205,23 @@ def test_a_profile_ends_at_a_bound_of_its_constant() -> None:
     bound = free.estimate - 0.5 * free.std_error
     result = measured({"x": "-0.5*x"}, [(TIMES, {"x": DECAY})], 0.02)
     result["equations"][0]["constants"] = [{"value": -0.5, "bounds": [bound, None]}]
-    its = identify(Result.of(result))["c1"]
-    assert its.interval[0] == pytest.approx(bound, rel=1e-9)
-    assert its.interval[1] == pytest.approx(free.interval[1], rel=1e-4)
-    assert its.is_cut == (True, False)
-    assert its.values.min() >= bound
+    identified = identify(Result.of(result))["c1"]
+    assert identified.interval[0] == pytest.approx(bound, rel=1e-9)
+    assert identified.interval[1] == pytest.approx(free.interval[1], rel=1e-4)
+    assert identified.is_cut == (True, False)
+    assert identified.values.min() >= bound
 
 
 def test_constants_stand_in_the_order_of_the_text_and_ends_can_be_told_apart() -> None:
     y = 2.0 + TIMES + 1e-6 * NOISE
     text = {"x": "-3*x + 2*y", "y": "1.00000001"}
     x = (2.0 / 3.0) * (2.0 - 1.0 / 3.0 + TIMES) + np.exp(-3.0 * TIMES) + 1e-6 * NOISE
-    found = identify(Result.of(measured(text, [(TIMES, {"x": x, "y": y})], 1e-6)))
-    assert [each.name for each in found.constants] == ["c1", "c2", "c3"]
-    assert [round(each.estimate) for each in found.constants] == [-3, 2, 1]
-    low, high = found["c3"].sentence.partition(": ")[2].split(" to ")
+    identified = identify(Result.of(measured(text, [(TIMES, {"x": x, "y": y})], 1e-6)))
+    assert [constant.name for constant in identified.constants] == ["c1", "c2", "c3"]
+    assert [round(constant.estimate) for constant in identified.constants] == [-3, 2, 1]
+    low, high = identified["c3"].sentence.partition(": ")[2].split(" to ")
     assert low != high
-    largest = found.directions[-1].weights
+    largest = identified.directions[-1].weights
     assert largest.shape == (3,)
 
 

@@ -40,22 +40,22 @@ LINEAR = measured({"x": "-0.5*x"}, [(TIMES, {"x": 2.0 * np.exp(-0.5 * TIMES) + 0
 
 
 def test_candidates_are_told_apart_where_they_differ() -> None:
-    found = suggest(Result.of(FOUND), Request(WIDE))
-    assert found.purpose == "discrimination"
-    assert found.measured == ()
-    assert sorted(each.origin for each in found.candidates) == ["candidate", "shown"]
-    assert sum(each.weight for each in found.candidates) == pytest.approx(1.0)
-    first = found.experiments[0]
+    suggestions = suggest(Result.of(FOUND), Request(WIDE))
+    assert suggestions.purpose == "discrimination"
+    assert suggestions.measured == ()
+    assert sorted(candidate.origin for candidate in suggestions.candidates) == ["candidate", "shown"]
+    assert sum(candidate.weight for candidate in suggestions.candidates) == pytest.approx(1.0)
+    first = suggestions.experiments[0]
     assert first.initial["x"] > 5.0  # saturation shows where x is large
     assert len(first.times) == 12
     assert first.times[-1] == pytest.approx(2.0)
-    assert 0.0 < first.information <= found.entropy
-    worths = [each.worth_per_cost for each in found.experiments]
+    assert 0.0 < first.information <= suggestions.entropy
+    worths = [experiment.worth_per_cost for experiment in suggestions.experiments]
     assert worths == sorted(worths, reverse=True)
-    starts = np.array([each.initial["x"] for each in found.experiments])
+    starts = np.array([experiment.initial["x"] for experiment in suggestions.experiments])
     apart = np.abs(np.subtract.outer(starts, starts))[~np.eye(len(starts), dtype=bool)]
     assert apart.min(initial=np.inf) >= 0.25 * 19.9
-    assert "experiment 1: x = " in str(found)
+    assert "experiment 1: x = " in str(suggestions)
 
 
 def test_the_same_seed_suggests_the_same_and_the_model_as_well() -> None:
@@ -73,17 +73,17 @@ def test_costs_make_experiments_shorter() -> None:
 
 
 def test_a_linear_model_alone_is_measured_where_its_constant_shows_most() -> None:
-    found = suggest(Result.of(LINEAR), Request({}))
-    assert (found.purpose, found.reason) == ("precision", "there is only one candidate")
-    assert found.entropy == 0.0
-    assert found.measured == ("x",)
-    best = found.experiments[0]
-    assert best.initial["x"] == pytest.approx(found.bounds["x"][1], rel=0.02)  # the largest signal
+    suggestions = suggest(Result.of(LINEAR), Request({}))
+    assert (suggestions.purpose, suggestions.reason) == ("precision", "there is only one candidate")
+    assert suggestions.entropy == 0.0
+    assert suggestions.measured == ("x",)
+    best = suggestions.experiments[0]
+    assert best.initial["x"] == pytest.approx(suggestions.bounds["x"][1], rel=0.02)  # the largest signal
     assert best.worst is not None
     name, before, after = best.worst
     assert name == "c1"
     assert best.information == pytest.approx(math.log(before / after), rel=1e-6)  # 1/2 ln of the ratio of variances
-    assert "about the constants" in str(found)
+    assert "about the constants" in str(suggestions)
 
 
 @pytest.mark.filterwarnings("error")
@@ -93,9 +93,9 @@ def test_a_candidate_that_the_data_have_excluded_is_said_to_be() -> None:
     times = np.linspace(0.0, 2.0, 150)
     x = 2.0 * np.exp(-0.5 * times) + 1e-5 * np.random.default_rng(3).standard_normal(150)
     data = measured({"x": "-0.5*x"}, [(times, {"x": x})], 1e-5)
-    found = suggest(Result.of(data), Request({}, rivals=[{"x": "-0.2"}]))
-    assert found.purpose == "precision"
-    assert found.reason == "the data have excluded all but one of 2 candidates already"
+    suggestions = suggest(Result.of(data), Request({}, rivals=[{"x": "-0.2"}]))
+    assert suggestions.purpose == "precision"
+    assert suggestions.reason == "the data have excluded all but one of 2 candidates already"
 
 
 def test_a_model_without_constants_and_candidates_is_refused() -> None:
@@ -106,40 +106,40 @@ def test_a_model_without_constants_and_candidates_is_refused() -> None:
 
 
 def test_candidates_that_foretell_the_same_are_not_told_apart() -> None:
-    found = suggest(Result.of(FOUND), Request({"x": (0.01, 0.02)}))
-    assert found.purpose == "precision"
-    assert found.reason == "all 2 candidates foretell the same within the bounds"
+    suggestions = suggest(Result.of(FOUND), Request({"x": (0.01, 0.02)}))
+    assert suggestions.purpose == "precision"
+    assert suggestions.reason == "all 2 candidates foretell the same within the bounds"
 
 
 def test_rivals_that_are_given_are_candidates() -> None:
-    found = suggest(Result.of(LINEAR), Request({"x": (0.5, 9.0)}, rivals=[{"dx/dt": "-0.7"}]))
-    assert sorted(each.origin for each in found.candidates) == ["given", "shown"]
-    assert found.purpose == "discrimination"
+    suggestions = suggest(Result.of(LINEAR), Request({"x": (0.5, 9.0)}, rivals=[{"dx/dt": "-0.7"}]))
+    assert sorted(candidate.origin for candidate in suggestions.candidates) == ["given", "shown"]
+    assert suggestions.purpose == "discrimination"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rival", ["-0.5*x*(1 + 0.2)/(1 + 0.2*x)", "-0.4*x - x*0.1/(1 + x/3)"])
 def test_constants_of_a_rival_that_data_without_noise_do_not_tell_apart_are_no_error(rival: str) -> None:
     clean = measured({"x": "-0.5*x"}, [(TIMES, {"x": 2.0 * np.exp(-0.5 * TIMES)})], 1e-12)
-    found = suggest(Result.of(clean), Request(WIDE, rivals=[{"x": rival}]))
-    assert sorted(each.origin for each in found.candidates) == ["given", "shown"]
+    suggestions = suggest(Result.of(clean), Request(WIDE, rivals=[{"x": rival}]))
+    assert sorted(candidate.origin for candidate in suggestions.candidates) == ["given", "shown"]
 
 
 def test_a_quotient_has_rivals_without_its_pole() -> None:
     y = np.array([(4.0 + 2.0 * time) ** 0.5 for time in TIMES])  # dx/dt = 1/x
-    found = suggest(
+    suggestions = suggest(
         Result.of(measured({"x": "1.02/x"}, [(TIMES, {"x": y + 0.01 * NOISE})], 0.01)), Request({"x": (0.2, 3.0)})
     )
-    origins = {each.origin for each in found.candidates}
+    origins = {candidate.origin for candidate in suggestions.candidates}
     assert origins <= {"shown", "denominator"}
     assert "shown" in origins
 
 
 def test_denominators_are_made_without_the_constant_that_they_have() -> None:
     result = measured({"x": "-x*y/(2 + y)", "y": "1/x"}, [(TIMES, {"x": 3.0 - TIMES, "y": 1.0 + TIMES})], 0.01)
-    its, equations = measured_of(Result.of(result)), equations_of(Result.of(result))
+    measured_rows, equations = measured_of(Result.of(result)), equations_of(Result.of(result))
     made = [
-        [to_infix(each, ("x", "y"), digits=3) for each in without_poles(program, equations, its)]
+        [to_infix(pole, ("x", "y"), digits=3) for pole in without_poles(program, equations, measured_rows)]
         for program in equations.programs
     ]
     assert len(made[0]) == 1
@@ -151,18 +151,18 @@ def test_constant_inputs_are_chosen_within_their_bounds() -> None:
     x = 1.0 - 0.5 * np.exp(-0.5 * TIMES) + 0.01 * NOISE
     result = measured({"x": "u - 0.5*x"}, [(TIMES, {"x": x, "u": np.full(12, 0.5)})], 0.01, ("u",))
     bounds = {"x": (0.0, 3.0), "u": (0.0, 2.0)}
-    found = suggest(Result.of(result), Request(bounds, rivals=[{"x": "0.5 - 0.5*x*u"}]))
-    assert all(0.0 <= each.inputs["u"] <= 2.0 for each in found.experiments)
-    assert found.bounds == bounds
+    suggestions = suggest(Result.of(result), Request(bounds, rivals=[{"x": "0.5 - 0.5*x*u"}]))
+    assert all(0.0 <= experiment.inputs["u"] <= 2.0 for experiment in suggestions.experiments)
+    assert suggestions.bounds == bounds
 
 
 def test_an_input_that_is_the_time_goes_on_and_is_not_chosen() -> None:
     times = 3.0 + TIMES
     x = 2.0 - 0.3 * (times**2 - 9.0) / 2.0 + 0.01 * NOISE
     result = measured({"x": "-0.3*t"}, [(times, {"x": x, "t": times})], 0.01, ("t",))
-    found = suggest(Result.of(result), Request({"x": (0.5, 2.0)}, rivals=[{"x": "-1.2 + 0*t"}]))
-    assert set(found.bounds) == {"x"}
-    first = found.experiments[0]
+    suggestions = suggest(Result.of(result), Request({"x": (0.5, 2.0)}, rivals=[{"x": "-1.2 + 0*t"}]))
+    assert set(suggestions.bounds) == {"x"}
+    first = suggestions.experiments[0]
     assert (first.times[0], first.times[-1]) == (3.0, pytest.approx(5.0))
     assert first.inputs == {}
 

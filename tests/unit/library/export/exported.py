@@ -15,11 +15,11 @@ def model(
     equations: dict[str, str], start: dict[str, float] | None = None, inputs: tuple[str, ...] = (), **changes: Any
 ) -> Model:
     """Return the model dx/dt = expression, beginning at `start` (all 1 unless given) over `TIMES`."""
-    found = result(equations, inputs, **changes)
-    found["simulation"] = {
+    contents = result(equations, inputs, **changes)
+    contents["simulation"] = {
         "trajectories": [{"name": "1", "start": start or dict.fromkeys(equations, 1.0), "times": TIMES.tolist()}]
     }
-    return Model(found)
+    return Model(contents)
 
 
 def everything() -> Model:
@@ -32,31 +32,31 @@ def everything() -> Model:
     }
     symbols = {"lambda": "lambda_", "θ": "θ", "x 1": "x_1", "until": "until"}
     texts = [*equations.values()]
-    found = result(dict(zip(symbols.values(), texts, strict=True)))
-    for column, each in zip(symbols, found["equations"], strict=True):
-        each |= {"variable": column, "lhs": f"d{column}/dt"}
-    found["symbols"] = symbols
-    found["simulation"] = {
+    contents = result(dict(zip(symbols.values(), texts, strict=True)))
+    for column, equation in zip(symbols, contents["equations"], strict=True):
+        equation |= {"variable": column, "lhs": f"d{column}/dt"}
+    contents["symbols"] = symbols
+    contents["simulation"] = {
         "trajectories": [{"name": "1", "start": dict.fromkeys(symbols, 1.0), "times": TIMES.tolist()}]
     }
-    return Model(found)
+    return Model(contents)
 
 
 def decay() -> Model:
     """Return dx/dt = -0.3 u x + u, the constant known to 0.1, with the input u."""
-    its = model({"x": "-0.3*u*x + u"}, inputs=("u",)).result.as_dict()
-    its["equations"][0]["constants"] = [constant(-0.3, 0.1)]
-    return Model(its)
+    contents = model({"x": "-0.3*u*x + u"}, inputs=("u",)).result.as_dict()
+    contents["equations"][0]["constants"] = [constant(-0.3, 0.1)]
+    return Model(contents)
 
 
 def process() -> Model:
     """Return two states whose noises go together."""
-    found = result({"x": "-x", "y": "x - y"})
-    part = found["equations"][0]
+    contents = result({"x": "-x", "y": "x - y"})
+    part = contents["equations"][0]
     for name, text in (("[x]", "0.04"), ("[y]", "0.09 + 0.01*x**2"), ("[x,y]", "0.03*y")):
-        found["equations"].append({**part, "variable": name, "lhs": f"d{name}/dt", "expression": text})
+        contents["equations"].append({**part, "variable": name, "lhs": f"d{name}/dt", "expression": text})
     ensemble = {"times": TIMES.tolist(), "mean": {"x": [1.0], "y": [0.5]}}
-    return Model({**found, "process": {"step": 0.1, "ensemble": ensemble}})
+    return Model({**contents, "process": {"step": 0.1, "ensemble": ensemble}})
 
 
 def run_python(text: str) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def run_python(text: str) -> dict[str, Any]:
     return names
 
 
-def difference(found: FloatArray, of: Model, **given: Any) -> float:
+def difference(contents: FloatArray, of: Model, **given: Any) -> float:
     """Return how far states are from the simulation, over the largest of them."""
     expected = of.simulate(**given, has_bands=False).x
-    return float(np.abs(found - expected).max() / np.abs(expected).max())
+    return float(np.abs(contents - expected).max() / np.abs(expected).max())

@@ -38,17 +38,17 @@ def systems() -> dict[str, Model]:
 @pytest.mark.slow
 @pytest.mark.parametrize("system", TABLE_III)
 def test_texts_agree_with_simulations_of_published_systems(systems: dict[str, Model], system: str) -> None:
-    its = systems[system]
-    assert difference(run_python(its.to_python())["simulate"](), its) < 1e-8
+    exported_model = systems[system]
+    assert difference(run_python(exported_model.to_python())["simulate"](), exported_model) < 1e-8
     for name, read in READERS.items():
-        reading = read(its.export(name))
-        assert difference(reading.simulate(times_of(its, None)), its) < 1e-8
+        reading = read(exported_model.export(name))
+        assert difference(reading.simulate(times_of(exported_model, None)), exported_model) < 1e-8
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_c_compiles_without_warnings_and_agrees(systems: dict[str, Model]) -> None:
-    for its in (systems["glider"], everything()):
-        assert difference(programs.c(its), its) < 1e-8
+    for exported_model in (systems["glider"], everything()):
+        assert difference(programs.c(exported_model), exported_model) < 1e-8
 
 
 @pytest.mark.parametrize("program", [programs.julia_text, programs.pymoca, programs.roadrunner])
@@ -60,12 +60,12 @@ def test_other_programs_agree(systems: dict[str, Model], program: object) -> Non
 
 
 def test_every_operator_and_hostile_names_keep_their_meaning() -> None:
-    its = everything()
-    used = {code for program in its.field.programs for code in program.operators.tolist()}
-    assert used | {1, 14} >= {each.code for each in OPERATORS}  # inverse is written as a quotient
-    assert difference(run_python(its.to_python())["simulate"](), its) < 1e-8
+    exported_model = everything()
+    used = {code for program in exported_model.field.programs for code in program.operators.tolist()}
+    assert used | {1, 14} >= {operator.code for operator in OPERATORS}  # inverse is written as a quotient
+    assert difference(run_python(exported_model.to_python())["simulate"](), exported_model) < 1e-8
     for name, read in READERS.items():
-        assert difference(read(its.export(name)).simulate(TIMES), its) < 1e-8
+        assert difference(read(exported_model.export(name)).simulate(TIMES), exported_model) < 1e-8
 
 
 @pytest.mark.parametrize("format", LANGUAGES)
@@ -78,17 +78,17 @@ def test_names_are_plain_and_said(format: str) -> None:
 
 
 def test_a_state_may_have_the_name_of_a_constant_or_of_a_helper() -> None:
-    its = model({"c1": "-0.5*c1 + 0.25*w1", "w1": "0.75*c1"})
+    exported_model = model({"c1": "-0.5*c1 + 0.25*w1", "w1": "0.75*c1"})
     for name, read in READERS.items():
-        text = its.export(name)
+        text = exported_model.export(name)
         assert "c1_2 is the constant c1" in text
-        assert difference(read(text).simulate(TIMES), its) < 1e-8
-    assert difference(run_python(its.to_python())["simulate"](), its) < 1e-8
+        assert difference(read(text).simulate(TIMES), exported_model) < 1e-8
+    assert difference(run_python(exported_model.to_python())["simulate"](), exported_model) < 1e-8
     noisy = process().result.as_dict()
     noisy["symbols"] = {"w1": "w1", "g1_1": "g1_1"}
-    for each in noisy["equations"]:
+    for equation in noisy["equations"]:
         for key in ("variable", "expression"):
-            each[key] = each[key].replace("x", "w1").replace("y", "g1_1")
+            equation[key] = equation[key].replace("x", "w1").replace("y", "g1_1")
     noisy["process"]["ensemble"]["mean"] = {"w1": [1.0], "g1_1": [0.5]}
     assert run_python(Model(noisy).to_python())["noise"](0.0, np.array([1.0, 1.0])).shape == (2, 2)
 
@@ -108,12 +108,21 @@ def test_whole_numbers_without_errors_are_no_parameters(format: str) -> None:
 
 
 def test_an_input_is_a_number_a_table_or_the_time() -> None:
-    its, values = decay(), np.array([0.0, 1.0, 4.0, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
+    exported_model, values = decay(), np.array([0.0, 1.0, 4.0, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
     for u in ({"u": 1.5}, {"u": values}):
-        text = its.to_python(t=TIMES, u=u)
-        assert difference(run_python(text)["simulate"](), its, t=TIMES, u=u) < 1e-8
-    assert difference(readers.read_modelica(its.to_modelica(u={"u": 1.5})).simulate(TIMES), its, u={"u": 1.5}) < 1e-8
-    assert "PARAMETERS = {\n    'c1': -0.3,  # standard error 0.1\n    'u': 0.0,  # input\n}" in its.to_python()
+        text = exported_model.to_python(t=TIMES, u=u)
+        assert difference(run_python(text)["simulate"](), exported_model, t=TIMES, u=u) < 1e-8
+    assert (
+        difference(
+            readers.read_modelica(exported_model.to_modelica(u={"u": 1.5})).simulate(TIMES),
+            exported_model,
+            u={"u": 1.5},
+        )
+        < 1e-8
+    )
+    assert (
+        "PARAMETERS = {\n    'c1': -0.3,  # standard error 0.1\n    'u': 0.0,  # input\n}" in exported_model.to_python()
+    )
     clock = model({"x": "cos(t)*x"}, inputs=("t",))
     assert difference(run_python(clock.to_python())["simulate"](), clock) < 1e-8
     for name, read in READERS.items():
@@ -122,19 +131,21 @@ def test_an_input_is_a_number_a_table_or_the_time() -> None:
 
 def recorded(values: list[float | None]) -> Model:
     """Return a model whose result has the measurements of its input."""
-    found = decay().result.as_dict()
+    contents = decay().result.as_dict()
     part = {"name": "1", "times": TIMES.tolist(), "measured": {}, "inputs": {"u": values}}
-    return Model({**found, "data": {**found["data"], "trajectories": [part]}})
+    return Model({**contents, "data": {**contents["data"], "trajectories": [part]}})
 
 
 def test_recorded_inputs_are_held_as_simulations_have_them() -> None:
-    its = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
-    assert difference(run_python(its.to_python())["simulate"](), its) < 1e-8
+    exported_model = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
+    assert difference(run_python(exported_model.to_python())["simulate"](), exported_model) < 1e-8
     late = np.linspace(0.0, 3.0, 9)
-    assert difference(run_python(its.to_python(t=3.0))["simulate"](times=late), its, t=late) < 1e-8
+    assert (
+        difference(run_python(exported_model.to_python(t=3.0))["simulate"](times=late), exported_model, t=late) < 1e-8
+    )
     for name in ("c", "julia", "matlab", "modelica", "sbml"):
-        assert "held at 0" not in its.export(name)
-    assert "held at 0, since nothing is given of them: u" in its.to_python({"x": 1.0})
+        assert "held at 0" not in exported_model.export(name)
+    assert "held at 0, since nothing is given of them: u" in exported_model.to_python({"x": 1.0})
     assert (
         difference(readers.read_modelica(recorded([2.0] * 9).to_modelica()).simulate(TIMES), recorded([2.0] * 9)) < 1e-8
     )
@@ -157,8 +168,8 @@ def test_c_goes_along_tables() -> None:
             return self.export("c", None, TIMES, {"u": values})
 
     assert difference(programs.c(Given(decay().result.as_dict())), decay(), t=TIMES, u={"u": values}) < 1e-8
-    its = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
-    assert difference(programs.c(its), its) < 1e-8
+    exported_model = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
+    assert difference(programs.c(exported_model), exported_model) < 1e-8
 
 
 SIZES_APART = {"x": "-0.0001*x", "y": "1.3*y"}
@@ -173,46 +184,48 @@ TROUGHS = {"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"}
 def test_each_state_has_errors_of_its_own_size(
     equations: dict[str, str], start: dict[str, float], until: float
 ) -> None:
-    found = model(equations, start).result.as_dict()
-    found["simulation"]["trajectories"][0]["times"] = np.linspace(0.0, until, 9).tolist()
-    its = Model(found)
-    expected = its.simulate(has_bands=False).x
-    np.testing.assert_allclose(run_python(its.to_python())["simulate"](), expected, rtol=1e-6)
+    contents = model(equations, start).result.as_dict()
+    contents["simulation"]["trajectories"][0]["times"] = np.linspace(0.0, until, 9).tolist()
+    exported_model = Model(contents)
+    expected = exported_model.simulate(has_bands=False).x
+    np.testing.assert_allclose(run_python(exported_model.to_python())["simulate"](), expected, rtol=1e-6)
     if shutil.which("cc") is not None:
-        np.testing.assert_allclose(programs.c(its), expected, rtol=1e-6)
+        np.testing.assert_allclose(programs.c(exported_model), expected, rtol=1e-6)
 
 
 def test_tolerances_that_other_solvers_are_given_have_the_units_of_the_states() -> None:
-    its = model(SIZES_APART, {"x": 300.0, "y": 1e-12})
-    assert f"'AbsTol', [{1e-12 * 300.0!r}, {1e-12 * 1e-12!r}]" in its.to_matlab()
-    assert f"Dict(string(x) => {1e-12 * 300.0!r}, string(y) => {1e-12 * 1e-12!r})" in its.to_julia()
-    assert f"tol=1e-12, atol={1e-12 * 1e-12!r}" in its.to_xppaut()
-    assert "Real y(start = 1e-12, fixed = true, nominal = 1e-12)" in its.to_modelica()
+    exported_model = model(SIZES_APART, {"x": 300.0, "y": 1e-12})
+    assert f"'AbsTol', [{1e-12 * 300.0!r}, {1e-12 * 1e-12!r}]" in exported_model.to_matlab()
+    assert f"Dict(string(x) => {1e-12 * 300.0!r}, string(y) => {1e-12 * 1e-12!r})" in exported_model.to_julia()
+    assert f"tol=1e-12, atol={1e-12 * 1e-12!r}" in exported_model.to_xppaut()
+    assert "Real y(start = 1e-12, fixed = true, nominal = 1e-12)" in exported_model.to_modelica()
 
 
 def test_second_order_becomes_first_order() -> None:
-    found = result({"x": "-4.5*x - 0.25*x_dot"}, ("x_dot",))
-    found["equations"][0]["lhs"] = "d2x/dt2"
-    found["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 1.0, "x_dot": 0.5}, "times": TIMES.tolist()}]}
-    its = Model(found)
-    assert difference(run_python(its.to_python())["simulate"](), its) < 1e-8
-    assert readers.read_xppaut(its.to_xppaut()).rates["x"] == "x_dot"
+    contents = result({"x": "-4.5*x - 0.25*x_dot"}, ("x_dot",))
+    contents["equations"][0]["lhs"] = "d2x/dt2"
+    contents["simulation"] = {
+        "trajectories": [{"name": "1", "start": {"x": 1.0, "x_dot": 0.5}, "times": TIMES.tolist()}]
+    }
+    exported_model = Model(contents)
+    assert difference(run_python(exported_model.to_python())["simulate"](), exported_model) < 1e-8
+    assert readers.read_xppaut(exported_model.to_xppaut()).rates["x"] == "x_dot"
 
 
 def test_a_process_keeps_its_noise_or_is_refused() -> None:
-    its = process()
-    names = run_python(its.to_python())
+    exported_model = process()
+    names = run_python(exported_model.to_python())
     x = np.array([0.7, -0.4])
     g = names["noise"](0.0, x)
     assert g @ g.T == pytest.approx(np.array([[0.04, 0.03 * x[1]], [0.03 * x[1], 0.09 + 0.01 * x[0] ** 2]]))
     path = names["simulate"](seed=3, substeps=5)
     assert path.shape == (9, 2)
     assert np.isfinite(path).all()
-    assert "wiener w1\nwiener w2\n" in its.to_xppaut()
-    assert "@brownians w1 w2" in its.to_julia()
+    assert "wiener w1\nwiener w2\n" in exported_model.to_xppaut()
+    assert "@brownians w1 w2" in exported_model.to_julia()
     for name in ("c", "matlab", "modelica", "sbml"):
         with pytest.raises(UsageError, match="cannot hold the noise of a process; python, julia and xppaut can"):
-            its.export(name)
+            exported_model.export(name)
 
 
 def test_paths_of_a_process_have_its_variance() -> None:
@@ -223,23 +236,23 @@ def test_paths_of_a_process_have_its_variance() -> None:
 
 def model_of_noise() -> Model:
     """Return dx = -x dt + dW, which settles into the variance 1/2."""
-    found = result({"x": "-x"})
-    found["equations"].append({**found["equations"][0], "variable": "[x]", "lhs": "d[x]/dt", "expression": "1.0"})
-    return Model({**found, "process": {"step": 0.1, "ensemble": {"times": TIMES.tolist(), "mean": {"x": [0.0]}}}})
+    contents = result({"x": "-x"})
+    contents["equations"].append({**contents["equations"][0], "variable": "[x]", "lhs": "d[x]/dt", "expression": "1.0"})
+    return Model({**contents, "process": {"step": 0.1, "ensemble": {"times": TIMES.tolist(), "mean": {"x": [0.0]}}}})
 
 
 def test_a_regression_is_a_function_or_is_refused() -> None:
-    found = result({"y": "2.5*a - sqrt(b)"}, ("a", "b"))
-    found["equations"][0]["lhs"] = "y"
-    del found["symbols"]["y"]
-    its = Model(found | {"symbols": {"a": "a", "b": "b"}})
-    assert run_python(its.to_python())["value"](np.array([2.0, 4.0]), 9.0).tolist() == [2.0, 7.0]
-    assert "double value(double a, double b)" in its.to_c()
-    assert "function value(a, b)" in its.to_julia()
-    assert "function value = atoll_model(a, b)" in its.to_matlab()
+    contents = result({"y": "2.5*a - sqrt(b)"}, ("a", "b"))
+    contents["equations"][0]["lhs"] = "y"
+    del contents["symbols"]["y"]
+    exported_model = Model(contents | {"symbols": {"a": "a", "b": "b"}})
+    assert run_python(exported_model.to_python())["value"](np.array([2.0, 4.0]), 9.0).tolist() == [2.0, 7.0]
+    assert "double value(double a, double b)" in exported_model.to_c()
+    assert "function value(a, b)" in exported_model.to_julia()
+    assert "function value = atoll_model(a, b)" in exported_model.to_matlab()
     for name in ("modelica", "xppaut", "sbml"):
         with pytest.raises(UsageError, match="holds what moves in time"):
-            its.export(name)
+            exported_model.export(name)
 
 
 def test_where_a_solution_ends_the_module_says_so() -> None:
@@ -252,38 +265,38 @@ def test_where_a_solution_ends_the_module_says_so() -> None:
 
 
 def test_what_a_format_cannot_hold_is_refused_in_a_sentence() -> None:
-    its = decay()
+    contents = decay()
     with pytest.raises(UsageError, match="XPPAUT cannot hold the table of the input 'u'; give one number"):
-        its.to_xppaut(t=TIMES, u={"u": TIMES})
+        contents.to_xppaut(t=TIMES, u={"u": TIMES})
     with pytest.raises(UsageError, match="is a function, which no export can hold"):
-        its.to_c(u={"u": np.sin})
+        contents.to_c(u={"u": np.sin})
     with pytest.raises(UsageError, match="2 values for 9 times"):
-        its.to_c(u={"u": [1.0, 2.0]})
+        contents.to_c(u={"u": [1.0, 2.0]})
     with pytest.raises(UsageError, match="characters, XPPAUT reads 900"):
         model({"x": " + ".join(f"{0.1 + number!r}*sin(cos(tanh(x)))" for number in range(60))}).to_xppaut()
     with pytest.raises(UsageError, match="no format of an export; choose one of python, c"):
-        its.export("fortran")
+        contents.export("fortran")
 
 
 def test_constants_of_groups_are_exported_group_by_group() -> None:
-    its = model({"x": "-0.5*x"}).result.as_dict()
+    contents = model({"x": "-0.5*x"}).result.as_dict()
     part = {"group": "a", "expression": "-0.75*x", "program": None, "constants": []}
-    its["equations"][0]["groups"] = [part, part | {"group": "b"}]
-    its["groups"] = [{"group": name, "trajectories": ["1"], "covariance": None} for name in ("a", "b")]
+    contents["equations"][0]["groups"] = [part, part | {"group": "b"}]
+    contents["groups"] = [{"group": name, "trajectories": ["1"], "covariance": None} for name in ("a", "b")]
     with pytest.raises(UsageError, match=r"may differ between its groups \(a, b\); choose one"):
-        Model(its).to_c()
-    assert "-0.75, // c1" in Model(its).of_group("a").to_c()
+        Model(contents).to_c()
+    assert "-0.75, // c1" in Model(contents).of_group("a").to_c()
 
 
 def test_no_text_breaks_out_of_a_comment() -> None:
-    its = model({"x": "-2.5*x"}).result.as_dict()
-    its["equations"][0]["reason"] = "*/ \\\nimport os #\u2028system()\u202e"
-    its["data"]["files"] = ['a".csv\r\nexit']
+    contents = model({"x": "-2.5*x"}).result.as_dict()
+    contents["equations"][0]["reason"] = "*/ \\\nimport os #\u2028system()\u202e"
+    contents["data"]["files"] = ['a".csv\r\nexit']
     for name in LANGUAGES:
-        lines = Model(its).export(name).splitlines()
+        lines = Model(contents).export(name).splitlines()
         assert not any(line.startswith(("import os", "system", "exit")) for line in lines)
         assert not any(line.endswith("\\") for line in lines)
-    assert run_python(Model(its).to_python())["PARAMETERS"] == {"c1": -2.5}
+    assert run_python(Model(contents).to_python())["PARAMETERS"] == {"c1": -2.5}
 
 
 def test_the_table_of_formats_is_that_of_options_methods_and_documents() -> None:

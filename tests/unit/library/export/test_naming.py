@@ -26,8 +26,8 @@ def test_names_are_kept_spelled_or_numbered(names: list[str], expected: list[str
 
 
 def test_case_may_tell_nothing_apart() -> None:
-    its = Naming(frozenset({"Sin"}), is_caseless=True)
-    assert its.assign({"A": "A", "a": "a", "sin": "sin"}) == {"A": "A", "a": "a_2", "sin": "sin_"}
+    naming = Naming(frozenset({"Sin"}), is_caseless=True)
+    assert naming.assign({"A": "A", "a": "a", "sin": "sin"}) == {"A": "A", "a": "a_2", "sin": "sin_"}
 
 
 def test_a_comment_stays_one_line() -> None:

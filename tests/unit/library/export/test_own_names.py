@@ -36,42 +36,42 @@ SCOPES = {
 def contents(name: str) -> list[str]:
     """Return files of a format: with constants, the time, numbers and tables as inputs, noise, and of a regression."""
     forced = model({"zqa": "-0.3*zqu*zqa + cos(t) - abs(zqb)**1.5", "zqb": "zqa/3.7 - log(zqb)"}, inputs=("zqu", "t"))
-    its = forced.result.as_dict()
-    its["equations"][0]["constants"] = [constant(-0.3, 0.1)]
-    found = [Model(its).export(name, None, TIMES, {"zqu": 1.5})]
+    contents = forced.result.as_dict()
+    contents["equations"][0]["constants"] = [constant(-0.3, 0.1)]
+    texts = [Model(contents).export(name, None, TIMES, {"zqu": 1.5})]
     if name not in ("xppaut",):
-        found.append(Model(its).export(name, None, TIMES, {"zqu": np.sin(TIMES)}))
+        texts.append(Model(contents).export(name, None, TIMES, {"zqu": np.sin(TIMES)}))
     if name in ("python", "julia", "xppaut"):
         noisy = process().result.as_dict()
         noisy["symbols"] = {"zqa": "zqa", "zqb": "zqb"}
-        for each in noisy["equations"]:
+        for equation in noisy["equations"]:
             for key in ("variable", "expression"):
-                each[key] = re.sub("y", "zqb", each[key].replace("x", "zqa"))
+                equation[key] = re.sub("y", "zqb", equation[key].replace("x", "zqa"))
         noisy["process"]["ensemble"]["mean"] = {"zqa": [1.0], "zqb": [0.5]}
-        found.append(Model(noisy).export(name))
+        texts.append(Model(noisy).export(name))
     if name in ("python", "c", "julia", "matlab"):
         plain = result({"zqy": "2.5*zqa - sqrt(zqb)"}, ("zqa", "zqb"))
         plain["equations"][0]["lhs"] = "zqy"
-        found.append(Model(plain | {"symbols": {"zqa": "zqa", "zqb": "zqb"}}).export(name))
-    return found
+        texts.append(Model(plain | {"symbols": {"zqa": "zqa", "zqb": "zqb"}}).export(name))
+    return texts
 
 
 def own_names(name: str) -> set[str]:
     """Return the names that the files of a format use themselves where columns have names, and their macros."""
-    found: set[str] = set()
+    texts: set[str] = set()
     for text in contents(name):
         if name == "sbml":
-            found |= set(re.findall(r'\bid="(\w+)"', re.sub(r"<unitDefinition.*", "", text)))
+            texts |= set(re.findall(r'\bid="(\w+)"', re.sub(r"<unitDefinition.*", "", text)))
             continue
         code = re.sub(r'"""(?:.|\n)*?"""', "", text)
         code = "\n".join(line.split(LANGUAGES[name].comment)[0] for line in code.splitlines())
         code = re.sub(ASIDE.get(name, r"\Z"), " ", code)
         code = re.sub(r'"[^"\n]*"|\'[^\'\n]*\'(?=[,;)\]:])', " ", code)
-        found |= set(re.findall(r"#define (\w+)", code))
+        texts |= set(re.findall(r"#define (\w+)", code))
         for part in re.split(SCOPES.get(name, r"\Z"), code):
             if re.search(rf"\b{MARK.pattern}", part):
-                found |= set(re.findall(r"(?<![\w.])[A-Za-z_]\w*", part))
-    return {each for each in found if not MARK.search(each) and not re.fullmatch(r"[cbgw]\d+(_\d+)?", each)}
+                texts |= set(re.findall(r"(?<![\w.])[A-Za-z_]\w*", part))
+    return {text for text in texts if not MARK.search(text) and not re.fullmatch(r"[cbgw]\d+(_\d+)?", text)}
 
 
 def is_taken(naming: Naming, name: str) -> bool:
@@ -83,23 +83,31 @@ def is_taken(naming: Naming, name: str) -> bool:
 def test_no_column_gets_a_name_that_the_file_uses_itself(name: str) -> None:
     used = own_names(name)
     assert used
-    assert {each for each in used if not is_taken(LANGUAGES[name].naming, each)} <= SHADOWED.get(name, set())
+    assert {name_used for name_used in used if not is_taken(LANGUAGES[name].naming, name_used)} <= SHADOWED.get(
+        name, set()
+    )
 
 
 @pytest.mark.parametrize("name", [name for name in LANGUAGES if name != "sbml"])  # SBML has elements for functions
 def test_no_column_gets_the_name_of_a_function_that_expressions_call(name: str) -> None:
     notation = LANGUAGES[name].notation
-    called = {notation.call(each.code) for each in OPERATORS if each.arity == 1 and each.text and each.text != "-"}
+    called = {
+        notation.call(operator.code)
+        for operator in OPERATORS
+        if operator.arity == 1 and operator.text and operator.text != "-"
+    }
     called |= {notation.call(code) for code in notation.quotients}
     called |= set(re.findall(r"(?<![.\w])[a-z]\w+(?=\()", notation.power + notation.natural))
-    assert [each for each in called if "." not in each and not is_taken(LANGUAGES[name].naming, each)] == []
+    assert [
+        name_used for name_used in called if "." not in name_used and not is_taken(LANGUAGES[name].naming, name_used)
+    ] == []
 
 
 @pytest.mark.parametrize("name", LANGUAGES)
 def test_prefixes_of_names_are_the_files_own(name: str) -> None:
     text = "\n".join(contents(name))
-    prefixes = {found.removesuffix(MARK.search(found)[0]) for found in re.findall(r"\b\w+_zq\w*", text)}  # type: ignore[index]
-    assert all(is_taken(LANGUAGES[name].naming, each + "x") for each in prefixes if each)
+    prefixes = {name.removesuffix(MARK.search(name)[0]) for name in re.findall(r"\b\w+_zq\w*", text)}  # type: ignore[index]
+    assert all(is_taken(LANGUAGES[name].naming, prefix + "x") for prefix in prefixes if prefix)
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -110,25 +118,25 @@ def test_no_column_gets_the_name_of_a_macro_of_c(tmp_path: Path) -> None:
         said = subprocess.run(["cc", f"-std={standard}", "-dM", "-E", str(source)], capture_output=True, text=True)
         macros = re.findall(r"(?m)^#define ([A-Za-z]\w*) ", said.stdout)
         assert "NULL" in macros
-        assert [each for each in macros if not is_taken(c.LANGUAGE.naming, each)] == []
+        assert [macro for macro in macros if not is_taken(c.LANGUAGE.naming, macro)] == []
 
 
 def hostile(name: str) -> Model:
     """Return a model whose states are called as hostile as can be to a format, each growing at a rate of its own."""
     taken = {*own_names(name), *LANGUAGES[name].naming.reserved, "SIZE", "tolerance", "nodes", "k", "i", "x"}
-    words = sorted(each for each in taken if each.isidentifier() and not keyword.iskeyword(each))
+    words = sorted(name_used for name_used in taken if name_used.isidentifier() and not keyword.iskeyword(name_used))
     return model({word: f"-0.{place + 101}*{word}" for place, word in enumerate(words)})
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_c_compiles_with_every_such_name_and_agrees() -> None:
-    its = hostile("c")
-    assert difference(programs.c(its), its) < 1e-8
+    contents = hostile("c")
+    assert difference(programs.c(contents), contents) < 1e-8
 
 
 def test_python_runs_with_every_such_name_and_agrees() -> None:
-    its = hostile("python")
-    assert difference(run_python(its.to_python())["simulate"](), its) < 1e-8
+    contents = hostile("python")
+    assert difference(run_python(contents.to_python())["simulate"](), contents) < 1e-8
 
 
 @pytest.mark.slow
@@ -137,5 +145,5 @@ def test_python_runs_with_every_such_name_and_agrees() -> None:
     [("xppaut", readers.read_xppaut), ("modelica", readers.read_modelica), ("julia", readers.read_julia)],
 )
 def test_other_files_are_read_with_every_such_name_and_agree(name: str, read: object) -> None:
-    its = hostile(name)
-    assert difference(read(its.export(name)).simulate(TIMES), its) < 1e-8  # type: ignore[operator]
+    contents = hostile(name)
+    assert difference(read(contents.export(name)).simulate(TIMES), contents) < 1e-8  # type: ignore[operator]

@@ -45,24 +45,24 @@ def value(node: ET.Element, names: dict[str, float]) -> float:
         exponent = "" if node.get("type") != "e-notation" else f"e{str(node[0].tail).strip()}"
         return float(str(node.text).strip() + exponent)
     if kind == "piecewise":
-        pieces = [each for each in node if each.tag == f"{MATH}piece" and value(each[1], names)]
+        pieces = [element for element in node if element.tag == f"{MATH}piece" and value(element[1], names)]
         assert len(pieces) < 2
         return value(pieces[0][0] if pieces else node[-1][0], names)
     name, *arguments = node
-    return FUNCTIONS[name.tag.removeprefix(MATH)](*(value(each, names) for each in arguments))
+    return FUNCTIONS[name.tag.removeprefix(MATH)](*(value(argument, names) for argument in arguments))
 
 
 def simulated(text: str) -> np.ndarray:
     """Return the states at `TIMES` of a document."""
-    its = ET.fromstring(text)
-    numbers = {str(each.get("id")): float(each.get("value", "nan")) for each in its.iter(f"{CORE}parameter")}
-    rates = {str(each.get("variable")): each[0][0] for each in its.iter(f"{CORE}rateRule")}
-    inputs = {str(each.get("variable")): each[0][0] for each in its.iter(f"{CORE}assignmentRule")}
+    tree = ET.fromstring(text)
+    numbers = {str(element.get("id")): float(element.get("value", "nan")) for element in tree.iter(f"{CORE}parameter")}
+    rates = {str(element.get("variable")): element[0][0] for element in tree.iter(f"{CORE}rateRule")}
+    inputs = {str(element.get("variable")): element[0][0] for element in tree.iter(f"{CORE}assignmentRule")}
 
     def slope(t: float, x: np.ndarray) -> list[float]:
         names = {**numbers, "time": t, **dict(zip(rates, x.tolist(), strict=True))}
-        names |= {name: value(each, names) for name, each in inputs.items()}
-        return [value(each, names) for each in rates.values()]
+        names |= {name: value(element, names) for name, element in inputs.items()}
+        return [value(rate, names) for rate in rates.values()]
 
     return integrated(slope, np.array([numbers[name] for name in rates]), TIMES)
 
@@ -77,18 +77,18 @@ def test_tables_of_inputs_are_rules() -> None:
 
 
 def test_constants_have_their_errors_in_notes() -> None:
-    its = ET.fromstring(decay().to_sbml())
-    constant = next(each for each in its.iter(f"{CORE}parameter") if each.get("id") == "c1")
+    tree = ET.fromstring(decay().to_sbml())
+    constant = next(element for element in tree.iter(f"{CORE}parameter") if element.get("id") == "c1")
     notes = "".join(constant.itertext())
     assert "standard error 0.1" in notes
     assert "95 % interval -0.5 to -0.09999999999999998" in notes
 
 
 def with_units() -> Model:
-    its = decay().result.as_dict()
-    its["system"]["units"] = {"x": "mg/L", "t": "min"}
-    its["equations"][0]["constants"][0]["unit"] = "1/min"
-    return Model(its)
+    contents = decay().result.as_dict()
+    contents["system"]["units"] = {"x": "mg/L", "t": "min"}
+    contents["equations"][0]["constants"][0]["unit"] = "1/min"
+    return Model(contents)
 
 
 def test_units_of_the_si_are_defined() -> None:
@@ -122,4 +122,4 @@ def test_libsbml_finds_no_error() -> None:
     document = libsbml.readSBMLFromString(with_units().to_sbml())
     document.checkConsistency()
     errors = [document.getError(number) for number in range(document.getNumErrors())]
-    assert not [each.getMessage() for each in errors if each.getSeverity() >= libsbml.LIBSBML_SEV_ERROR]
+    assert not [error.getMessage() for error in errors if error.getSeverity() >= libsbml.LIBSBML_SEV_ERROR]

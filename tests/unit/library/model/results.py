@@ -46,7 +46,7 @@ def constant(value: float, error: float) -> dict[str, Any]:
 
 def process_result(drift: str = "1-x", diffusion: str = "0.25", inputs: tuple[str, ...] = ()) -> dict[str, Any]:
     """Return the content of the result.json of a process of one state that was measured in steps of 0.1 from 2."""
-    found = result({"x": drift, "[x]": diffusion}, inputs)
-    del found["symbols"]["[x]"]
+    contents = result({"x": drift, "[x]": diffusion}, inputs)
+    del contents["symbols"]["[x]"]
     ensemble = {"trajectory": "1", "times": [0.0, 0.5], "mean": {"x": [2.0, 1.6]}}
-    return found | {"process": {"step": 0.1, "ensemble": ensemble}}
+    return contents | {"process": {"step": 0.1, "ensemble": ensemble}}

@@ -7,11 +7,11 @@ from tests.unit.library.model.results import process_result, result
 
 
 def test_paths_begin_as_measured_and_have_the_moments_of_the_process() -> None:
-    found = Model(process_result()).simulate(t=[0.0, 0.5, 1.0], paths=2000, seed=3)
-    assert (found.time, found.x.shape) == ("t", (2000, 3, 1))
-    assert (found["x"][:, 0] == 2.0).all()
-    assert abs(found.mean[2, 0] - (1.0 + np.exp(-1.0))) < 0.04
-    assert abs(found["x"][:, 2].var() - 0.125 * (1.0 - np.exp(-2.0))) < 0.015, "steps of 0.1, not of 0.5"
+    simulation = Model(process_result()).simulate(t=[0.0, 0.5, 1.0], paths=2000, seed=3)
+    assert (simulation.time, simulation.x.shape) == ("t", (2000, 3, 1))
+    assert (simulation["x"][:, 0] == 2.0).all()
+    assert abs(simulation.mean[2, 0] - (1.0 + np.exp(-1.0))) < 0.04
+    assert abs(simulation["x"][:, 2].var() - 0.125 * (1.0 - np.exp(-2.0))) < 0.015, "steps of 0.1, not of 0.5"
 
 
 @pytest.mark.slow
@@ -24,19 +24,19 @@ def test_a_seed_gives_the_same_paths() -> None:
 
 @pytest.mark.slow
 def test_the_stationary_density_is_that_of_the_process_wherever_paths_begin() -> None:
-    found = Model(process_result()).stationary_density([5.0])
-    assert found is not None
-    assert abs(found.mean[0] - 1.0) < 0.02
-    assert abs(found.sd[0] - np.sqrt(0.125)) < 0.01
-    edges, density = found["x"]
+    stationary = Model(process_result()).stationary_density([5.0])
+    assert stationary is not None
+    assert abs(stationary.mean[0] - 1.0) < 0.02
+    assert abs(stationary.sd[0] - np.sqrt(0.125)) < 0.01
+    edges, density = stationary["x"]
     assert abs((density * np.diff(edges)).sum() - 1.0) < 1e-9
     assert Model(process_result(drift="0.1*x", diffusion="0.01*x*x")).stationary_density() is None
 
 
 def test_inputs_are_held_at_their_values_along_the_paths() -> None:
     model = Model(process_result(drift="u", diffusion="1e-12", inputs=("u",)))
-    found = model.simulate([0.0], [0.0, 0.5, 1.0], {"u": lambda t: t}, paths=1)
-    assert np.allclose(found.x[0, :, 0], [0.0, 0.125, 0.5], atol=1e-5)
+    simulation = model.simulate([0.0], [0.0, 0.5, 1.0], {"u": lambda t: t}, paths=1)
+    assert np.allclose(simulation.x[0, :, 0], [0.0, 0.125, 0.5], atol=1e-5)
     assert model.stationary_density(inputs={"u": 1.0}) is None
 
 

@@ -22,11 +22,11 @@ TIMES = np.linspace(0.0, 1.0, 11)
 
 def decay() -> dict:
     """dx/dt = -2 x, the constant known to 0.1."""
-    found = result({"x": "-2.0*x"})
-    found["equations"][0]["constants"] = [constant(-2.0, 0.1)]
-    found["covariance"] = {"constants": [{"variable": "x", "constant": 0}], "matrix": [[0.01]], "freedom": 1e9}
-    found["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 3.0}, "times": [0.0, 0.5, 1.0]}]}
-    return found
+    contents = result({"x": "-2.0*x"})
+    contents["equations"][0]["constants"] = [constant(-2.0, 0.1)]
+    contents["covariance"] = {"constants": [{"variable": "x", "constant": 0}], "matrix": [[0.01]], "freedom": 1e9}
+    contents["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 3.0}, "times": [0.0, 0.5, 1.0]}]}
+    return contents
 
 
 def test_the_class_is_an_attribute_of_the_package() -> None:
@@ -54,12 +54,12 @@ def test_what_is_no_model_is_refused_in_a_sentence(tmp_path: Path, text: str, se
 
 
 def test_constants_have_errors_and_the_sign_of_the_text() -> None:
-    (its,) = Model(decay()).params.values()
-    assert (its.name, its.variable, abs(its.value), its.stderr) == ("c1", "x", 2.0, 0.1)
-    assert its.interval is not None
-    assert its.interval[0] < its.value < its.interval[1]
+    (parameter,) = Model(decay()).params.values()
+    assert (parameter.name, parameter.variable, abs(parameter.value), parameter.stderr) == ("c1", "x", 2.0, 0.1)
+    assert parameter.interval is not None
+    assert parameter.interval[0] < parameter.value < parameter.interval[1]
     (narrow,) = Model(decay()).conf_int(0.6827).values()
-    assert narrow == pytest.approx((its.value - 0.1, its.value + 0.1), rel=1e-4)
+    assert narrow == pytest.approx((parameter.value - 0.1, parameter.value + 0.1), rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -67,9 +67,9 @@ def test_constants_have_errors_and_the_sign_of_the_text() -> None:
     [("m", "s", "m/s"), ("kg m", "s", "(kg m)/s"), ("mol/L", "min", "(mol/L)/min"), ("m", "s^2", "m/(s^2)")],
 )
 def test_units_of_a_rate_are_those_of_its_columns(x: str, t: str, unit: str) -> None:
-    found = decay()
-    found["system"]["units"] = {"x": x, "t": t}
-    (equation,) = Model(found).equations
+    contents = decay()
+    contents["system"]["units"] = {"x": x, "t": t}
+    (equation,) = Model(contents).equations
     assert str(equation) == f"dx/dt = -2*x  [{unit}]"
 
 
@@ -83,24 +83,26 @@ def test_a_model_goes_to_another_process_after_its_formulas_were_compiled() -> N
 
 def test_the_band_is_that_of_the_derivative_by_the_constant() -> None:
     """x = 3 exp(-c t): dx/dc = -t x."""
-    its = Model(decay()).simulate(t=TIMES)
+    simulation = Model(decay()).simulate(t=TIMES)
     exact = 3.0 * np.exp(-2.0 * TIMES)
-    assert its["x"] == pytest.approx(exact, rel=1e-7)
-    assert its.stderr is not None
-    assert its.stderr[:, 0] == pytest.approx(0.1 * TIMES * exact, rel=1e-4, abs=1e-9)
-    assert its.upper is not None
-    assert its.upper[:, 0] - its["x"] == pytest.approx(1.96 * its.stderr[:, 0], rel=1e-3, abs=1e-12)
+    assert simulation["x"] == pytest.approx(exact, rel=1e-7)
+    assert simulation.stderr is not None
+    assert simulation.stderr[:, 0] == pytest.approx(0.1 * TIMES * exact, rel=1e-4, abs=1e-9)
+    assert simulation.upper is not None
+    assert simulation.upper[:, 0] - simulation["x"] == pytest.approx(
+        1.96 * simulation.stderr[:, 0], rel=1e-3, abs=1e-12
+    )
 
 
 def test_factors_of_one_and_correlations_are_part_of_the_band() -> None:
     """dx/dt = a - b x with a = 2, b = 1 (not written), fully correlated errors that leave a/b as it is."""
-    found = result({"x": "2.0 - x"})
-    found["equations"][0]["constants"] = [constant(2.0, 0.2)]
+    contents = result({"x": "2.0 - x"})
+    contents["equations"][0]["constants"] = [constant(2.0, 0.2)]
     names = [{"variable": "x", "constant": 0}, {"variable": "x", "constant": None}]
-    found["covariance"] = {"constants": names, "matrix": [[0.04, 0.02], [0.02, 0.01]], "freedom": 50.0}
-    its = Model(found).simulate({"x": 0.0}, np.array([0.0, 1.0, 40.0]))
-    assert its.stderr is not None
-    assert its.stderr[:, 0] == pytest.approx([0.0, 0.2 * np.exp(-1.0), 0.0], abs=1e-5)  # dx = 2 t exp(-t) db
+    contents["covariance"] = {"constants": names, "matrix": [[0.04, 0.02], [0.02, 0.01]], "freedom": 50.0}
+    simulation = Model(contents).simulate({"x": 0.0}, np.array([0.0, 1.0, 40.0]))
+    assert simulation.stderr is not None
+    assert simulation.stderr[:, 0] == pytest.approx([0.0, 0.2 * np.exp(-1.0), 0.0], abs=1e-5)  # dx = 2 t exp(-t) db
 
 
 def test_initial_states_are_as_measured_by_name_or_in_order() -> None:
@@ -139,10 +141,10 @@ def test_predictions_are_derivatives_of_rows_and_of_columns() -> None:
 
 
 def test_a_regression_predicts_its_target() -> None:
-    found = result({"z": "x"}, ("x",))
-    found["equations"][0] |= {"lhs": "z", "expression": "2.0*x + 1.0"}
-    del found["symbols"]["z"]
-    model = Model(found)
+    contents = result({"z": "x"}, ("x",))
+    contents["equations"][0] |= {"lhs": "z", "expression": "2.0*x + 1.0"}
+    del contents["symbols"]["z"]
+    model = Model(contents)
     assert model.predict([[1.0], [2.0]]).tolist() == [3.0, 5.0]
     assert model.score({"x": [1.0, 2.0], "z": [3.0, 5.0]}) == 1.0
     with pytest.raises(UsageError, match="not differential"):
@@ -170,24 +172,24 @@ def test_a_score_needs_every_state_of_order_1_in_the_first_row(data: dict, sente
 
 
 def test_velocities_of_order_2_are_estimated_from_three_rows() -> None:
-    found = result({"x": "-x"}, ("x_dot",))
-    found["equations"][0]["lhs"] = "d2x/dt2"
-    assert Model(found).score({"t": TIMES, "x": np.cos(TIMES)}) > 0.99
+    contents = result({"x": "-x"}, ("x_dot",))
+    contents["equations"][0]["lhs"] = "d2x/dt2"
+    assert Model(contents).score({"t": TIMES, "x": np.cos(TIMES)}) > 0.99
     with pytest.raises(UsageError, match="3 rows of 'x'"):
-        Model(found).score({"t": TIMES[:2], "x": TIMES[:2]})
+        Model(contents).score({"t": TIMES[:2], "x": TIMES[:2]})
     with pytest.raises(UsageError, match="no finite 'x'"):
-        Model(found).score({"t": TIMES, "x": np.append(np.nan, TIMES[1:])})
+        Model(contents).score({"t": TIMES, "x": np.append(np.nan, TIMES[1:])})
 
 
 @pytest.mark.parametrize("name", ["O2/N2", "dose/day"])
 def test_a_target_with_a_slash_is_no_derivative(name: str) -> None:
-    found = result({"y": "2.0*x"}, ("x",))
-    found["symbols"] = {name: "y", "x": "x"}
-    found["equations"][0] |= {"lhs": name, "variable": name}
-    found["system"] |= {"kind": "regression", "units": {name: "mol"}}
-    del found["symbols"][name]
-    found["equations"][0]["program"] = from_infix("2.0*x", ["x"]).to_bytes().hex()
-    model = Model(found)
+    contents = result({"y": "2.0*x"}, ("x",))
+    contents["symbols"] = {name: "y", "x": "x"}
+    contents["equations"][0] |= {"lhs": name, "variable": name}
+    contents["system"] |= {"kind": "regression", "units": {name: "mol"}}
+    del contents["symbols"][name]
+    contents["equations"][0]["program"] = from_infix("2.0*x", ["x"]).to_bytes().hex()
+    model = Model(contents)
     assert model.is_regression
     assert str(model) == f"{name} = 2*x  [mol]"
     assert model.predict({"x": [1.0]}) == pytest.approx([2.0])
@@ -195,12 +197,12 @@ def test_a_target_with_a_slash_is_no_derivative(name: str) -> None:
 
 
 def test_a_constant_on_its_bound_has_its_ends_and_no_other_level() -> None:
-    found = decay()
-    found["equations"][0]["constants"] = [constant(-2.0, 0.1) | {"std_error": None, "interval": [-2.0, -1.5]}]
-    assert "± " not in Model(found).summary()
-    assert "-2 to -1.5" in Model(found).summary()
-    assert Model(found).conf_int() == {"c1": pytest.approx((-2.0, -1.5))}
-    assert Model(found).conf_int(0.5) == {"c1": None}
+    contents = decay()
+    contents["equations"][0]["constants"] = [constant(-2.0, 0.1) | {"std_error": None, "interval": [-2.0, -1.5]}]
+    assert "± " not in Model(contents).summary()
+    assert "-2 to -1.5" in Model(contents).summary()
+    assert Model(contents).conf_int() == {"c1": pytest.approx((-2.0, -1.5))}
+    assert Model(contents).conf_int(0.5) == {"c1": None}
 
 
 def test_the_index_of_a_pandas_frame_is_a_column_by_its_name() -> None:
@@ -210,11 +212,11 @@ def test_the_index_of_a_pandas_frame_is_a_column_by_its_name() -> None:
 
 
 def test_candidates_are_models_with_the_rest_as_it_is() -> None:
-    found = result({"x": "y", "y": "-x"})
+    contents = result({"x": "y", "y": "-x"})
     other = {"expression": "-sin(x)", "complexity": 3, "origin": "front", "nats": 2.5, "selected": False}
-    found["equations"][1]["candidates"] = [{**other, "selected": True, "nats": 0.0}, other]
-    (model,) = Model(found).candidates
-    assert [each.expression for each in model.equations] == ["y", "-sin(x)"]
+    contents["equations"][1]["candidates"] = [{**other, "selected": True, "nats": 0.0}, other]
+    (model,) = Model(contents).candidates
+    assert [equation.expression for equation in model.equations] == ["y", "-sin(x)"]
     assert model.equations[1].nats == 2.5
     assert model.simulate([0.0, 0.1], TIMES).status == "finished"
 
@@ -233,9 +235,9 @@ def test_a_model_is_written_as_text_latex_mathml_and_html() -> None:
 
 def grouped() -> dict:
     """dx/dt = -c1 x + c2, c1 of each strain, c2 of both."""
-    found = result({"x": "2.0 - 0.75*x"}, config={"data": {"group": "strain"}})
+    contents = result({"x": "2.0 - 0.75*x"}, config={"data": {"group": "strain"}})
     shared = {"shared": True}
-    equation = found["equations"][0]
+    equation = contents["equations"][0]
     equation["constants"] = [constant(2.0, 0.1) | shared, constant(0.75, 0.0) | {"shared": False, "std_error": None}]
     equation["groups"] = [
         {
@@ -248,17 +250,17 @@ def grouped() -> dict:
     ]
     numbers = [{"variable": "x", "constant": 0}, {"variable": "x", "constant": 1}]
     spread = {"constants": numbers, "matrix": [[0.01, 0.0], [0.0, 0.0001]], "freedom": 50.0}
-    found["groups"] = [{"group": name, "trajectories": [name], "covariance": spread} for name in ("1", "2")]
-    found["simulation"] = {
+    contents["groups"] = [{"group": name, "trajectories": [name], "covariance": spread} for name in ("1", "2")]
+    contents["simulation"] = {
         "trajectories": [{"name": name, "start": {"x": float(name)}, "times": [0.0, 1.0]} for name in ("1", "2")]
     }
-    return found
+    return contents
 
 
 def test_constants_of_groups_are_named_by_them() -> None:
     model = Model(grouped())
     assert model.groups == ("1", "2")
-    assert {name: each.value for name, each in model.params.items()} == {
+    assert {name: param.value for name, param in model.params.items()} == {
         "c1": 2.0,
         "c2[strain 1]": 0.5,
         "c2[strain 2]": 1.0,
@@ -302,9 +304,9 @@ def test_what_is_shown_says_that_constants_are_means_over_groups() -> None:
 
 
 def test_groups_that_share_all_constants_are_none() -> None:
-    found = grouped()
-    found["equations"][0]["constants"][1]["shared"] = True
-    model = Model(found)
+    contents = grouped()
+    contents["equations"][0]["constants"][1]["shared"] = True
+    model = Model(contents)
     assert model.groups == ()
     assert model.predict([[1.0]]).shape == (1, 1)
     with pytest.raises(UsageError, match="one set of constants for all trajectories"):
@@ -312,12 +314,12 @@ def test_groups_that_share_all_constants_are_none() -> None:
 
 
 def test_a_candidate_is_not_of_the_groups_of_the_equation_that_is_shown() -> None:
-    found = grouped()
-    found["equations"][0]["candidates"] = [
+    contents = grouped()
+    contents["equations"][0]["candidates"] = [
         {"expression": "1.0 - x*x", "complexity": 5, "origin": "front", "nats": 3.0, "selected": False}
     ]
-    found["equations"][0] |= {"bounds": [{"text": "c > 0"}], "units": {"implied": [], "faults": []}}
-    for model in (Model(found), Model(found).of_group("1")):
+    contents["equations"][0] |= {"bounds": [{"text": "c > 0"}], "units": {"implied": [], "faults": []}}
+    for model in (Model(contents), Model(contents).of_group("1")):
         (candidate,) = model.candidates
         assert candidate.equations[0].exact == "1.0 - x*x"
         assert candidate.groups == ()
@@ -329,9 +331,9 @@ def test_a_candidate_is_not_of_the_groups_of_the_equation_that_is_shown() -> Non
 
 
 def test_constants_have_their_units() -> None:
-    found = decay()
-    found["equations"][0]["constants"][0]["unit"] = "1/h"
-    model = Model(found)
+    contents = decay()
+    contents["equations"][0]["constants"][0]["unit"] = "1/h"
+    model = Model(contents)
     assert model.params["c1"].unit == "1/h"
     assert "-2 1/h" in model.summary()
 
@@ -365,9 +367,9 @@ def test_a_score_says_what_it_lacks(data: Any) -> None:
 
 def test_errors_are_those_of_an_equation_that_names_another_state() -> None:
     """With dx/dt = c v and dv/dt = 0, x = c v t has the error v t of that of c."""
-    found = result({"x": "v", "v": "v - v"})
+    contents = result({"x": "v", "v": "v - v"})
     places = [{"variable": "x", "constant": None}]
-    model = Model(found | {"covariance": {"constants": places, "matrix": [[0.01]], "freedom": None}})
+    model = Model(contents | {"covariance": {"constants": places, "matrix": [[0.01]], "freedom": None}})
     simulation = model.simulate({"x": 0.0, "v": 2.0}, [0.0, 3.0])
     assert simulation.stderr is not None
     assert simulation.stderr[-1].tolist() == pytest.approx([0.1 * 2.0 * 3.0, 0.0])

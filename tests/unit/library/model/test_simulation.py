@@ -19,9 +19,9 @@ TIMES = np.linspace(0.0, 5.0, 11)
 
 def ending(equation: str, start: float = 1.0, most: int = 5000) -> tuple[str, float]:
     """Return status and last time of dx/dt = equation."""
-    its = simulate(VectorField.of({"x": equation}), np.array([start]), TIMES, most=most)
-    assert len(its.t) == len(its.x)
-    return its.status, float(its.t[-1])
+    simulation = simulate(VectorField.of({"x": equation}), np.array([start]), TIMES, most=most)
+    assert len(simulation.t) == len(simulation.x)
+    return simulation.status, float(simulation.t[-1])
 
 
 @pytest.mark.slow
@@ -44,20 +44,20 @@ def test_the_status_says_how_it_ended(equation: str, expected: tuple[str, float]
 
 
 def test_csv_has_a_column_for_each_state_and_no_bands_without_errors() -> None:
-    its = simulate(VectorField.of({"x": "y", "y": "-x"}), np.array([0.0, 1.0]), TIMES)
-    rows = list(csv.reader(io.StringIO(its.to_csv())))
+    simulation = simulate(VectorField.of({"x": "y", "y": "-x"}), np.array([0.0, 1.0]), TIMES)
+    rows = list(csv.reader(io.StringIO(simulation.to_csv())))
     assert rows[0] == ["t", "x", "y"]
-    assert [float(row[1]) for row in rows[1:]] == its["x"].tolist()
-    assert its["x"] == pytest.approx(np.sin(TIMES), abs=1e-7)
+    assert [float(row[1]) for row in rows[1:]] == simulation["x"].tolist()
+    assert simulation["x"] == pytest.approx(np.sin(TIMES), abs=1e-7)
 
 
 def test_one_time_has_a_band_without_width() -> None:
     field = VectorField.of({"x": "3.0*x"})
     errors = JointErrors(field, (0,), np.ones((1, 1)))
-    its = simulate(field, np.array([2.0]), TIMES[:1], bands=(errors, 2.0))
-    assert its.status == "finished"
-    assert its.lower is not None
-    assert its.lower.tolist() == its.x.tolist() == [[2.0]]
+    simulation = simulate(field, np.array([2.0]), TIMES[:1], bands=(errors, 2.0))
+    assert simulation.status == "finished"
+    assert simulation.lower is not None
+    assert simulation.lower.tolist() == simulation.x.tolist() == [[2.0]]
 
 
 @pytest.mark.parametrize(
@@ -71,8 +71,8 @@ def test_what_does_not_fit_is_refused(start: list[float], times: np.ndarray) -> 
 
 def test_each_state_is_followed_with_errors_of_its_own_size() -> None:
     field = VectorField.of({"x": "-0.1*x", "y": "-y"})
-    its = simulate(field, np.array([300.0, 1e-12]), np.linspace(0.0, 10.0, 11))
-    np.testing.assert_allclose(its["y"], 1e-12 * np.exp(-its.t), rtol=1e-8)
+    simulation = simulate(field, np.array([300.0, 1e-12]), np.linspace(0.0, 10.0, 11))
+    np.testing.assert_allclose(simulation["y"], 1e-12 * np.exp(-simulation.t), rtol=1e-8)
 
 
 def test_a_state_that_begins_at_0_has_the_size_that_was_measured_or_that_it_comes_to() -> None:
@@ -80,13 +80,13 @@ def test_a_state_that_begins_at_0_has_the_size_that_was_measured_or_that_it_come
     rates = {"x": "1e-12*u - x"}
     unknown = simulate(VectorField.of(rates, "u"), np.zeros(1), times, lambda t: np.array([float(t > 5.0)]))
     measured = simulate(VectorField.of(rates, "u", (1e-12,)), np.zeros(1), times, lambda t: np.array([float(t > 5.0)]))
-    for its in (unknown, measured):
-        np.testing.assert_allclose(its["x"][6:], 1e-12 * (1.0 - np.exp(5.0 - its.t[6:])), rtol=1e-8)
+    for simulated in (unknown, measured):
+        np.testing.assert_allclose(simulated["x"][6:], 1e-12 * (1.0 - np.exp(5.0 - simulated.t[6:])), rtol=1e-8)
 
 
 def test_an_early_end_says_how_many_times_were_reached() -> None:
-    its = simulate(VectorField.of({"x": "x**2"}), np.array([1.0]), TIMES)
-    assert its.message == "a state grows beyond all bounds near time 1; 2 of 11 times were reached"
+    simulation = simulate(VectorField.of({"x": "x**2"}), np.array([1.0]), TIMES)
+    assert simulation.message == "a state grows beyond all bounds near time 1; 2 of 11 times were reached"
 
 
 PREY = VectorField.of({"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"})
@@ -97,11 +97,11 @@ PREY = VectorField.of({"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"})
 @pytest.mark.parametrize("unit", [1.0, 2.0**-40])
 def test_a_state_that_comes_back_from_a_deep_trough_is_right(start: float, until: float, unit: float) -> None:
     field = VectorField.of({"x": "x*(1.0 - y)", "y": f"y*({1.0 / unit!r}*x - 1.0)"})
-    its = simulate(field, np.array([start * unit, start]), np.linspace(0.0, until, 9))
+    simulation = simulate(field, np.array([start * unit, start]), np.linspace(0.0, until, 9))
     in_logarithms = VectorField.of({"x": "1.0 - exp(y)", "y": "exp(x) - 1.0"})
-    expected = simulate(in_logarithms, np.log([start, start]), its.t)
-    assert (its.status, expected.status) == ("finished", "finished")
-    np.testing.assert_allclose(np.log(its.x / [unit, 1.0]), expected.x, atol=1e-6)
+    expected = simulate(in_logarithms, np.log([start, start]), simulation.t)
+    assert (simulation.status, expected.status) == ("finished", "finished")
+    np.testing.assert_allclose(np.log(simulation.x / [unit, 1.0]), expected.x, atol=1e-6)
 
 
 @pytest.mark.parametrize("is_whole", [True, False])
@@ -125,9 +125,9 @@ def test_a_trough_is_tried_again_with_smaller_sizes_and_what_fails_is_said(
 
 def test_bands_come_back_from_a_deep_trough() -> None:
     errors = JointErrors(PREY, (0,), np.full((1, 1), 1e-20))
-    its = simulate(PREY, np.array([20.0, 20.0]), np.linspace(0.0, 60.0, 9), bands=(errors, 2.0))
-    assert its.stderr is not None
-    assert (its.stderr < 1e-6 * its.x).all()
+    simulation = simulate(PREY, np.array([20.0, 20.0]), np.linspace(0.0, 60.0, 9), bands=(errors, 2.0))
+    assert simulation.stderr is not None
+    assert (simulation.stderr < 1e-6 * simulation.x).all()
 
 
 def test_a_state_that_may_cross_zero_or_never_comes_back_is_followed_as_before() -> None:

@@ -40,7 +40,7 @@ def test_derivatives_agree_with_finite_differences() -> None:
 
 def test_parameters_are_the_constants_in_order_and_can_be_replaced() -> None:
     field = VectorField.of({"x": "3.0*x - 2.0*x*y", "y": "y*(0.5 - x)"})
-    assert [(each.name, each.variable, each.value) for each in field.parameters] == [
+    assert [(parameter.name, parameter.variable, parameter.value) for parameter in field.parameters] == [
         ("c1", "x", 3.0), ("c2", "x", 2.0), ("c3", "y", 0.5)
     ]  # fmt: skip
     assert field.values([1.0, 1.0], p=[1.0, 4.0, 2.0]).tolist() == [-3.0, 1.0]
@@ -107,6 +107,6 @@ def test_values_and_derivatives_need_no_sympy() -> None:
 @pytest.mark.parametrize("rate", ["1/(x - x)", "u*x + 1/(x - x)", "sqrt(-2.0)*x", "x + log(-2.0)"])
 def test_rates_without_a_value_anywhere_are_nan(rate: str) -> None:
     field = VectorField.of({"x": rate, "y": "-y"}, ("u",))
-    found = field.values(np.array([[1.0, 2.0], [0.5, 3.0]]), np.array([0.3]), field.values_of_parameters)
-    assert np.isnan(found[:, 0]).all()
-    assert found[:, 1].tolist() == [-2.0, -3.0]
+    slopes = field.values(np.array([[1.0, 2.0], [0.5, 3.0]]), np.array([0.3]), field.values_of_parameters)
+    assert np.isnan(slopes[:, 0]).all()
+    assert slopes[:, 1].tolist() == [-2.0, -3.0]

@@ -16,10 +16,10 @@ def test_ticks_are_few_within_bounds_and_told_apart(low: float, width: float) ->
     high = low + width
     if not (high - low) > 1e-9 * max(abs(low), abs(high)):
         return
-    found = ticks((low, high), False)
-    assert 2 <= len(found) <= 7
-    assert all(low - 1e-6 * width <= place <= high + 1e-6 * width for place, _ in found)
-    assert len({label for _, label in found}) == len(found)
+    places = ticks((low, high), False)
+    assert 2 <= len(places) <= 7
+    assert all(low - 1e-6 * width <= place <= high + 1e-6 * width for place, _ in places)
+    assert len({label for _, label in places}) == len(places)
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_logarithmic_ticks_are_powers_of_ten_or_parts_of_them(bounds: tuple[floa
 
 
 def paths(svg: Element, style: str) -> list[str]:
-    return [each.get("d", "") for each in svg.iter("path") if style in (each.get("class") or "").split()]
+    return [element.get("d", "") for element in svg.iter("path") if style in (element.get("class") or "").split()]
 
 
 def test_a_line_is_interrupted_where_a_number_is_missing() -> None:

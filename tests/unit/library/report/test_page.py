@@ -36,10 +36,10 @@ class Reader(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.add(tag)
-        found = dict(attrs)
-        self.links += [str(found[name]) for name in ("href", "src") if name in found]
+        attributes = dict(attrs)
+        self.links += [str(attributes[name]) for name in ("href", "src") if name in attributes]
         if tag == "section":
-            self.sections.append(str(found["id"]))
+            self.sections.append(str(attributes["id"]))
 
     def handle_data(self, data: str) -> None:
         self.texts.append(data)
@@ -82,37 +82,37 @@ def test_fixed_points_are_listed_with_their_kinds(page: Reader) -> None:
 
 def test_names_from_data_are_text_wherever_they_stand() -> None:
     hostile = "<img src=x onerror=alert(1)>"
-    found = dynamics(warnings=[hostile], command=hostile, job=hostile)
-    found["data"]["files"] = [hostile]
-    found["system"] |= {"time": hostile, "states": [hostile, "y"]}
-    found["symbols"] = {hostile: "x", "y": "y"}
-    found["equations"][0] |= {"variable": hostile, "lhs": f"d{hostile}/dt", "reason": hostile}
-    found["simulation"]["trajectories"][0]["name"] = hostile
+    contents = dynamics(warnings=[hostile], command=hostile, job=hostile)
+    contents["data"]["files"] = [hostile]
+    contents["system"] |= {"time": hostile, "states": [hostile, "y"]}
+    contents["symbols"] = {hostile: "x", "y": "y"}
+    contents["equations"][0] |= {"variable": hostile, "lhs": f"d{hostile}/dt", "reason": hostile}
+    contents["simulation"]["trajectories"][0]["name"] = hostile
     for key in ("values", "lower", "upper", "measured", "r2", "start"):
-        part = found["simulation"]["trajectories"][0]
+        part = contents["simulation"]["trajectories"][0]
         part[key] = {hostile if name == "x" else name: value for name, value in part[key].items()}
-    page = Reader(as_html(Result.of(found)))
+    page = Reader(as_html(Result.of(contents)))
     assert "img" not in page.tags
     assert f"Equations of {hostile}" in page.texts
 
 
 def test_what_repeats_a_run_is_not_the_clock() -> None:
-    found = dynamics()
+    contents = dynamics()
     assert any(
         "same digest on any number" in text and "clock" not in text
-        for text in read([origin(Findings(Result.of(found), None))]).texts
+        for text in read([origin(Findings(Result.of(contents), None))]).texts
     )
-    found["equations"][0] |= {"why": "max-time", "epoch": 12}
+    contents["equations"][0] |= {"why": "max-time", "epoch": 12}
     assert any(
         "--max-epochs x=12 in the place of --max-time" in text
-        for text in read([origin(Findings(Result.of(found), None))]).texts
+        for text in read([origin(Findings(Result.of(contents), None))]).texts
     )
 
 
 def test_an_equation_that_was_not_found_leaves_the_rest_of_the_page() -> None:
-    found = dynamics(simulation=None)
-    found["equations"][1] |= {"expression": None, "verdict": "no model", "reason": "Nothing.", "front": []}
-    page = Reader(as_html(Result.of(found)))
+    contents = dynamics(simulation=None)
+    contents["equations"][1] |= {"expression": None, "verdict": "no model", "reason": "Nothing.", "front": []}
+    page = Reader(as_html(Result.of(contents)))
     assert "dy/dt: no equation" in page.texts
     assert any("not analysed" in text for text in page.texts)
 
@@ -139,47 +139,53 @@ def test_columns_without_any_entry_are_left_out() -> None:
 
 
 def test_many_constants_are_not_profiled_for_a_page() -> None:
-    found = dynamics()
-    found["equations"][0]["constants"] *= MOST_PROFILES + 1
-    page = read(constants(Findings(Result.of(found), None)))
+    contents = dynamics()
+    contents["equations"][0]["constants"] *= MOST_PROFILES + 1
+    page = read(constants(Findings(Result.of(contents), None)))
     assert any("coordinator analyse --identifiability" in text for text in page.texts)
 
 
 def test_profiles_say_what_the_data_determine_of_each_constant() -> None:
     values, ends = np.array([1.0, 2.0, 3.0]), (1.25, 2.75)
-    its = ProfiledConstant("c1", "x", True, 2.0, 0.25, ends, ends, "open above", (False, False), values, values - 1.0)
-    open_one = Direction(9.0, values, True, "only c1/c2 is determined")
-    found = Findings(
-        Result.of(dynamics()), None, identifiability=Identifiability(0.95, 9.0, 2.0, (its,), (open_one,), "", 3)
+    constant = ProfiledConstant(
+        "c1", "x", True, 2.0, 0.25, ends, ends, "open above", (False, False), values, values - 1.0
     )
-    page = read(constants(found))
+    open_one = Direction(9.0, values, True, "only c1/c2 is determined")
+    findings = Findings(
+        Result.of(dynamics()), None, identifiability=Identifiability(0.95, 9.0, 2.0, (constant,), (open_one,), "", 3)
+    )
+    page = read(constants(findings))
     assert {"c1 = 2, open above: at least 1.25", "only c1/c2 is determined"} <= set(page.texts)
     assert "svg" in page.tags
 
 
 def test_constants_are_called_as_those_of_the_model() -> None:
-    found = dynamics(correlations=[{"first": {"variable": "x", "constant": 0}, "value": -0.99,
+    contents = dynamics(correlations=[{"first": {"variable": "x", "constant": 0}, "value": -0.99,
                                     "second": {"variable": "y", "constant": 0}}])  # fmt: skip
-    found["equations"][1]["constants"] = [{**found["equations"][1]["constants"][0], "value": 2.0}]
-    page = read(constants(Findings(Result.of(found), None)))
-    names = [name for name, its in Model(found).params.items() if its.stderr is not None]
-    assert [text for text in page.texts if text in Model(found).params] == names
+    contents["equations"][1]["constants"] = [{**contents["equations"][1]["constants"][0], "value": 2.0}]
+    page = read(constants(Findings(Result.of(contents), None)))
+    names = [name for name, param in Model(contents).params.items() if param.stderr is not None]
+    assert [text for text in page.texts if text in Model(contents).params] == names
     assert f"{names[0]} and {names[1]} are hardly told apart: correlation -0.99." in page.texts
 
 
 def test_the_next_experiment_stands_with_the_candidates() -> None:
     rivals = tuple(Candidate({"dx/dt": text}, "candidate", 0.5, 0.0) for text in ("x", "2*x"))
     one = Suggestion({"x": 1.5}, {"u": 2.5}, (0.0, 4.0), 1.0, 3.0, 0.625, 7.5)
-    found = Suggestions("discrimination", "2 candidates differ", 0.7, rivals, (one,), {}, (), "trajectory", "")
-    page = read(choice(Findings(Result.of(dynamics()), None, suggestions=found)))
+    suggestions = Suggestions("discrimination", "2 candidates differ", 0.7, rivals, (one,), {}, (), "trajectory", "")
+    page = read(choice(Findings(Result.of(dynamics()), None, suggestions=suggestions)))
     said = {"x = 1.5, u = 2.5", "2 samples from 0 to 4", "0.625", "7.5", "dx/dt = 2*x", "candidate, 0 nats longer"}
     assert said <= set(page.texts)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("found", "section", "number"), [(regression(), "fit", "0.5"), (process(), "process", "0.75")])
-def test_regressions_and_processes_have_sections_of_their_own(found: dict[str, Any], section: str, number: str) -> None:
-    page = Reader(as_html(Result.of(found)))
+@pytest.mark.parametrize(
+    ("contents", "section", "number"), [(regression(), "fit", "0.5"), (process(), "process", "0.75")]
+)
+def test_regressions_and_processes_have_sections_of_their_own(
+    contents: dict[str, Any], section: str, number: str
+) -> None:
+    page = Reader(as_html(Result.of(contents)))
     assert section in page.sections
     assert number in page.texts
     assert ("dynamics" in page.sections) == (section == "process")
@@ -187,8 +193,8 @@ def test_regressions_and_processes_have_sections_of_their_own(found: dict[str, A
 
 def of_groups() -> dict[str, Any]:
     """Return the result of two species, x growing at 2.5 in group a and at 3.5 in group <b>."""
-    found = dynamics()
-    equation = found["equations"][0]
+    contents = dynamics()
+    equation = contents["equations"][0]
     mean, whole = equation["constants"][0], equation["expression"]
     equation["groups"] = [
         {
@@ -198,8 +204,8 @@ def of_groups() -> dict[str, Any]:
         }
         for name, value in (("a", 2.5), ("<b>", 3.5))
     ]
-    found["groups"] = [{"group": name, "trajectories": ["1"], "covariance": None} for name in ("a", "<b>")]
-    return found
+    contents["groups"] = [{"group": name, "trajectories": ["1"], "covariance": None} for name in ("a", "<b>")]
+    return contents
 
 
 def test_constants_of_each_group_are_listed() -> None:
@@ -214,31 +220,31 @@ def test_constants_of_each_group_are_listed() -> None:
 
 @pytest.mark.slow
 def test_the_page_of_one_group_is_analysed() -> None:
-    found = Findings.of(Model(of_groups()).of_group("<b>").result)
-    assert found.analysis is not None
-    assert found.analysis.field.values(np.array([[1.0, 0.0]]))[0, 0] == pytest.approx(2.5)
-    assert "<b>" in Reader(to_text(overview(found))).texts
+    findings = Findings.of(Model(of_groups()).of_group("<b>").result)
+    assert findings.analysis is not None
+    assert findings.analysis.field.values(np.array([[1.0, 0.0]]))[0, 0] == pytest.approx(2.5)
+    assert "<b>" in Reader(to_text(overview(findings))).texts
 
 
 def test_figures_have_the_digits_that_their_errors_leave() -> None:
-    found = dynamics()
-    found["equations"][0]["constants"][0] |= {"std_error": 0.00016, "interval": [1.999562, 2.000193]}
-    (part,) = found["simulation"]["trajectories"]
+    contents = dynamics()
+    contents["equations"][0]["constants"][0] |= {"std_error": 0.00016, "interval": [1.999562, 2.000193]}
+    (part,) = contents["simulation"]["trajectories"]
     part["r2"] = {"x": 0.99999919, "y": 1.0}
-    found["equations"][0]["candidates"][0]["r2"] = 0.99999919
-    its = Findings(Result.of(found), None)
-    assert "1.99956 to 2.00019" in to_text(constants(its)[0])
-    assert "R² at least 0.9999" in to_text(overview(its))
-    assert all(">0.9999<" in to_text(each) for each in (trajectories(its)[0], choice(its)[0]))
+    contents["equations"][0]["candidates"][0]["r2"] = 0.99999919
+    findings = Findings(Result.of(contents), None)
+    assert "1.99956 to 2.00019" in to_text(constants(findings)[0])
+    assert "R² at least 0.9999" in to_text(overview(findings))
+    assert all(">0.9999<" in to_text(section) for section in (trajectories(findings)[0], choice(findings)[0]))
 
 
 @pytest.mark.slow
 def test_dynamics_of_equations_that_do_not_fit_are_said_to_be_so() -> None:
-    found = dynamics()
-    found["equations"][1]["verdict"] = "no model"
-    analysis = Model(found).analyse()
+    contents = dynamics()
+    contents["equations"][1]["verdict"] = "no model"
+    analysis = Model(contents).analyse()
     assert str(analysis).startswith("The verdict on dy/dt is no model:")
-    section = to_text(section_of_dynamics(Findings(Result.of(found), Model(found), analysis))[0])
+    section = to_text(section_of_dynamics(Findings(Result.of(contents), Model(contents), analysis))[0])
     assert section.index("The verdict on dy/dt is no model:") < section.index("<svg")
 
 
@@ -253,11 +259,11 @@ def test_a_page_lists_of_the_dynamics_what_the_text_lists() -> None:
 
 def test_constants_of_the_result_stand_beside_those_fitted_again() -> None:
     shown = Candidate({"dx/dt": "2.5*x"}, "shown", 1.0, 0.0, written={"dx/dt": "2*x"})
-    its = Suggestions("precision", "there is one", 0.0, (shown,), (), {}, (), "trajectory", "1 trajectory")
-    lines = str(its).splitlines()
+    suggestions = Suggestions("precision", "there is one", 0.0, (shown,), (), {}, (), "trajectory", "1 trajectory")
+    lines = str(suggestions).splitlines()
     assert "fitted again" in lines[0]
     assert lines[2].strip() == "with the constants of the result  dx/dt = 2*x"
-    text = to_text(choice(Findings(Result.of(dynamics()), None, suggestions=its))[0])
+    text = to_text(choice(Findings(Result.of(dynamics()), None, suggestions=suggestions))[0])
     assert "shown, with the constants of the result" in text
     assert "2*x" in text
 
@@ -278,9 +284,11 @@ KEPT = {"expression", "program", "kind", "discretisation", "group", "variable"}
 def hostile(value: Any, key: str = "") -> Any:
     """Return a part of a result with that text in every text that it may be in, and in names of columns."""
     if isinstance(value, dict):
-        return {HOSTILE + name if name in {"x", "y"} else name: hostile(its, name) for name, its in value.items()}
+        return {
+            HOSTILE + name if name in {"x", "y"} else name: hostile(constant, name) for name, constant in value.items()
+        }
     if isinstance(value, list):
-        return [hostile(each, key) for each in value]
+        return [hostile(section, key) for section in value]
     if key in {"variable", "lhs", "states", "time", "inputs", "target"} and isinstance(value, str):
         return value.replace("x", HOSTILE + "x").replace("y", HOSTILE + "y") if key != "time" else HOSTILE
     return HOSTILE if isinstance(value, str) and key not in KEPT | {"x", "y"} else value
@@ -288,24 +296,26 @@ def hostile(value: Any, key: str = "") -> Any:
 
 def dangers(text: str) -> list[str]:
     """Return what of markup would run or load something."""
-    found = []
+    texts = []
 
     class Watch(HTMLParser):
         def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-            its = [name for name, value in attrs if name.startswith("on") or "javascript:" in str(value).split("=")[0]]
-            if tag in {"script", "img", "iframe", "object", "embed"} or its:
-                found.append(f"{tag} {its}")
+            constant = [
+                name for name, value in attrs if name.startswith("on") or "javascript:" in str(value).split("=")[0]
+            ]
+            if tag in {"script", "img", "iframe", "object", "embed"} or constant:
+                texts.append(f"{tag} {constant}")
 
     Watch().feed(text)
-    return found
+    return texts
 
 
 @pytest.mark.parametrize("kind", [dynamics, regression, process])
 def test_no_text_of_a_result_is_taken_for_markup(kind: Any) -> None:
     assert dangers(HOSTILE)
-    found = hostile(kind())
-    model = Model(found)
-    page = as_html(Result.of(found))
+    contents = hostile(kind())
+    model = Model(contents)
+    page = as_html(Result.of(contents))
     for text in (model._repr_html_(), model.mathml(), page):
         assert dangers(text) == []
     assert page.count("&lt;script&gt;") > 20
@@ -313,8 +323,8 @@ def test_no_text_of_a_result_is_taken_for_markup(kind: Any) -> None:
 
 
 def test_simple_numbers_together_have_a_sentence_below_the_constants() -> None:
-    found = dynamics()
+    contents = dynamics()
     together = {"constants": [0], "values": [3.0], "odds": 14.7, "chi_square": 0.61}
-    found["equations"][0]["simple_together"] = together
-    page = read(constants(Findings(Result.of(found), None)))
+    contents["equations"][0]["simple_together"] = together
+    page = read(constants(Findings(Result.of(contents), None)))
     assert "c1 = 3, judged together: odds 15 against all other numbers (chi-square 0.61)." in page.texts

@@ -24,8 +24,8 @@ Y = VariableView(variable="y", lhs="dy/dt", epoch=0)
 
 
 def job(**changes: object) -> JobView:
-    its = {"job": "a1b2c3d4", "elapsed": 4.2, "workers": 2, "point_evaluations": 4_260_000, "variables": (X, Y)}
-    return job_view(**its, point_evaluations_per_second=5.5e7).model_copy(update=changes)
+    shown_view = {"job": "a1b2c3d4", "elapsed": 4.2, "workers": 2, "point_evaluations": 4_260_000, "variables": (X, Y)}
+    return job_view(**shown_view, point_evaluations_per_second=5.5e7).model_copy(update=changes)
 
 
 def worker(**changes: object) -> WorkerView:

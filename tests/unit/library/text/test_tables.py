@@ -148,9 +148,9 @@ def test_noise_is_said_in_a_line_for_each_state() -> None:
 def test_residuals_and_reasons_are_said_where_they_are_known() -> None:
     largest = {"value": -0.5, "trajectory": "2", "time": 3.25}
     times = (("end", [0.0, 0.1]), ("end", [9.0]), ("jump", [2.0]))
-    doubtful = [{"trajectory": "1", "reason": reason, "times": its} for reason, its in times]
-    its = {**LOESS, "doubtful_rows": 4, "outliers": 0, "residual_rms": 0.1, "largest_residual": largest}
-    (line,) = noise_lines(result(noise={"x": {**its, "doubtful": doubtful}}))
+    doubtful = [{"trajectory": "1", "reason": reason, "times": lines} for reason, lines in times]
+    lines = {**LOESS, "doubtful_rows": 4, "outliers": 0, "residual_rms": 0.1, "largest_residual": largest}
+    (line,) = noise_lines(result(noise={"x": {**lines, "doubtful": doubtful}}))
     assert "; residuals 0.1, the largest -0.5 at t = 3.25 of trajectory 2; " in line
     assert line.endswith("; not used: 3 near ends, 1 at jumps")
     assert noise_lines(result()) == []
@@ -158,8 +158,8 @@ def test_residuals_and_reasons_are_said_where_they_are_known() -> None:
 
 def test_the_summary_is_two_lines_and_exact_models_need_none() -> None:
     several = (trajectory("1", 0.99, 0.98), trajectory("2", 0.97, 1.0), trajectory("3", 0.9, 0.95, held_out=True))
-    found = summary(result(*several, noise={"x": LOESS, "y": CLEAN}))
-    assert found == [
+    summary_line = summary(result(*several, noise={"x": LOESS, "y": CLEAN}))
+    assert summary_line == [
         "noise: x 5.1 % of the deviation",
         "simulation: R2 at least 0.9700 on 2 trajectories, 0.9000 on 1 held out",
     ]
@@ -187,8 +187,8 @@ def test_constants_that_are_hardly_told_apart_are_named() -> None:
         places = [{"variable": "x", "constant": index} for index in (first, second)]
         return {"first": places[0], "second": places[1], "value": value}
 
-    found = correlation_lines(result(correlations=[pair(0, 1, 0.96), pair(1, 0, -0.999), pair(0, 0, None)]))
-    assert found == [
+    lines_shown = correlation_lines(result(correlations=[pair(0, 1, 0.96), pair(1, 0, -0.999), pair(0, 0, None)]))
+    assert lines_shown == [
         "hardly told apart: 0.5 of x and 3 of x (c1), correlation -0.999",
         "hardly told apart: 3 of x (c1) and 0.5 of x, correlation 0.960",
     ]

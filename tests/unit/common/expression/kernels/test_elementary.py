@@ -184,12 +184,12 @@ def report(cache: Path, count: int, **environment: str) -> dict[str, dict[str, A
     command = [sys.executable, "-m", "tests.oracles.elementary", str(count)]
     settings = inherited | {"ATOLL_KERNEL_CACHE": str(cache)} | environment
     finished = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=True)
-    found: dict[str, dict[str, Any]] = json.loads(finished.stdout)
-    return found
+    written: dict[str, dict[str, Any]] = json.loads(finished.stdout)
+    return written
 
 
-def digests(found: dict[str, dict[str, Any]]) -> dict[str, str]:
-    return {name: entry["digest"] for name, entry in found.items()}
+def digests(digests_found: dict[str, dict[str, Any]]) -> dict[str, str]:
+    return {name: entry["digest"] for name, entry in digests_found.items()}
 
 
 @pytest.fixture(scope="module")

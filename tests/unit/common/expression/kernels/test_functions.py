@@ -48,11 +48,11 @@ def assert_lanes(operator, a, b):
     arrays = np.full((3, 1, 3 * LANES), 7.5)
     arrays[1, 0, LANES : 2 * LANES], arrays[2, 0, LANES : 2 * LANES] = a, b
     applied(functions_address(), operator, arrays[0], arrays[1], arrays[2], LANES)
-    found = arrays[0, 0, LANES : 2 * LANES]
+    values = arrays[0, 0, LANES : 2 * LANES]
     expected = np.array([FUNCTIONS[operator](x, y) for x, y in zip(a.tolist(), b.tolist(), strict=True)])
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(values, expected)
     numbers = ~np.isnan(expected)
-    np.testing.assert_array_equal(np.signbit(found)[numbers], np.signbit(expected)[numbers])
+    np.testing.assert_array_equal(np.signbit(values)[numbers], np.signbit(expected)[numbers])
     assert (np.delete(arrays[0, 0], np.s_[LANES : 2 * LANES]) == 7.5).all()
 
 

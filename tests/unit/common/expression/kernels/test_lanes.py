@@ -164,10 +164,10 @@ def ends(words, lowest, highest) -> None:
         lowest[i], highest[i] = lowest_bit(words[i]), highest_bit(words[i])
 
 
-def assert_same_bits(found, expected):
-    np.testing.assert_array_equal(found, expected)
+def assert_same_bits(values, expected):
+    np.testing.assert_array_equal(values, expected)
     numbers = ~np.isnan(expected)
-    np.testing.assert_array_equal(np.signbit(found)[numbers], np.signbit(expected)[numbers])
+    np.testing.assert_array_equal(np.signbit(values)[numbers], np.signbit(expected)[numbers])
 
 
 def interpreted(name, out, a, b, c):
@@ -199,9 +199,9 @@ def test_every_operation_is_numpy_s_on_its_own_lanes_and_touches_no_other_number
             array[ROW, START : START + LANES] = block
         before = arrays.copy()
         operate(OPERATIONS.index(name), arrays, ROW, START, X)
-        found = arrays[0, ROW, START : START + LANES].copy()
-        assert_same_bits(found, EXPECTED[name](out, a, b, c))
-        assert_same_bits(found, interpreted(name, out, a, b, c))
+        values = arrays[0, ROW, START : START + LANES].copy()
+        assert_same_bits(values, EXPECTED[name](out, a, b, c))
+        assert_same_bits(values, interpreted(name, out, a, b, c))
         arrays[0, ROW, START : START + LANES] = out
         np.testing.assert_array_equal(arrays, before)
 
@@ -233,10 +233,10 @@ def by_halves(numbers):
 def test_lanes_are_summed_by_halves(one, two):
     a, b = np.full((2, 32), np.nan), np.full((2, 32), np.nan)
     a[1, 16:], b[1, 16:] = one, two
-    found = totals(a, b, 1, 16)
+    values = totals(a, b, 1, 16)
     expected = by_halves(a[1, 16:] * b[1, 16:]), by_halves(abs(a[1, 16:]) * b[1, 16:])
-    assert found == expected
-    assert found == (kernels_lanes._total(a[1, 16:], b[1, 16:]), kernels_lanes._total_magnitude(a[1, 16:], b[1, 16:]))
+    assert values == expected
+    assert values == (kernels_lanes._total(a[1, 16:], b[1, 16:]), kernels_lanes._total_magnitude(a[1, 16:], b[1, 16:]))
 
 
 @pytest.mark.parametrize("kind", [np.int8, np.int16, np.int64, np.float64])

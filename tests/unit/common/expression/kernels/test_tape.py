@@ -63,26 +63,26 @@ def gradient(program, inputs):
     for node in range(count):
         parts = (tape.left[node], tape.right[node])[: ARITY[tape.code[node]]]
         tape.depends[node] = tape.code[node] == CONSTANT or any(tape.depends[part] for part in parts)
-    found = np.zeros((count, padded(rows.length)))
+    values = np.zeros((count, padded(rows.length)))
     for start in range(0, rows.length, LANES):
         work.adjoints[:] = 0.0
         work.adjoints[count - 1] = 1.0
         reverse_block(
             count, tape.code, tape.left, tape.right, tape.depends, work.values, start, work.adjoints, work.functions
         )
-        found[:, start : start + LANES] = work.adjoints[:count]
-    return found[:, : rows.length]
+        values[:, start : start + LANES] = work.adjoints[:count]
+    return values[:, : rows.length]
 
 
 @pytest.mark.parametrize("name", BY_NAME)
 def test_every_operator_has_the_value_of_its_definition(name):
     operator = BY_NAME[name]
     pairs = list(product(AWKWARD, AWKWARD if operator.arity == 2 else [0.0]))
-    found = node_values(program_of([X, Y, (operator.code, 0, 1)]), np.array(pairs).T)[2]
+    values = node_values(program_of([X, Y, (operator.code, 0, 1)]), np.array(pairs).T)[2]
     expected = [apply(operator.code, a, b) for a, b in pairs]
-    np.testing.assert_allclose(found, expected, rtol=1e-15, atol=1e-15 if operator.code in (SIN, COS) else 0.0)
+    np.testing.assert_allclose(values, expected, rtol=1e-15, atol=1e-15 if operator.code in (SIN, COS) else 0.0)
     if name not in ("sin", "pow"):  # -0.0 is 0.0 to them
-        signs = [[math.copysign(1.0, value) for value in values if value == 0.0] for values in (found, expected)]
+        signs = [[math.copysign(1.0, value) for value in values if value == 0.0] for values in (values, expected)]
         assert signs[0] == signs[1]
 
 
@@ -91,8 +91,8 @@ def test_every_operator_has_the_value_of_its_definition(name):
 def test_a_program_has_the_value_of_its_definition_at_every_row(program, rows):
     """Operators that are not exactly rounded are left to the test above: their last bits are magnified at will."""
     assume(not {BY_NAME[name].code for name in ("sin", "cos", "exp", "log", "tanh", "pow")} & {*program.operators})
-    found = node_values(program, np.array(rows).T)
-    np.testing.assert_array_equal(found[-1], [evaluate(program, row) for row in rows])
+    values = node_values(program, np.array(rows).T)
+    np.testing.assert_array_equal(values[-1], [evaluate(program, row) for row in rows])
 
 
 def test_rows_do_not_touch_each_other():
@@ -138,14 +138,14 @@ def test_rows_have_the_same_bits_with_kept_sines_and_cosines_and_without(count):
     inputs = np.random.default_rng(2).uniform(-9.0, 9.0, (2, count))
     inputs[0, 0] = 1.1e5
     tape, nodes = tape_of(program)
-    found = []
+    values = []
     for keeps_waves in (True, False):
         rows = padded_rows(inputs, np.zeros(count), keeps_waves)
         work = empty_work(nodes, count)
         evaluate_tape(tape, nodes, rows, work)
-        found.append(work.values[:, :count])
-    assert np.isnan(found[0][-1, 0])
-    np.testing.assert_array_equal(*found)
+        values.append(work.values[:, :count])
+    assert np.isnan(values[0][-1, 0])
+    np.testing.assert_array_equal(*values)
 
 
 @pytest.mark.parametrize(("rows", "expected"), [(1, 16), (16, 16), (17, 32), (100, 112)])
@@ -160,15 +160,15 @@ def test_every_operator_has_the_gradient_of_its_definition(name, point):
     operator = BY_NAME[name]
     nodes = [X, *point, (MULTIPLY, 0, 1), (MULTIPLY, 0, 2), (operator.code, 3, 4 if operator.arity == 2 else 0)]
     program = program_of(nodes)
-    found = gradient(program, [[1.25]])[:, 0]
+    slopes = gradient(program, [[1.25]])[:, 0]
     for constant in (1, 2):
-        assert found[constant] == pytest.approx(derivative(program, [1.25], constant), rel=1e-13, abs=1e-300)
+        assert slopes[constant] == pytest.approx(derivative(program, [1.25], constant), rel=1e-13, abs=1e-300)
 
 
 def test_the_gradient_of_a_power_of_a_negative_base_goes_by_the_base_alone():
     program = program_of([X, -2.0, (MULTIPLY, 0, 1), Y, (POW, 2, 3)])
-    found = gradient(program, [[1.5], [3.0]])
-    assert found[1, 0] == pytest.approx(3 * (-3.0) ** 2 * 1.5)
+    slopes = gradient(program, [[1.5], [3.0]])
+    assert slopes[1, 0] == pytest.approx(3 * (-3.0) ** 2 * 1.5)
 
 
 def test_at_its_kink_the_absolute_value_has_gradient_zero():
@@ -179,8 +179,8 @@ def test_at_its_kink_the_absolute_value_has_gradient_zero():
 def test_a_constant_used_several_times_gathers_all_its_parts():
     """c x + sin(c) - c**2: the derivative by c is x + cos(c) - 2 c."""
     nodes = [X, 0.8, (MULTIPLY, 0, 1), (SIN, 1), (ADD, 2, 3), (SQUARE, 1), (SUBTRACT, 4, 5)]
-    found = gradient(program_of(nodes), [[3.0, -1.0]])
-    assert found[1] == pytest.approx(np.array([3.0, -1.0]) + math.cos(0.8) - 1.6)
+    slopes = gradient(program_of(nodes), [[3.0, -1.0]])
+    assert slopes[1] == pytest.approx(np.array([3.0, -1.0]) + math.cos(0.8) - 1.6)
 
 
 @QUICK
@@ -193,8 +193,8 @@ def test_any_program_has_the_gradient_of_its_definition(program, row):
     assume(
         all(node_values(program, inputs)[program.left[i], 0] > 0.0 for i in np.flatnonzero(program.operators == POW))
     )
-    found = gradient(program, inputs)[:, 0]
-    size = np.abs(found).max()
+    slopes = gradient(program, inputs)[:, 0]
+    size = np.abs(slopes).max()
     for node in live_nodes(program):
         if program.operators[node] == CONSTANT:
-            assert found[node] == pytest.approx(derivative(program, row, node), rel=1e-10, abs=1e-12 * size)
+            assert slopes[node] == pytest.approx(derivative(program, row, node), rel=1e-10, abs=1e-12 * size)

@@ -47,8 +47,8 @@ def test_latex_and_mathml_have_the_writing_of_the_text(text: str, shown: str, la
     told = "".join(ElementTree.fromstring(to_mathml(program, names)).itertext())
     for sign in "+-":
         assert told.replace("-9", "").count(sign) == shown.replace("e-", "e").count(sign)
-    numbers = [each.text for each in ElementTree.fromstring(to_mathml(program, names)).iter("mn")]
-    assert [each for each in ("3", "0.5", "1.5", "2.5") if each in shown and each not in numbers] == []
+    numbers = [element.text for element in ElementTree.fromstring(to_mathml(program, names)).iter("mn")]
+    assert [number for number in ("3", "0.5", "1.5", "2.5") if number in shown and number not in numbers] == []
 
 
 def test_mathml_separates_factors_by_dots_where_names_have_several_letters() -> None:
@@ -62,17 +62,17 @@ def test_mathml_separates_factors_by_dots_where_names_have_several_letters() -> 
 @given(programs(), HOSTILE_NAMES)
 def test_whatever_variables_are_called_all_writings_are_made(program, names) -> None:
     assume(tree_size(program) <= 100 <= PRINTABLE_SIZE)
-    plain, hostile = (to_mathml(program, each) for each in (NAMES, names))
-    tags = [[each.tag for each in ElementTree.fromstring(text).iter("mfrac")] for text in (plain, hostile)]
+    plain, hostile = (to_mathml(program, spellings) for spellings in (NAMES, names))
+    tags = [[element.tag for element in ElementTree.fromstring(text).iter("mfrac")] for text in (plain, hostile)]
     assert tags[0] == tags[1]
     assert to_latex(program, names).count(r"\frac") == to_latex(program, NAMES).count(r"\frac")
 
 
 @pytest.mark.parametrize("name", ["sin", "lambda", "Symbol", "50% a", "None", "x + y", "e5"])
 def test_sympy_takes_any_name_for_a_symbol(name: str) -> None:
-    its = to_sympy(from_infix("sin(x)*y**2 - x/2.5", ("x", "y")), (name, "y"))
+    expression = to_sympy(from_infix("sin(x)*y**2 - x/2.5", ("x", "y")), (name, "y"))
     symbol = sympy.Symbol(name)
-    assert its == sympy.sin(symbol) * sympy.Symbol("y") ** 2 - symbol / sympy.Float("2.5")
+    assert expression == sympy.sin(symbol) * sympy.Symbol("y") ** 2 - symbol / sympy.Float("2.5")
 
 
 def test_a_name_is_the_same_on_both_sides_of_an_equation() -> None:

@@ -14,10 +14,10 @@ def test_the_points_are_the_rows_and_fill_the_box():
     points = points_of(BOX)
     assert np.array_equal(points[:, :3], BOX)
     inner = points[:, 3:]
-    for low, high, its in ((-1.0, 3.0, inner[0]), (2.0, 2.5, inner[1])):
-        assert its.min() >= low
-        assert its.max() <= high
-        assert np.histogram(its, 5, (low, high))[0].min() >= len(its) // 6
+    for low, high, index in ((-1.0, 3.0, inner[0]), (2.0, 2.5, inner[1])):
+        assert index.min() >= low
+        assert index.max() <= high
+        assert np.histogram(index, 5, (low, high))[0].min() >= len(index) // 6
     assert len({*inner[0].tolist()}) == inner.shape[1]
 
 

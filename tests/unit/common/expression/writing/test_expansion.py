@@ -24,21 +24,21 @@ POINTS = np.random.default_rng(3).uniform(0.5, 2.0, (2, 20))
 )
 def test_brackets_are_expanded_and_divisors_have_a_leading_one(text, expanded):
     program = from_infix(text, NAMES)
-    its = expand_program(program)
-    assert its is not None
-    assert to_infix(its.program, NAMES) == expanded
-    assert np.allclose(values_of(its.program, POINTS), values_of(program, POINTS), rtol=1e-12)
-    assert len(its.roles) == int((its.program.operators == 1).sum())
+    expansion = expand_program(program)
+    assert expansion is not None
+    assert to_infix(expansion.program, NAMES) == expanded
+    assert np.allclose(values_of(expansion.program, POINTS), values_of(program, POINTS), rtol=1e-12)
+    assert len(expansion.roles) == int((expansion.program.operators == 1).sum())
 
 
 def test_each_constant_has_its_sign_and_its_place():
-    its = expand_program(from_infix("3*x - 2*x*y/(5 + y)", NAMES))
-    assert [(role.sign, role.is_inner) for role in its.roles] == [(1.0, False), (-1.0, False), (1.0, True)]
+    expanded = expand_program(from_infix("3*x - 2*x*y/(5 + y)", NAMES))
+    assert [(role.sign, role.is_inner) for role in expanded.roles] == [(1.0, False), (-1.0, False), (1.0, True)]
 
 
 def test_equal_constants_stay_apart():
-    its = expand_program(from_infix("0.5*x + 0.5*y", NAMES))
-    assert len(its.roles) == 2
+    expanded = expand_program(from_infix("0.5*x + 0.5*y", NAMES))
+    assert len(expanded.roles) == 2
 
 
 def test_what_has_too_many_terms_is_not_expanded():
@@ -48,17 +48,17 @@ def test_what_has_too_many_terms_is_not_expanded():
 def test_each_coefficient_is_a_factor_of_all_in_turn():
     program = from_infix("2*x - 0.5*x*x", NAMES)
     forms = list(factored_forms(program))
-    assert [to_infix(each, NAMES) for each in forms] == ["2.0*(x - 0.25*x**2)", "-0.5*(x**2 - 4.0*x)"] or len(
+    assert [to_infix(form, NAMES) for form in forms] == ["2.0*(x - 0.25*x**2)", "-0.5*(x**2 - 4.0*x)"] or len(
         forms
     ) == 2
-    assert all(np.allclose(values_of(each, POINTS), values_of(program, POINTS)) for each in forms)
+    assert all(np.allclose(values_of(form, POINTS), values_of(program, POINTS)) for form in forms)
     assert list(factored_forms(from_infix("3*x", NAMES))) == []
 
 
 def test_a_quotient_is_raised_where_that_takes_no_new_term() -> None:
     names = ("x", "y")
-    its = terms_of(from_infix("1.6*y/(0.8 + x) - 2.4*y", names))
-    ((shape, raised),) = raised_quotients(its)
+    expanded = terms_of(from_infix("1.6*y/(0.8 + x) - 2.4*y", names))
+    ((shape, raised),) = raised_quotients(expanded)
     ((flux, _),) = terms_of(from_infix("x*y/(0.8 + x)", names))
     assert shape == shape_of(flux)
     assert dict(raised)[flux] == pytest.approx(-2.0)

@@ -192,7 +192,7 @@ def test_the_writing_depends_on_no_order_of_hashes():
         "from tests.unit.common.expression.writing.test_shortest import CASES, shortened;"
         "print([shortened(text) for text in list(CASES)[::4]])"
     )
-    found = {
+    texts = {
         subprocess.run(
             [sys.executable, "-c", program],
             env={**os.environ, "PYTHONHASHSEED": seed},
@@ -202,7 +202,7 @@ def test_the_writing_depends_on_no_order_of_hashes():
         ).stdout
         for seed in ("1", "2")
     }
-    assert len(found) == 1
+    assert len(texts) == 1
 
 
 def test_terms_that_cancel_under_a_function_do_not_end_the_search_for_a_writing():

@@ -12,10 +12,10 @@ CLUSTER = "r"
 
 
 def counted(bus: MeteredBus) -> dict[str, tuple[int, int, int, int]]:
-    def numbers(each: Traffic) -> tuple[int, int, int, int]:
-        return each.messages_in, each.bytes_in, each.messages_out, each.bytes_out
+    def numbers(traffic: Traffic) -> tuple[int, int, int, int]:
+        return traffic.messages_in, traffic.bytes_in, traffic.messages_out, traffic.bytes_out
 
-    return {each.kind: numbers(each) for each in bus.traffic()}
+    return {traffic.kind: numbers(traffic) for traffic in bus.traffic()}
 
 
 def test_every_key_has_a_kind() -> None:

@@ -101,8 +101,8 @@ def test_a_flood_loses_nothing(router: ZenohBus) -> None:
     number = 4000
 
     def flood(bus: ZenohBus, key: str) -> None:
-        for each in range(number):
-            bus.put(key, each.to_bytes(1000, "big"))
+        for number_sent in range(number):
+            bus.put(key, number_sent.to_bytes(1000, "big"))
 
     with open_client(router.endpoint) as one, open_client(router.endpoint) as two:
         for bus, key in ((one, "flood/1"), (two, "flood/2")):
@@ -225,9 +225,9 @@ def test_a_bus_may_be_closed_while_another_thread_puts(router: ZenohBus) -> None
 def network_listeners() -> set[str]:
     """Return the sockets of this process that listen to a network."""
     mine = set()
-    for each in list(Path("/proc/self/fd").iterdir()):
+    for descriptor in list(Path("/proc/self/fd").iterdir()):
         with suppress(OSError):  # that of the folder itself is closed by now
-            mine.add(str(each.readlink()))
+            mine.add(str(descriptor.readlink()))
     tables = [Path(f"/proc/self/net/{name}").read_text() for name in ("tcp", "tcp6", "udp", "udp6")]
     rows = [row.split() for table in tables for row in table.splitlines()]
     return {row[1] for row in rows if row[3] in ("0A", "07") and f"socket:[{row[9]}]" in mine}

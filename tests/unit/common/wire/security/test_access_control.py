@@ -20,8 +20,8 @@ def may(name: str, flow: Flow, message: str, key: str, role_bindings: RoleBindin
     """Return whether the rules for `name` let this message pass."""
     rules = permissions(name, role_bindings.roles[name])
     return any(
-        each.flow == flow and message in each.messages and any(covers(expression, key) for expression in each.keys)
-        for each in rules
+        rule.flow == flow and message in rule.messages and any(covers(expression, key) for expression in rule.keys)
+        for rule in rules
     )
 
 
@@ -32,7 +32,7 @@ def covers(expression: str, key: str) -> bool:
         wanted, chunks = wanted[:-1], chunks[: len(wanted) - 1]
     if len(wanted) != len(chunks):
         return False
-    return all(fnmatch.fnmatchcase(each, part.replace("$*", "*")) for part, each in zip(wanted, chunks, strict=True))
+    return all(fnmatch.fnmatchcase(word, part.replace("$*", "*")) for part, word in zip(wanted, chunks, strict=True))
 
 
 @pytest.mark.parametrize("process", ["lab1", "lab1-0", "lab1-host-4711-12"])
@@ -102,7 +102,7 @@ def test_everything_else_is_denied_and_every_rule_belongs_to_one_name() -> None:
     assert isinstance(rules, list)
     assert isinstance(policies, list)
     assert len({rule["id"] for rule in rules}) == len(rules)
-    assert sorted(each for policy in policies for each in policy["rules"]) == sorted(rule["id"] for rule in rules)
+    assert sorted(rule for policy in policies for rule in policy["rules"]) == sorted(rule["id"] for rule in rules)
     assert [policy["subjects"] for policy in policies] == [["lab1"], ["lab2"], ["ann"], ["eve"], ["(anybody)"]]
     (anybody,) = [subject for subject in setting["subjects"] if "cert_common_names" not in subject]  # type: ignore[attr-defined]
     assert anybody["id"] == "(anybody)"

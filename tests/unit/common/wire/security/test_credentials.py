@@ -22,13 +22,13 @@ def test_a_coordinator_may_dial_a_router_elsewhere(lab: Lab) -> None:
 
 def test_options_go_before_the_environment_and_all_three_are_needed(lab: Lab) -> None:
     variables = dict(zip(("ATOLL_TLS_CA", "ATOLL_TLS_CERT", "ATOLL_TLS_KEY"), map(str, lab.files("ann")), strict=True))
-    found = credentials_of({"tls_ca": None, "tls_cert": None}, variables, "connect")
-    assert found is not None
-    assert found.name == "ann"
+    credentials = credentials_of({"tls_ca": None, "tls_cert": None}, variables, "connect")
+    assert credentials is not None
+    assert credentials.name == "ann"
     _, certificate, key = map(str, lab.files("bob"))
-    found = credentials_of({"tls_cert": certificate, "tls_key": key}, variables, "connect")
-    assert found is not None
-    assert found.name == "bob"
+    credentials = credentials_of({"tls_cert": certificate, "tls_key": key}, variables, "connect")
+    assert credentials is not None
+    assert credentials.name == "bob"
     assert credentials_of({}, {}, "connect") is None
     with pytest.raises(
         UsageError, match=r"--tls-ca \(or ATOLL_TLS_CA\) and --tls-key \(or ATOLL_TLS_KEY\) is not given"

@@ -74,6 +74,6 @@ def test_what_is_known_of_all_rows_is_not_asked_again_for_each(monkeypatch):
     """It takes as long as all rows: a million of them took hours."""
     asked = []
     known = StateEstimate.is_known.fget
-    monkeypatch.setattr(StateEstimate, "is_known", property(lambda its: asked.append(1) or known(its)))
+    monkeypatch.setattr(StateEstimate, "is_known", property(lambda estimate: asked.append(1) or known(estimate)))
     excluded([np.arange(500.0), np.arange(500.0)], estimate(1000, 21), [3])
     assert len(asked) == 1

@@ -38,31 +38,31 @@ def looked(measured, texts, shown=None):
 
 @pytest.mark.slow
 def test_the_truth_stays_on_the_attractor(measured):
-    found = looked(measured, TRUTH)
-    assert found.is_kept
-    assert found.lyapunov_time == pytest.approx(1.0 / 0.9)
+    seen = looked(measured, TRUTH)
+    assert seen.is_kept
+    assert seen.lyapunov_time == pytest.approx(1.0 / 0.9)
 
 
 @pytest.mark.parametrize("other", ["23*x - x*z - y", "35*x - x*z - y"])
 def test_another_attractor_is_told_by_means_and_variances(measured, other):
-    found = looked(measured, (TRUTH[0], other, TRUTH[2]))
-    assert not found.is_kept
-    assert found.probability < 1e-3
+    seen = looked(measured, (TRUTH[0], other, TRUTH[2]))
+    assert not seen.is_kept
+    assert seen.probability < 1e-3
 
 
 @pytest.mark.slow
 def test_the_way_to_the_attractor_does_not_count():
-    its = measurements_of(prepared(500, 0.01, trajectories=8).recording, [0, 1, 2], piece=50)
-    smoothed, count = its.smoothed.copy(), len(its.times) // 8
+    rows = measurements_of(prepared(500, 0.01, trajectories=8).recording, [0, 1, 2], piece=50)
+    smoothed, count = rows.smoothed.copy(), len(rows.times) // 8
     for first in range(0, 8 * count, count):
         smoothed[:, first : first + count // 2] += 50.0
-    assert looked(replace(its, smoothed=smoothed), TRUTH).is_kept
+    assert looked(replace(rows, smoothed=smoothed), TRUTH).is_kept
 
 
 def test_a_simulation_that_takes_too_many_steps_does_not_run_away(measured):
-    found = looked(measured, TRUTH, ("60000*y", "-60000*x", "-z"))
-    assert (found.is_kept, found.is_unfinished, found.probability) == (False, True, None)
-    assert found.lyapunov_time == pytest.approx(1.0 / 0.9)
+    seen = looked(measured, TRUTH, ("60000*y", "-60000*x", "-z"))
+    assert (seen.is_kept, seen.is_unfinished, seen.probability) == (False, True, None)
+    assert seen.lyapunov_time == pytest.approx(1.0 / 0.9)
 
 
 @pytest.mark.slow
@@ -70,9 +70,9 @@ def test_a_simulation_that_takes_too_many_steps_does_not_run_away(measured):
 def test_ours_has_blocks_enough_to_know_its_variance_however_many_rows_were_measured(monkeypatch, rows):
     """Of 8,000 rows and more a simulation of 4,000 had one block, whose mean was taken for exact."""
     blocks = []
-    monkeypatch.setattr(attractor, "_welch", lambda *both: [blocks.append([each.shape for each in both]) or 1.0])
-    its = measurements_of(prepared(2000, 0.01, trajectories=1).recording, [0, 1, 2], piece=50)
-    looked(several(its, rows // 2000), TRUTH)
+    monkeypatch.setattr(attractor, "_welch", lambda *both: [blocks.append([part.shape for part in both]) or 1.0])
+    measured = measurements_of(prepared(2000, 0.01, trajectories=1).recording, [0, 1, 2], piece=50)
+    looked(several(measured, rows // 2000), TRUTH)
     assert blocks == [[(3, 4), (3, 4)]] * 2
 
 
@@ -114,7 +114,7 @@ def compared(monkeypatch):
         return asked.pop(), [means.pop(0), means.pop(0)]
 
     monkeypatch.setattr(attractor, "_simulated", simulated)
-    monkeypatch.setattr(attractor, "_welch", lambda *both: [means.append([each.tolist() for each in both]) or 1.0])
+    monkeypatch.setattr(attractor, "_welch", lambda *both: [means.append([part.tolist() for part in both]) or 1.0])
     return of
 
 
@@ -133,28 +133,28 @@ def test_of_many_trajectories_later_halves_are_compared(compared):
 
 @pytest.mark.parametrize(("lengths", "asked"), [((18_000,), (18_000, 5)), ((100, 2, 2, 2), (200, 1))])
 def test_a_simulation_is_as_long_as_four_blocks(compared, lengths, asked):
-    its, ((ours, _), _) = compared(*lengths)
-    assert its[:2] == asked
+    judgement, ((ours, _), _) = compared(*lengths)
+    assert judgement[:2] == asked
     assert len(ours[0]) == 4
 
 
-def several(its, count):
+def several(rows, count):
     """Return the same rows again and again, as if they were of one trajectory."""
     numbers = ("measured", "weights", "smoothed", "inputs", "input_slopes")
-    ends = np.arange(count)[:, None, None] * its.rows
+    ends = np.arange(count)[:, None, None] * rows.rows
     return replace(
-        its,
-        bounds=(ends + its.bounds).reshape(-1, 2),
-        owners=np.tile(its.owners, count),
-        times=0.01 * np.arange(float(count * its.rows)),
+        rows,
+        bounds=(ends + rows.bounds).reshape(-1, 2),
+        owners=np.tile(rows.owners, count),
+        times=0.01 * np.arange(float(count * rows.rows)),
         inverse_variances=None,
-        **{name: np.tile(getattr(its, name), count) for name in numbers},
+        **{name: np.tile(getattr(rows, name), count) for name in numbers},
     )
 
 
 def test_a_simulation_that_runs_away_is_not_kept(measured):
-    found = looked(measured, ("0.3*x", "0.3*y", "0.3*z"))
-    assert (found.is_kept, found.probability) == (False, None)
+    seen = looked(measured, ("0.3*x", "0.3*y", "0.3*z"))
+    assert (seen.is_kept, seen.probability) == (False, None)
 
 
 def test_the_verdict_says_in_which_time_errors_grow_and_refuses_what_is_not_kept():
@@ -221,6 +221,6 @@ def test_what_is_simulated_in_the_place_of_measurements_was_not_measured(measure
 def test_the_level_is_shared_by_means_and_variances_of_all_states(monkeypatch, measured):
     """0.01 over six comparisons."""
     for probability, is_kept in ((0.0018, True), (0.0015, False)):
-        monkeypatch.setattr(attractor, "_welch", lambda *_, its=probability: [1.0, its, 0.5])
-        found = looked(measured, TRUTH)
-        assert (found.is_kept, found.probability) == (is_kept, probability)
+        monkeypatch.setattr(attractor, "_welch", lambda *_, level=probability: [1.0, level, 0.5])
+        seen = looked(measured, TRUTH)
+        assert (seen.is_kept, seen.probability) == (is_kept, probability)

@@ -81,12 +81,14 @@ def is_near(known, refinement, **truths):
 
     draw = np.random.default_rng(5).uniform(0.5, 2.0, (len(known.names), 20))
     for name, text in truths.items():
-        truth, its = values_of(known.parsed(text), draw), refinement.equations[name]
-        if not np.allclose(values_of(its.program, draw), truth, rtol=0.05, atol=0.05 * truth.std()):
+        truth, equation = values_of(known.parsed(text), draw), refinement.equations[name]
+        if not np.allclose(values_of(equation.program, draw), truth, rtol=0.05, atol=0.05 * truth.std()):
             return False
         sizes = np.abs(known.parsed(text).constants[constant_places(known.parsed(text))])
-        constants = [*its.constants, *(each.constant for each in its.unit_coefficients)]
-        if not all(min(abs(abs(each.fitted) - np.append(sizes, 1.0))) < 5.0 * each.std_error for each in constants):
+        constants = [*equation.constants, *(coefficient.constant for coefficient in equation.unit_coefficients)]
+        if not all(
+            min(abs(abs(constant.fitted) - np.append(sizes, 1.0))) < 5.0 * constant.std_error for constant in constants
+        ):
             return False
     return True
 
@@ -115,35 +117,35 @@ def test_the_threads_of_a_refinement_have_ended_with_it(monkeypatch):
     monkeypatch.setattr(ThreadPoolExecutor, "__init__", recorded)
     assert refined(DECAY, [[1.0], [2.0]], {"x": ("x",)}, config=JobConfig(space=NO_LIBRARIES)).equations
     assert executors
-    for each in executors:
+    for executor in executors:
         with pytest.raises(RuntimeError, match="shutdown"):
-            each.submit(int)
+            executor.submit(int)
 
 
 def test_their_verdict_is_good(noisy):
-    for its in noisy.equations.values():
-        assert its.grade == "good"
-        assert "like the noise" in its.reason
+    for equation in noisy.equations.values():
+        assert equation.grade == "good"
+        assert "like the noise" in equation.reason
 
 
 def test_the_deviation_is_that_of_what_was_measured_and_counts():
-    its = measurements(DECAY, [[2.0]], TIMES, noise=0.3)
-    its.weights[0, :5] = 0.0
-    its.measured[0, :5] = np.nan
-    assert _standard_deviation(its, 0) == pytest.approx(its.measured[0, 5:].std())
-    assert _standard_deviation(its, 0) != pytest.approx(float(its.scales[0]))
+    rows = measurements(DECAY, [[2.0]], TIMES, noise=0.3)
+    rows.weights[0, :5] = 0.0
+    rows.measured[0, :5] = np.nan
+    assert _standard_deviation(rows, 0) == pytest.approx(rows.measured[0, 5:].std())
+    assert _standard_deviation(rows, 0) != pytest.approx(float(rows.scales[0]))
 
 
 def test_an_elaboration_of_the_equation_is_no_rival():
     programs = [DECAY.parsed(text) for text in ("-0.5*x", "-0.5*x + 0.1", "-0.4*sin(x)", "-0.5*x")]
-    shown, *others = (Alternative(each, 1.0, 0.9, is_shown=not rank) for rank, each in enumerate(programs))
+    shown, *others = (Alternative(equation, 1.0, 0.9, is_shown=not rank) for rank, equation in enumerate(programs))
     assert _no_elaborations(shown.program, [shown, *others]) == others[1:]
 
 
 def test_fitted_constants_have_intervals_around_them(noisy):
-    for its in noisy.equations.values():
-        assert len(its.constants) == len(constant_places(its.program))
-        for constant in its.constants:
+    for equation in noisy.equations.values():
+        assert len(equation.constants) == len(constant_places(equation.program))
+        for constant in equation.constants:
             low, high = constant.interval
             assert low < constant.value < high
             assert low < constant.fitted < high
@@ -151,37 +153,41 @@ def test_fitted_constants_have_intervals_around_them(noisy):
 
 
 def test_the_equation_shown_is_the_first_contender_and_the_others_are_longer(noisy):
-    for its in noisy.equations.values():
-        first, *others = its.alternatives
-        assert (first.program, first.nats, first.is_shown) == (its.program, 0.0, True)
+    for equation in noisy.equations.values():
+        first, *others = equation.alternatives
+        assert (first.program, first.nats, first.is_shown) == (equation.program, 0.0, True)
         assert others
-        assert [each.nats for each in others] == sorted(each.nats for each in others)
-        assert not any(each.is_shown for each in others)
-        assert all(each.r2 <= 1.0 for each in its.alternatives)
+        assert [other.nats for other in others] == sorted(other.nats for other in others)
+        assert not any(other.is_shown for other in others)
+        assert all(alternative.r2 <= 1.0 for alternative in equation.alternatives)
 
 
 def test_held_out_trajectories_are_simulated_and_judged(noisy):
-    assert [each.held_out for each in noisy.simulation.trajectories] == [False, False, False, True]
-    assert all(r2 > 0.8 for each in noisy.simulation.trajectories for r2 in each.r2)
-    assert all(each.is_cross_validated is False for its in noisy.equations.values() for each in its.alternatives)
-    for index, its in enumerate(noisy.equations.values()):
-        assert its.alternatives[0].held_out_r2 == noisy.simulation.trajectories[-1].r2[index]
+    assert [trajectory.held_out for trajectory in noisy.simulation.trajectories] == [False, False, False, True]
+    assert all(r2 > 0.8 for trajectory in noisy.simulation.trajectories for r2 in trajectory.r2)
+    assert all(
+        alternative.is_cross_validated is False
+        for equation in noisy.equations.values()
+        for alternative in equation.alternatives
+    )
+    for index, refinement in enumerate(noisy.equations.values()):
+        assert refinement.alternatives[0].held_out_r2 == noisy.simulation.trajectories[-1].r2[index]
 
 
 def test_simulations_have_bands_that_hold_the_true_curve(noisy):
     assert noisy.simulation.states == ("x", "y")
-    for start, its in zip(LOTKA_STARTS, noisy.simulation.trajectories, strict=True):
-        assert its.errors.shape == its.values.shape == (2, 40)
+    for start, refinement in zip(LOTKA_STARTS, noisy.simulation.trajectories, strict=True):
+        assert refinement.errors.shape == refinement.values.shape == (2, 40)
         truth = LOTKA.values(start, TIMES)
-        assert (np.abs(its.values - truth) <= 4.5 * its.errors).mean() > 0.95
+        assert (np.abs(refinement.values - truth) <= 4.5 * refinement.errors).mean() > 0.95
 
 
 def test_bands_and_intervals_have_the_same_quantile(noisy):
     quantiles = [
-        (each.interval[1] - each.fitted) / each.std_error
-        for its in noisy.equations.values()
-        for each in its.constants
-        if each.interval is not None
+        (constant.interval[1] - constant.fitted) / constant.std_error
+        for equation in noisy.equations.values()
+        for constant in equation.constants
+        if constant.interval is not None
     ]
     assert quantiles == pytest.approx([noisy.simulation.quantile] * len(quantiles), rel=1e-6)
     assert 1.97 < noisy.simulation.quantile < 1.98  # 240 numbers less 10
@@ -191,19 +197,23 @@ def test_two_refinements_are_the_same_to_the_bit():
     def programs():
         pool = {"x": ("y",), "y": ("-x", "-1.9*x - 0.35*y")}
         config = JobConfig(space=NO_LIBRARIES)
-        its = refined(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), pool, noise=0.03, seed=102, config=config)
-        return [(each.program, each.constants, each.alternatives) for each in its.equations.values()]
+        refinement = refined(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), pool, noise=0.03, seed=102, config=config)
+        return [
+            (equation.program, equation.constants, equation.alternatives) for equation in refinement.equations.values()
+        ]
 
     assert programs() == programs()
 
 
 def test_clean_equations_are_exact():
     pool = {"x": ("y",), "y": ("-x", "-1.9*x - 0.35*y")}
-    its = refined(SWING, ([1.0, 2.0], [0.5, -1.0]), pool, config=JobConfig(space=NO_LIBRARIES))
-    assert is_same(SWING, its, x="y", y="-2.0*x - 0.3*y")
-    assert [each.grade for each in its.equations.values()] == ["exact", "exact"]
-    assert its.warnings == ()
-    assert all(r2 == pytest.approx(1.0, abs=1e-9) for each in its.simulation.trajectories for r2 in each.r2)
+    refinement = refined(SWING, ([1.0, 2.0], [0.5, -1.0]), pool, config=JobConfig(space=NO_LIBRARIES))
+    assert is_same(SWING, refinement, x="y", y="-2.0*x - 0.3*y")
+    assert [equation.grade for equation in refinement.equations.values()] == ["exact", "exact"]
+    assert refinement.warnings == ()
+    assert all(
+        r2 == pytest.approx(1.0, abs=1e-9) for trajectory in refinement.simulation.trajectories for r2 in trajectory.r2
+    )
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
@@ -211,70 +221,70 @@ def test_what_was_fitted_to_fewer_rows_is_simulated_along_all(monkeypatch, noise
     """As constants of dozens of states are; here those of one trajectory of two."""
     monkeypatch.setattr(piece_lengths, "SETTINGS", settings("selection", fitted_sensitivities=50))
     config = JobConfig(space=NO_LIBRARIES)
-    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, config=config, noise=noise, seed=108)
-    assert its.warnings == ()
-    assert [each.values.shape for each in its.simulation.trajectories] == [(1, 40), (1, 40)]
-    for start, each in zip(([1.0], [-2.0]), its.simulation.trajectories, strict=True):
-        assert each.errors.shape == (1, 40)
-        assert (np.abs(each.values - DECAY.values(start, TIMES)) <= 4.5 * each.errors + 1e-9).all()
+    refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, config=config, noise=noise, seed=108)
+    assert refinement.warnings == ()
+    assert [trajectory.values.shape for trajectory in refinement.simulation.trajectories] == [(1, 40), (1, 40)]
+    for start, equation in zip(([1.0], [-2.0]), refinement.simulation.trajectories, strict=True):
+        assert equation.errors.shape == (1, 40)
+        assert (np.abs(equation.values - DECAY.values(start, TIMES)) <= 4.5 * equation.errors + 1e-9).all()
 
 
 def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypatch):
     monkeypatch.setattr(conclusion, "round_system", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
-    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
-    (constant,) = its.equations["x"].constants
+    refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
+    (constant,) = refinement.equations["x"].constants
     assert constant.value == pytest.approx(constant.fitted, abs=0.1 * constant.std_error)
-    assert its.simulation is not None
+    assert refinement.simulation is not None
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("text", ["-0.4*x", "x/(-2.5)"])
 def test_the_member_of_the_front_it_was_made_of_is_told_however_it_was_written(text):
-    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("x", text)}, noise=0.02, seed=108)
-    assert is_near(DECAY, its, x="-0.5*x")
-    assert its.equations["x"].member == 1
+    refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("x", text)}, noise=0.02, seed=108)
+    assert is_near(DECAY, refinement, x="-0.5*x")
+    assert refinement.equations["x"].member == 1
 
 
 @pytest.mark.slow
 def test_what_the_pool_lacks_is_found_nearby():
     """The damping is missing from all that was handed on, and there are no libraries without sums."""
     starts = ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0])
-    its = refined(SWING, starts, {"x": ("y",), "y": ("-1.9*x",)}, noise=0.02, seed=103)
-    assert is_near(SWING, its, x="y", y="-2.0*x - 0.3*y")
-    assert its.equations["y"].member is None
+    refinement = refined(SWING, starts, {"x": ("y",), "y": ("-1.9*x",)}, noise=0.02, seed=103)
+    assert is_near(SWING, refinement, x="y", y="-2.0*x - 0.3*y")
+    assert refinement.equations["y"].member is None
 
 
 def test_where_nothing_can_be_simulated_the_fit_to_derivatives_stays():
     """Only functions that explode are handed on, and nothing may be added to them."""
     config = JobConfig(space=SpaceConfig(operators=("exp", "*")))
     pool = {"x": ("exp(9.0*x*x)",), "y": ("exp(9.0*y*y)*exp(3.0*x)",)}
-    its = refined(LOTKA, LOTKA_STARTS[:2], pool, noise=0.05, config=config)
-    assert its.warnings == (NOT_SIMULATED,)
-    assert its.simulation is None
-    assert all(each.alternatives == () and each.grade is None for each in its.equations.values())
-    assert all(math.isfinite(each.error) for each in its.equations.values())
+    refinement = refined(LOTKA, LOTKA_STARTS[:2], pool, noise=0.05, config=config)
+    assert refinement.warnings == (NOT_SIMULATED,)
+    assert refinement.simulation is None
+    assert all(equation.alternatives == () and equation.grade is None for equation in refinement.equations.values())
+    assert all(math.isfinite(equation.error) for equation in refinement.equations.values())
 
 
 @pytest.mark.slow
 def test_a_known_equation_stays_as_it_is_given():
     config = JobConfig(space=ARITHMETIC, prior=PriorConfig(known={"y": "2.0013*y - x*y - 0.9991*y*y"}))
     pool = {"x": LOTKA_POOL["x"]}
-    its = refined(LOTKA, LOTKA_STARTS[:3], pool, noise=0.02, seed=104, config=config)
-    known = its.equations["y"]
+    refinement = refined(LOTKA, LOTKA_STARTS[:3], pool, noise=0.02, seed=104, config=config)
+    known = refinement.equations["y"]
     assert sorted(np.abs(known.program.constants[constant_places(known.program)]).tolist()) == [0.9991, 2.0013]
-    assert all(each.fitted is None and each.interval is None for each in known.constants)
+    assert all(constant.fitted is None and constant.interval is None for constant in known.constants)
     assert len(known.alternatives) == 1
-    assert is_near(LOTKA, its, x="3*x - 2*x*y - x**2")
+    assert is_near(LOTKA, refinement, x="3*x - 2*x*y - x**2")
 
 
 @pytest.mark.slow
 def test_only_allowed_operators_and_variables_come_in():
     all_of_them = ("+", "-", "*", "sin", "cos")
     space = SpaceConfig(operators=all_of_them, operators_of={"x": ("+", "-")}, variables_of={"y": ("y",)})
-    its = refined(LOTKA, LOTKA_STARTS[:2], {"x": ("x",), "y": ("y",)}, noise=0.05, config=JobConfig(space=space))
-    codes = set(its.equations["x"].program.operators.tolist())
+    refinement = refined(LOTKA, LOTKA_STARTS[:2], {"x": ("x",), "y": ("y",)}, noise=0.05, config=JobConfig(space=space))
+    codes = set(refinement.equations["x"].program.operators.tolist())
     assert codes <= {0, 1, *(BY_NAME[name].code for name in ("+", "-", "neg"))}
-    y = its.equations["y"].program
+    y = refinement.equations["y"].program
     assert set(y.left[y.operators == 0].tolist()) <= {1}
 
 
@@ -282,15 +292,17 @@ def test_only_allowed_operators_and_variables_come_in():
 def test_no_equation_is_larger_than_allowed():
     """Neither candidates nor libraries nor what the descent makes of them."""
     config = JobConfig(space=SpaceConfig(max_size=5))
-    its = refined(LOTKA, LOTKA_STARTS[:2], LOTKA_POOL, noise=0.05, seed=106, config=config)
-    assert its.simulation is not None
-    assert all(len(each.program) <= 5 for each in its.equations.values())
+    refinement = refined(LOTKA, LOTKA_STARTS[:2], LOTKA_POOL, noise=0.05, seed=106, config=config)
+    assert refinement.simulation is not None
+    assert all(len(equation.program) <= 5 for equation in refinement.equations.values())
 
 
 def test_a_measured_input_is_part_of_the_model():
     config = JobConfig(space=NO_LIBRARIES, data=DataConfig(inputs=("u",)))
-    its = refined(DRIVEN, ([2.0], [-1.0]), {"x": ("-0.5*x", "1.2*u - 0.5*x")}, noise=0.03, seed=105, config=config)
-    assert is_near(DRIVEN, its, x="1.5*u - 0.8*x")
+    refinement = refined(
+        DRIVEN, ([2.0], [-1.0]), {"x": ("-0.5*x", "1.2*u - 0.5*x")}, noise=0.03, seed=105, config=config
+    )
+    assert is_near(DRIVEN, refinement, x="1.5*u - 0.8*x")
 
 
 def test_with_order_2_positions_alone_are_measured():
@@ -298,11 +310,11 @@ def test_with_order_2_positions_alone_are_measured():
     whole = table(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), TIMES, 0.01, 106)
     config = JobConfig(space=NO_LIBRARIES, data=DataConfig(order=2, states=("x",)))
     preparation = prepare(whole, config)
-    its = refine_all(preparation, config, pools(preparation, x=("-1.5*x", "-1.5*x - 0.1*x_dot")))
+    refinement = refine_all(preparation, config, pools(preparation, x=("-1.5*x", "-1.5*x - 0.1*x_dot")))
     positions = Known(("x", "x_dot"), SWING.rates)
-    assert is_near(positions, its, x="-2.0*x - 0.3*x_dot")
-    assert its.simulation.states == ("x",)
-    assert all(each.values.shape == (1, 40) for each in its.simulation.trajectories)
+    assert is_near(positions, refinement, x="-2.0*x - 0.3*x_dot")
+    assert refinement.simulation.states == ("x",)
+    assert all(trajectory.values.shape == (1, 40) for trajectory in refinement.simulation.trajectories)
 
 
 @pytest.mark.parametrize(("system", "start", "candidates"), [
@@ -314,46 +326,48 @@ def test_a_trajectory_longer_than_what_is_simulated_at_a_stretch_is_no_chaos(mon
     """Where errors shrink, or grow as slowly as those of a phase do, initial states are of use however long it is."""
     if system is SWING:  # known by its errors alone
         monkeypatch.setattr(conclusion, "_fits_in_whole", lambda _: None)
-    its = refined(system, [start], candidates, times=0.03 * np.arange(700.0), noise=0.05, config=NOTHING_ELSE)
+    refinement = refined(system, [start], candidates, times=0.03 * np.arange(700.0), noise=0.05, config=NOTHING_ELSE)
     assert SETTINGS.shooting.piece < 700
-    assert its.chaos is None
+    assert refinement.chaos is None
 
 
 @pytest.mark.parametrize(("noise", "grades"), [(0.0, {"exact"}), (0.01, {"good"})])
 def test_growth_that_was_measured_to_go_on_is_no_doubt(noise, grades):
     """Begun from the middle of what was measured it leads far beyond; that is what growth is, and no chaos."""
     growth = Known(("x",), lambda _, z: [0.3 * z[0]])
-    its = refined(growth, ([1.0],), {"x": ("0.3*x",)}, noise=noise, times=0.1 * np.arange(100.0), config=NOTHING_ELSE)
-    assert {each.grade for each in its.equations.values()} == grades
-    assert its.chaos is None
-    assert all(each.prediction.followed == each.prediction.starts for each in its.equations.values())
+    refinement = refined(
+        growth, ([1.0],), {"x": ("0.3*x",)}, noise=noise, times=0.1 * np.arange(100.0), config=NOTHING_ELSE
+    )
+    assert {equation.grade for equation in refinement.equations.values()} == grades
+    assert refinement.chaos is None
+    assert all(equation.prediction.followed == equation.prediction.starts for equation in refinement.equations.values())
 
 
 def test_what_is_missing_in_the_long_run_alone_is_a_doubt():
     """Along 500 rows, a sixth of a period, the damping is less than noise; in the long run nothing is left."""
     slow = Known(("x", "v"), lambda _, z: [z[1], -z[0] - 0.05 * z[1]])
     times, wrong = 0.002 * np.arange(15_000.0), {"x": ("v",), "v": ("-x",)}
-    its = refined(slow, [[1.0, 0.0]], wrong, times=times, noise=0.05, config=NOTHING_ELSE)
-    assert is_same(slow, its, x="v", v="-x")
-    assert {each.grade for each in its.equations.values()} == {"doubtful"}
-    assert all("pieces of 500 rows and not whole" in each.reason for each in its.equations.values())
+    refinement = refined(slow, [[1.0, 0.0]], wrong, times=times, noise=0.05, config=NOTHING_ELSE)
+    assert is_same(slow, refinement, x="v", v="-x")
+    assert {equation.grade for equation in refinement.equations.values()} == {"doubtful"}
+    assert all("pieces of 500 rows and not whole" in equation.reason for equation in refinement.equations.values())
 
 
 def test_a_model_that_describes_whole_trajectories_is_said_to_be_tested_on_them():
-    its = refined(SWING, [[4.0, 0.0]], {"x": ("y",), "y": ("-2*x - 0.3*y",)}, times=0.03 * np.arange(700.0), noise=0.05,
-                  config=NOTHING_ELSE)  # fmt: skip
-    assert {each.grade for each in its.equations.values()} == {"good"}
-    assert any("the model describes whole ones, too" in warning for warning in its.warnings)
+    pool = {"x": ("y",), "y": ("-2*x - 0.3*y",)}
+    refinement = refined(SWING, [[4.0, 0.0]], pool, times=0.03 * np.arange(700.0), noise=0.05, config=NOTHING_ELSE)
+    assert {equation.grade for equation in refinement.equations.values()} == {"good"}
+    assert any("the model describes whole ones, too" in warning for warning in refinement.warnings)
 
 
 @pytest.mark.slow
 def test_a_conservative_system_is_followed_for_hundreds_of_periods():
     """Errors of integration add up; a model without a constant to fit has nothing that could make up for them."""
     pendulum = Known(("x", "v"), lambda _, z: [z[1], -np.sin(z[0])])
-    its = refined(pendulum, [[2.5, 0.0]], {"x": ("v",), "v": ("-sin(x)",)}, times=0.05 * np.arange(12_500.0),
+    refinement = refined(pendulum, [[2.5, 0.0]], {"x": ("v",), "v": ("-sin(x)",)}, times=0.05 * np.arange(12_500.0),
                   noise=0.05, config=NOTHING_ELSE)  # fmt: skip
-    assert {each.grade for each in its.equations.values()} == {"good"}
-    assert its.chaos is None
+    assert {equation.grade for equation in refinement.equations.values()} == {"good"}
+    assert refinement.chaos is None
 
 
 @pytest.mark.slow
@@ -361,10 +375,10 @@ def test_a_driven_model_that_may_be_chaotic_is_not_asked_to_fit_in_whole():
     """Where there are inputs, chaos is not looked for."""
     wave = (lambda t: 0.4 * np.cos(1.2 * t), lambda t: -0.48 * np.sin(1.2 * t))
     duffing = Known(("x", "v"), lambda t, z: [z[1], z[0] - z[0] ** 3 - 0.15 * z[1] + wave[0](t)], {"w": wave})
-    its = refined(duffing, [[1.0, 0.0]], {"x": ("v",), "v": ("x - x*x*x - 0.15*v + w",)},
+    refinement = refined(duffing, [[1.0, 0.0]], {"x": ("v",), "v": ("x - x*x*x - 0.15*v + w",)},
                   times=0.05 * np.arange(5000.0), noise=0.02,
                   config=JobConfig(space=NO_LIBRARIES, data=DataConfig(states=("x", "v"), inputs=("w",))))  # fmt: skip
-    assert not any("whole trajectories" in each.reason for each in its.equations.values())
+    assert not any("whole trajectories" in equation.reason for equation in refinement.equations.values())
 
 
 def test_what_the_time_did_not_allow_to_try_is_no_doubt(monkeypatch):
@@ -394,15 +408,17 @@ TURNING = Known(("x", "v"), lambda _, z: [z[1], -z[0]])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("rows", "found"), [(5, ("0.79*v", "-1.05*x")), (6, ("v", "-0.99998*x"))])
-def test_few_rows_a_period_are_not_described_by_what_differentiation_errs_by(monkeypatch, rows, found):
+@pytest.mark.parametrize(("rows", "equations"), [(5, ("0.79*v", "-1.05*x")), (6, ("v", "-0.99998*x"))])
+def test_few_rows_a_period_are_not_described_by_what_differentiation_errs_by(monkeypatch, rows, equations):
     """Derivatives are wrong by a factor there, and what smoothing takes for noise allowed steps that need terms."""
     monkeypatch.setattr(joint_search, "_compared", lambda *_, **__: pytest.fail("the converged equations are exact"))
     times = 2.0 * math.pi / rows * np.arange(120.0)
     preparation = prepare(table(TURNING, ([1.0, 0.0],), times), JobConfig(space=ARITHMETIC))
-    its = refine_all(preparation, JobConfig(space=ARITHMETIC), pools(preparation, x=found[:1], v=found[1:]))
-    assert [to_infix(each.program, TURNING.names) for each in its.equations.values()] == ["v", "-x"]
-    assert {each.grade for each in its.equations.values()} <= {"good", "exact"}
+    refinement = refine_all(
+        preparation, JobConfig(space=ARITHMETIC), pools(preparation, x=equations[:1], v=equations[1:])
+    )
+    assert [to_infix(equation.program, TURNING.names) for equation in refinement.equations.values()] == ["v", "-x"]
+    assert {equation.grade for equation in refinement.equations.values()} <= {"good", "exact"}
 
 
 @pytest.mark.slow
@@ -410,18 +426,20 @@ def test_an_equation_through_four_points_is_no_law():
     """Four rows a period are four measurements, again and again, and any odd function of v leads through them."""
     times = 0.5 * math.pi * np.arange(80.0)
     preparation = prepare(table(TURNING, ([1.0, 0.0],), times), JobConfig(space=ARITHMETIC))
-    its = refine_all(preparation, JobConfig(space=ARITHMETIC), pools(preparation, x=("v",), v=("-x",)))
-    assert {each.grade for each in its.equations.values()} == {"doubtful"}
-    assert all("the rows repeat 4 measurements" in each.reason.lower() for each in its.equations.values())
+    refinement = refine_all(preparation, JobConfig(space=ARITHMETIC), pools(preparation, x=("v",), v=("-x",)))
+    assert {equation.grade for equation in refinement.equations.values()} == {"doubtful"}
+    assert all(
+        "the rows repeat 4 measurements" in equation.reason.lower() for equation in refinement.equations.values()
+    )
 
 
 @pytest.mark.slow
 def test_errors_of_integration_have_no_terms_where_few_rows_are_taken_for_noisy():
     eight = table(DECAY, ([3.0],), np.arange(8.0))
     preparation = prepare(eight, JobConfig())
-    its = refine_all(preparation, JobConfig(), pools(preparation, x=("-0.5*x", "0.001 - 0.5*x"))).equations["x"]
+    refinement = refine_all(preparation, JobConfig(), pools(preparation, x=("-0.5*x", "0.001 - 0.5*x"))).equations["x"]
     assert preparation.recording.smoothing[0].relative_noise > SETTINGS.selection.least_noise
-    assert (to_infix(its.program, ("x",)), its.grade) == ("-0.5*x", "good")
+    assert (to_infix(refinement.program, ("x",)), refinement.grade) == ("-0.5*x", "good")
 
 
 @pytest.mark.slow
@@ -434,11 +452,11 @@ def test_of_functions_that_are_one_at_all_measured_values_of_an_input_the_shorte
     whole.columns[1:] = np.array([filled, u])
     config = JobConfig(space=SpaceConfig(operators=("+", "*", "/")), data=DataConfig(inputs=("u",)))
     preparation = prepare(whole, config)
-    its = refine_all(preparation, config, pools(preparation, x=("2.0*u", "2.2*u/(0.1 + u*u)"))).equations["x"]
-    (coefficient,) = its.constants
-    assert to_infix(its.program, ("x", "u")).endswith("*u")
+    refinement = refine_all(preparation, config, pools(preparation, x=("2.0*u", "2.2*u/(0.1 + u*u)"))).equations["x"]
+    (coefficient,) = refinement.constants
+    assert to_infix(refinement.program, ("x", "u")).endswith("*u")
     assert coefficient.value == pytest.approx(2.0, rel=0.05)
-    assert its.grade != "exact"
+    assert refinement.grade != "exact"
 
 
 def test_data_without_a_law_get_no_good_verdict():
@@ -446,14 +464,19 @@ def test_data_without_a_law_get_no_good_verdict():
     noise = table(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES)
     noise.columns[1:] = draw.standard_normal(noise.columns[1:].shape)
     preparation = prepare(noise, JobConfig(space=ARITHMETIC))
-    its = refine_all(preparation, JobConfig(space=ARITHMETIC), pools(preparation, x=("y",), y=("x",)))
-    assert {each.grade for each in its.equations.values()} <= {"no model", "doubtful", None}
+    refinement = refine_all(preparation, JobConfig(space=ARITHMETIC), pools(preparation, x=("y",), y=("x",)))
+    assert {equation.grade for equation in refinement.equations.values()} <= {"no model", "doubtful", None}
 
 
 def test_every_equation_says_where_it_comes_from(noisy):
-    for its in noisy.equations.values():
-        assert its.origin == its.alternatives[0].origin
-        assert {each.origin for each in its.alternatives} <= {"front", "runner-up", "library", "descent"}
+    for equation in noisy.equations.values():
+        assert equation.origin == equation.alternatives[0].origin
+        assert {alternative.origin for alternative in equation.alternatives} <= {
+            "front",
+            "runner-up",
+            "library",
+            "descent",
+        }
 
 
 def test_origins_are_told_by_structure():
@@ -498,36 +521,40 @@ def test_when_the_time_is_over_the_best_so_far_is_shown_and_that_is_said(seconds
     """From a deadline that is over at once to one that is over amid the search: equations, and a sentence."""
     config = JobConfig(space=ARITHMETIC)
     preparation = prepare(table(LOTKA, LOTKA_STARTS, TIMES, 0.02, 0), config)
-    its = refine_all(preparation, config, pools(preparation, **LOTKA_POOL), Deadline(seconds, _Counted()))
-    assert its.end == "max-time"
-    assert any("--max-time" in warning for warning in its.warnings)
-    assert NOT_SIMULATED not in its.warnings
-    assert set(its.equations) == {"x", "y"}
+    refinement = refine_all(preparation, config, pools(preparation, **LOTKA_POOL), Deadline(seconds, _Counted()))
+    assert refinement.end == "max-time"
+    assert any("--max-time" in warning for warning in refinement.warnings)
+    assert NOT_SIMULATED not in refinement.warnings
+    assert set(refinement.equations) == {"x", "y"}
 
 
 def test_a_deadline_that_is_not_reached_changes_nothing():
     config = JobConfig(space=NO_LIBRARIES)
     preparation = prepare(table(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, 0.02, 0), config)
     pool = pools(preparation, x=("y",), y=("-x", "-1.9*x - 0.35*y"))
-    its, other = refine_all(preparation, config, pool, Deadline(1e9)), refine_all(preparation, config, pool)
-    assert its.end == "finished"
-    assert its.warnings == other.warnings
-    assert [each.program for each in its.equations.values()] == [each.program for each in other.equations.values()]
+    refinement, other = refine_all(preparation, config, pool, Deadline(1e9)), refine_all(preparation, config, pool)
+    assert refinement.end == "finished"
+    assert refinement.warnings == other.warnings
+    assert [equation.program for equation in refinement.equations.values()] == [
+        equation.program for equation in other.equations.values()
+    ]
 
 
 def test_what_is_shown_is_fitted_once_where_no_factor_of_one_is_refuted(monkeypatch):
     shown = []
     show = conclusion._show
     monkeypatch.setattr(conclusion, "_show", lambda *given: shown.append(given) or show(*given))
-    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
-    assert its.simulation is not None
+    refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
+    assert refinement.simulation is not None
     assert len(shown) == 1
 
 
 def test_a_pole_within_the_data_is_said(monkeypatch):
     monkeypatch.setattr(conclusion, "find_poles", lambda *_: [DECAY.parsed("x - 0.5")])
-    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
-    assert its.warnings == ("The equation of x has a pole within the region that was measured, where x - 0.5 is 0.",)
+    refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
+    assert refinement.warnings == (
+        "The equation of x has a pole within the region that was measured, where x - 0.5 is 0.",
+    )
 
 
 def test_an_equation_whose_simulation_passes_a_pole_is_doubtful(monkeypatch):
@@ -536,41 +563,43 @@ def test_an_equation_whose_simulation_passes_a_pole_is_doubtful(monkeypatch):
     monkeypatch.setattr(
         conclusion, "find_poles", lambda program, *lines: looked.append(lines) or [program][: len(lines) - 1]
     )
-    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
-    assert its.equations["x"].grade == "doubtful"
-    assert "passes a pole" in its.equations["x"].reason
+    refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
+    assert refinement.equations["x"].grade == "doubtful"
+    assert "passes a pole" in refinement.equations["x"].reason
     first, last = looked[0]
     assert first.shape == last.shape == (1, 78)
     assert first[:, 1:39] == pytest.approx(last[:, :38])
 
 
 def test_a_factor_that_is_one_as_rounded_is_left_out():
-    its = compare(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
-    near = its.fit_model([from_infix(text, SWING.names) for text in ("1.001*y", "-2.1*x - 0.3*y")])
+    comparison = compare(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
+    near = comparison.fit_model([from_infix(text, SWING.names) for text in ("1.001*y", "-2.1*x - 0.3*y")])
     assert near is not None
-    fit = fit_starts(its, (from_infix("1.0*y", SWING.names), near.programs[1]), near.fit)
+    fit = fit_starts(comparison, (from_infix("1.0*y", SWING.names), near.programs[1]), near.fit)
     assert fit is not None
-    shown = _show(its, near, near.programs)
+    shown = _show(comparison, near, near.programs)
     assert shown is not None
     rounded = replace(shown.rounded, programs=fit.system.programs)
-    shown = replace(shown, rounded=rounded, fit=its.measure(fit))
+    shown = replace(shown, rounded=rounded, fit=comparison.measure(fit))
     task = SimpleNamespace(dataset=SimpleNamespace(inputs=np.ones((2, 3))), may_be_shown=lambda _: True)
-    after = _shortened(task, its, near, shown)
+    after = _shortened(task, comparison, near, shown)
     assert SWING.text(after.rounded.programs[0]) == "y"
-    assert _shortened(task, its, near, after) is after
+    assert _shortened(task, comparison, near, after) is after
 
 
 def test_constants_are_shown_within_their_intervals(monkeypatch):
     """Where intervals are narrower than what constants are rounded by, a simple number does not take their place."""
-    its = compare(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
-    near = its.fit_model([from_infix(text, SWING.names) for text in ("1.1*y", "-2.1*x - 0.3*y")])
-    shown = _show(its, near, near.programs)
+    comparison = compare(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
+    near = comparison.fit_model([from_infix(text, SWING.names) for text in ("1.1*y", "-2.1*x - 0.3*y")])
+    shown = _show(comparison, near, near.programs)
     assert 2.0 in np.abs(shown.rounded.programs[1].constants)
     monkeypatch.setattr(conclusion, "estimate_errors", lambda *given: narrow(estimate_errors(*given)))
-    shown = _show(its, near, near.programs)
+    shown = _show(comparison, near, near.programs)
     assert 2.0 not in np.abs(shown.rounded.programs[1].constants)
-    known = describe_constants(its, shown.explicit, shown.rounded.programs, narrow(estimate_errors(its, shown.free)))
-    assert all(constant.is_within for each in known for constant in each.written)
+    known = describe_constants(
+        comparison, shown.explicit, shown.rounded.programs, narrow(estimate_errors(comparison, shown.free))
+    )
+    assert all(constant.is_within for equation in known for constant in equation.written)
 
 
 def narrow(errors):
@@ -581,10 +610,10 @@ def narrow(errors):
 def test_constants_keep_few_digits_beside_a_simple_number_that_costs_something(monkeypatch, seed):
     """It is singled out by the covariance, which is larger where errors go together."""
     known = Known(("x",), lambda _, z: [0.31472926535 - 0.5 * z[0]])
-    its = compare(known, measurements(known, ([2.0], [-1.0]), TIMES, noise=1e-5, seed=seed), 1e-8)
-    monkeypatch.setattr(its, "inflation", lambda _: 30.0)
-    near = its.fit_model([known.parsed("0.3 - 0.5*x")])
-    shown = _show(its, near, near.programs)
+    comparison = compare(known, measurements(known, ([2.0], [-1.0]), TIMES, noise=1e-5, seed=seed), 1e-8)
+    monkeypatch.setattr(comparison, "inflation", lambda _: 30.0)
+    near = comparison.fit_model([known.parsed("0.3 - 0.5*x")])
+    shown = _show(comparison, near, near.programs)
     program = shown.rounded.programs[0]
     offset, rate = np.abs(program.constants[constant_places(program)])
     assert shown.fit.misfit > near.misfit + SETTINGS.selection.least_gain

@@ -56,16 +56,18 @@ def refined(noise=0.02, **data):
 def test_what_differs_is_told_and_what_does_not_is_shared():
     _, refinement = refined(group="strain")
     (equation,) = refinement.equations.values()
-    assert [each.group for each in equation.by_group] == ["1", "2", "3"]
+    assert [group.group for group in equation.by_group] == ["1", "2", "3"]
     assert sorted(equation.shared) == [False, True]
     rate, capacity = equation.shared.index(False), equation.shared.index(True)
     points = np.array([[0.5, 1.0, 1.5]])
-    for its, true in zip(equation.by_group, RATES, strict=True):
-        assert values_of(its.program, points) == pytest.approx(true * points[0] * (1.0 - points[0] / CAPACITY), rel=0.1)
-        low, high = its.constants[rate].interval
-        assert low < its.constants[rate].fitted < high
+    for equation_of_group, true in zip(equation.by_group, RATES, strict=True):
+        assert values_of(equation_of_group.program, points) == pytest.approx(
+            true * points[0] * (1.0 - points[0] / CAPACITY), rel=0.1
+        )
+        low, high = equation_of_group.constants[rate].interval
+        assert low < equation_of_group.constants[rate].fitted < high
     assert equation.grade == "good"
-    assert len({id(its.constants[capacity]) for its in equation.by_group}) == 1
+    assert len({id(equation_of_group.constants[capacity]) for equation_of_group in equation.by_group}) == 1
 
 
 def test_a_result_has_the_equation_of_each_group():
@@ -75,8 +77,8 @@ def test_a_result_has_the_equation_of_each_group():
         "j", config(group="strain"), preparation, [outcome], Account("done", 1.0, 1.0), refinement
     ).as_dict()
     (equation,) = result["equations"]
-    assert [each["group"] for each in equation["groups"]] == ["1", "2", "3"]
-    assert [each["trajectories"] for each in result["groups"]] == [["1"], ["2"], ["3"]]
+    assert [group["group"] for group in equation["groups"]] == ["1", "2", "3"]
+    assert [group["trajectories"] for group in result["groups"]] == [["1"], ["2"], ["3"]]
     assert np.array(result["groups"][0]["covariance"]["matrix"]).shape == (2, 2)
     text = render_text(result)
     assert "    group  " in text
@@ -88,25 +90,30 @@ def test_each_trajectory_may_be_a_group():
     preparation = prepare(data, config(trajectory="strain", per_trajectory=True))
     assert preparation.recording.groups == ("1", "2", "3")
     assert preparation.dataset.groups.max() == 2
-    assert [each.group for each in preparation.recording.trajectories] == ["1", "2", "3"]
+    assert [trajectory.group for trajectory in preparation.recording.trajectories] == ["1", "2", "3"]
 
 
 def two_states():
     """Return logistic growth of x by strain, and y that decays alike in all strains."""
-    its = table(rates=RATES[:2])
+    measured = table(rates=RATES[:2])
     decay = np.tile(2.0 * np.exp(-0.7 * TIMES), 2)
     decay += 0.02 * np.random.default_rng(5).standard_normal(len(decay))
-    return replace(its, names=(*its.names, "y"), units=(*its.units, ""), columns=np.array([*its.columns, decay]))
+    return replace(
+        measured,
+        names=(*measured.names, "y"),
+        units=(*measured.units, ""),
+        columns=np.array([*measured.columns, decay]),
+    )
 
 
 @pytest.mark.parametrize("data", [{"group": "strain"}, {"trajectory": "strain", "per_trajectory": True}])
 def test_a_known_equation_alone_has_no_constants_by_group(data):
-    its = JobConfig(data=DataConfig(**data), prior=PriorConfig(known={"x": "0.9*x*(1 - 0.5*x)"}))
-    preparation = prepare(table(), its)
-    refinement = refine_all(preparation, its, {})
+    config = JobConfig(data=DataConfig(**data), prior=PriorConfig(known={"x": "0.9*x*(1 - 0.5*x)"}))
+    preparation = prepare(table(), config)
+    refinement = refine_all(preparation, config, {})
     front = (FrontEntry(9, 0.1, 0.1, 0, 0, 0, refinement.equations["x"].program.to_bytes()),)
     outcome = VariableOutcome("x", front, 0, refined=refinement.equations["x"], why=KNOWN)
-    result = build_result("j", its, preparation, [outcome], Account("done", 1.0, 1.0), refinement).as_dict()
+    result = build_result("j", config, preparation, [outcome], Account("done", 1.0, 1.0), refinement).as_dict()
     model = Model(result)
     assert model.groups == ()
     assert model.simulate({"x": 0.1}, 5.0).status == "finished"
@@ -115,12 +122,12 @@ def test_a_known_equation_alone_has_no_constants_by_group(data):
 
 def test_a_known_equation_stands_beside_one_by_group():
     space = SpaceConfig(operators=("-", "*"), variables_of={"x": ("x",)})
-    its = JobConfig(data=DataConfig(group="strain"), space=space, prior=PriorConfig(known={"y": "-0.7*y"}))
-    preparation = prepare(two_states(), its)
-    refinement = refine_all(preparation, its, pools(preparation, x=("x", "x*(2 - x)")))
+    config = JobConfig(data=DataConfig(group="strain"), space=space, prior=PriorConfig(known={"y": "-0.7*y"}))
+    preparation = prepare(two_states(), config)
+    refinement = refine_all(preparation, config, pools(preparation, x=("x", "x*(2 - x)")))
     assert refinement.equations["y"].by_group == ()
     assert refinement.equations["y"].shared == ()
-    assert [each.group for each in refinement.equations["x"].by_group] == ["1", "2"]
+    assert [group.group for group in refinement.equations["x"].by_group] == ["1", "2"]
 
 
 def test_constants_that_no_group_differs_in_have_one_covariance():

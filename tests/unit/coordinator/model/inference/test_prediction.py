@@ -44,15 +44,20 @@ def truth():
 
 
 def test_a_model_without_rivals_is_relied_upon(lotka, truth):
-    for its in foretell(lotka, truth, [], 1e-6):
-        assert (its.starts, its.followed, its.probability, its.is_disputed) == (12, 12, 1.0, False)
-        assert {*its.measure_from} == {"x", "y"}
-        assert 0.0 <= its.novelty < 0.5
+    for prediction in foretell(lotka, truth, [], 1e-6):
+        assert (prediction.starts, prediction.followed, prediction.probability, prediction.is_disputed) == (
+            12,
+            12,
+            1.0,
+            False,
+        )
+        assert {*prediction.measure_from} == {"x", "y"}
+        assert 0.0 <= prediction.novelty < 0.5
 
 
 def test_a_rival_that_foretells_the_same_does_not_count(lotka, truth):
     near = system(LOTKA, "3.01*x - 2*x*y - x**2", LOTKA_TEXT[1])
-    assert [its.probability for its in foretell(lotka, truth, [Rival(near, 0, 1.0)], 1e-6)] == [1.0, 1.0]
+    assert [prediction.probability for prediction in foretell(lotka, truth, [Rival(near, 0, 1.0)], 1e-6)] == [1.0, 1.0]
 
 
 def test_a_rival_that_foretells_otherwise_takes_its_share_of_the_odds(lotka, truth):
@@ -83,8 +88,8 @@ def test_a_rival_that_runs_away_foretells_otherwise(lotka, truth):
 
 
 def test_a_model_that_runs_away_is_followed_nowhere(lotka):
-    for its in foretell(lotka, system(LOTKA, "30*x*x", "30*y*y"), [], 1e-6):
-        assert (its.followed, its.unfinished, its.probability) == (0, 0, 0.0)
+    for prediction in foretell(lotka, system(LOTKA, "30*x*x", "30*y*y"), [], 1e-6):
+        assert (prediction.followed, prediction.unfinished, prediction.probability) == (0, 0, 0.0)
 
 
 def test_what_was_not_measured_is_far():
@@ -109,8 +114,8 @@ def test_a_process_that_leaves_the_measured_range_as_it_was_measured_to_is_follo
     """Growth measured to 20 leads from 10 to 200; nothing says that it should not, nor that it should."""
     grown = measurements(GROWTH, [[1.0]], TIMES_OF_GROWTH)
     truth = system(GROWTH, "0.3*x")
-    (its,) = foretell(grown, truth, [], 1e-6)
-    assert (its.starts, its.followed) == (12, 12)
+    (prediction,) = foretell(grown, truth, [], 1e-6)
+    assert (prediction.starts, prediction.followed) == (12, 12)
     rival = system(GROWTH, "0.3*x + 0.0001*x*x")
     assert foretell(grown, truth, [Rival(rival, 0, 1.0)], 1e-6)[0].probability == 1.0
     other = system(GROWTH, "0.1*x*x")
@@ -118,27 +123,32 @@ def test_a_process_that_leaves_the_measured_range_as_it_was_measured_to_is_follo
 
 
 @pytest.mark.parametrize(
-    ("known", "model"), [("growth", "-60"), ("decay", "0.5*x"), ("both", "0.3*x*x*x")], ids=lambda each: str(each)
+    ("known", "model"),
+    [("growth", "-60"), ("decay", "0.5*x"), ("both", "0.3*x*x*x")],
+    ids=lambda prediction: str(prediction),
 )
 def test_a_process_that_leaves_on_another_side_runs_away(known, model):
     """Growth and decay end at one end of the range; of both together the one begins where the other ends."""
     systems = {"growth": (GROWTH, [[1.0]]), "decay": (DECAY, [[2.0]]), "both": (SETTLING, [[-1.0], [1.0]])}
-    its, starts = systems[known]
-    found = foretell(measurements(its, starts, TIMES_OF_GROWTH), system(its, model), [], 1e-6)[0]
-    assert found.followed < found.starts
+    known_system, starts = systems[known]
+    prediction = foretell(measurements(known_system, starts, TIMES_OF_GROWTH), system(known_system, model), [], 1e-6)[0]
+    assert prediction.followed < prediction.starts
 
 
 def test_a_measured_row_of_a_fast_oscillator_is_allowed_its_steps():
     """Five hundred rows, ten to a period: the hundred that are looked at would have a fifth of the steps."""
     fast = measurements(WAVE, [[1.0, 0.0]], 0.1 * np.arange(500.0))
     truth = system(WAVE, "6.283*y", "-6.283*x")
-    assert [(its.followed, its.unfinished) for its in foretell(fast, truth, [], 1e-10)] == [(12, 0), (12, 0)]
+    assert [(prediction.followed, prediction.unfinished) for prediction in foretell(fast, truth, [], 1e-10)] == [
+        (12, 0),
+        (12, 0),
+    ]
 
 
 def test_running_out_of_steps_is_said_to_be_that(lotka, truth):
     fast = system(LOTKA, "6000*(y - 2)", "-6000*(x - 2)")
-    for its in foretell(lotka, fast, [], 1e-6):
-        assert (its.starts, its.followed, its.unfinished) == (12, 0, 12)
+    for prediction in foretell(lotka, fast, [], 1e-6):
+        assert (prediction.starts, prediction.followed, prediction.unfinished) == (12, 0, 12)
     x, _ = foretell(lotka, truth, [Rival(fast, 0, 1.0)], 1e-6)
     assert (x.probability, x.is_disputed) == (1.0, False)
 
@@ -150,8 +160,8 @@ def test_what_a_rival_foretells_where_it_has_enough_steps_counts(lotka, truth):
     assert (x.probability, x.is_disputed) == (0.5, True)
 
 
-def spread_of(its):
-    return _Elsewhere(its, 1e-6, is_near=False).starts
+def spread_of(fitted):
+    return _Elsewhere(fitted, 1e-6, is_near=False).starts
 
 
 def test_initial_states_keep_what_all_measured_ones_have_in_common():
@@ -164,9 +174,9 @@ def test_initial_states_keep_what_all_measured_ones_have_in_common():
 
 def test_of_many_states_none_is_near_the_corners_and_none_stays_near_one_end():
     rng = np.random.default_rng(2)
-    its = measurements(WAVE, [[1.0, 0.0]], TIMES)
+    rows = measurements(WAVE, [[1.0, 0.0]], TIMES)
     cloud = rng.standard_normal((40, 4000))
-    starts = spread_of(replace(its, smoothed=cloud, times=0.1 * np.arange(4000.0), bounds=np.array([[0, 4000]])))
+    starts = spread_of(replace(rows, smoothed=cloud, times=0.1 * np.arange(4000.0), bounds=np.array([[0, 4000]])))
     assert np.linalg.norm(starts, axis=1).max() <= np.linalg.norm(cloud, axis=0).max()
     assert (np.ptp(starts, axis=0) > 0.2 * np.ptp(cloud, axis=1)).all()
 
@@ -178,12 +188,12 @@ def test_ten_right_pendulums_are_relied_upon():
     squares = 1.0 + 0.15 * np.arange(count)
     pendulums = Known(names, lambda _, z: [*z[count:], *(-squares * np.sin(z[:count]))])
     start = [*np.linspace(1.5, 2.6, count), *np.zeros(count)]
-    its = measurements(pendulums, [start], 0.1 * np.arange(300.0))
+    rows = measurements(pendulums, [start], 0.1 * np.arange(300.0))
     right = system(
         pendulums, *names[count:], *(f"-{c!r}*sin({a})" for a, c in zip(angles, squares.tolist(), strict=True))
     )
-    for each in foretell(its, right, [], 1e-6):
-        assert (each.starts, each.followed, each.probability) == (12, 12, 1.0)
+    for prediction in foretell(rows, right, [], 1e-6):
+        assert (prediction.starts, prediction.followed, prediction.probability) == (12, 12, 1.0)
 
 
 def test_however_long_a_process_rests_the_way_there_is_begun_from():
@@ -197,11 +207,11 @@ def test_rows_in_step_with_a_period_are_not_one_state(rows_a_period, rows):
     times = np.arange(float(rows)) / rows_a_period
     phases = 2.0 * np.pi * (np.arange(rows) % rows_a_period) / rows_a_period
     cycle = np.array([np.cos(phases), -np.sin(phases)])
-    its = measurements(WAVE, [[1.0, 0.0]], TIMES)
-    its = replace(its, smoothed=cycle, times=times, bounds=np.array([[0, rows]]))
-    found = _Elsewhere(its, 1e-6, is_near=False)
-    assert (np.ptp(found.starts, axis=0) > 1.0).all()
-    (distances,) = found.distances([cycle[:, : 4 * rows_a_period]])
+    measured = measurements(WAVE, [[1.0, 0.0]], TIMES)
+    measured = replace(measured, smoothed=cycle, times=times, bounds=np.array([[0, rows]]))
+    region = _Elsewhere(measured, 1e-6, is_near=False)
+    assert (np.ptp(region.starts, axis=0) > 1.0).all()
+    (distances,) = region.distances([cycle[:, : 4 * rows_a_period]])
     assert distances.max() < 1e-12
 
 
@@ -218,22 +228,22 @@ def test_inputs_are_not_known_elsewhere():
 
 
 def test_draws_spread_as_the_covariance_says():
-    its = system(DECAY, "-0.5*x")
-    drawn = np.array([each.system.values for each in draws(its, np.array([[0.01]]), 3)])
+    fitted = system(DECAY, "-0.5*x")
+    drawn = np.array([draw.system.values for draw in draws(fitted, np.array([[0.01]]), 3)])
     assert drawn.shape == (12, 1)
     assert 0.03 < drawn.std() < 0.3
-    assert {each.group for each in draws(its, np.array([[0.01]]), 3)} == {3}
+    assert {draw.group for draw in draws(fitted, np.array([[0.01]]), 3)} == {3}
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1e12])
 def test_draws_in_other_units_are_the_same_draws(scale):
     """Eigenvectors of a covariance of 1e42 beside 1e-24 would be those of its rounding errors."""
-    its = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
+    fitted = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
     units = np.array([scale, 1.0 / scale, 1.0])
     covariance = np.array([[4.0, 1.0, 0.0], [1.0, 1.0, 0.1], [0.0, 0.1, 0.25]]) * 1e-4
-    scaled = its.with_values(its.values * units)
-    there = [each.system.values / units for each in draws(scaled, covariance * np.outer(units, units), 0)]
-    for own, other in zip(draws(its, covariance, 0), there, strict=True):
+    scaled = fitted.with_values(fitted.values * units)
+    there = [draw.system.values / units for draw in draws(scaled, covariance * np.outer(units, units), 0)]
+    for own, other in zip(draws(fitted, covariance, 0), there, strict=True):
         assert own.system.values == pytest.approx(other, rel=1e-9)
 
 
@@ -257,33 +267,33 @@ def test_courses_last_as_long_as_the_longest_trajectory_and_are_allowed_its_rows
     three = measurements(LOTKA, STARTS, TIMES)
     bounds = np.array([[0, 20], [20, 100], [100, 120]])
     times = np.concatenate([TIMES[:20], 7.0 + 0.1 * np.arange(80.0), TIMES[:20]])
-    its = _Elsewhere(replace(three, bounds=bounds, times=times), 1e-6, is_near=False)
-    along = its._estimator.measurements.times
+    region = _Elsewhere(replace(three, bounds=bounds, times=times), 1e-6, is_near=False)
+    along = region._estimator.measurements.times
     assert (len(along), along[0], along[-1]) == (COUNT, 0.0, pytest.approx(7.9))
-    assert its._estimator._rows_in_row == max(1.0, 80.0 / COUNT)
-    assert {course.shape for course in its.courses(truth, range(12))} == {(2, COUNT)}
+    assert region._estimator._rows_in_row == max(1.0, 80.0 / COUNT)
+    assert {course.shape for course in region.courses(truth, range(12))} == {(2, COUNT)}
 
 
 def test_without_a_dispute_the_next_measurement_is_where_courses_are_farthest_from_the_measured(truth):
     one = measurements(LOTKA, [[8.0, 2.0]], TIMES)
     elsewhere = _Elsewhere(one, 1e-6, is_near=False)
     distances = elsewhere.distances(elsewhere.courses(truth, range(12)))
-    assert min(each.min() for each in distances) >= 0.0
+    assert min(distance.min() for distance in distances) >= 0.0
     x, _ = foretell(one, truth, [], 1e-6)
     assert not x.is_disputed
     assert x.novelty == pytest.approx(np.median(np.concatenate(distances)))
-    assert x.measure_from == elsewhere.named(int(np.argmax([each.max() for each in distances])))
+    assert x.measure_from == elsewhere.named(int(np.argmax([distance.max() for distance in distances])))
 
 
 def test_a_distance_is_the_largest_share_of_a_width_to_the_nearest_row():
-    its = measurements(SWING, [[1.0, 0.0]], TIMES)
-    elsewhere = _Elsewhere(its, 1e-6, is_near=False)
-    width = np.ptp(its.smoothed, axis=1)
-    (found,) = elsewhere.distances([np.tile((its.smoothed[:, :1] + 2.0 * width[:, None] * [[0.0], [1.0]]), 8)])
-    assert len(found) == 2
-    high = (its.smoothed[1, 0] + 2.0 * width[1] - its.smoothed[1]) / width[1]
-    nearest = np.maximum(high, np.abs(its.smoothed[0, 0] - its.smoothed[0]) / width[0]).min()
-    assert found == pytest.approx(np.full(2, nearest))
+    rows = measurements(SWING, [[1.0, 0.0]], TIMES)
+    elsewhere = _Elsewhere(rows, 1e-6, is_near=False)
+    width = np.ptp(rows.smoothed, axis=1)
+    (distances,) = elsewhere.distances([np.tile((rows.smoothed[:, :1] + 2.0 * width[:, None] * [[0.0], [1.0]]), 8)])
+    assert len(distances) == 2
+    high = (rows.smoothed[1, 0] + 2.0 * width[1] - rows.smoothed[1]) / width[1]
+    nearest = np.maximum(high, np.abs(rows.smoothed[0, 0] - rows.smoothed[0]) / width[0]).min()
+    assert distances == pytest.approx(np.full(2, nearest))
 
 
 def test_near_measured_states_means_a_thousandth_of_their_deviation_away(lotka):
@@ -307,8 +317,8 @@ def test_of_what_lies_beyond_the_range_the_farther_end_is_said():
 
 
 def test_chaos_ends_what_can_be_foretold(truth):
-    its = measurements(LOTKA, STARTS, TIMES)
-    elsewhere = _Elsewhere(its, 1e-6, is_near=False)
+    rows = measurements(LOTKA, STARTS, TIMES)
+    elsewhere = _Elsewhere(rows, 1e-6, is_near=False)
     courses = elsewhere.courses(truth, range(12))
     assert elsewhere.horizon(truth, courses) == COUNT
     lost = [course + (np.arange(COUNT) >= COUNT // 4) * 10.0 for course in courses]
@@ -350,7 +360,7 @@ def test_a_rival_is_disputed_where_it_weighs_most(lotka, truth):
     """Of equal odds the one that foretells the farther course; of the start, that where it is the farthest."""
     elsewhere = _Elsewhere(lotka, 1e-6, is_near=False)
     other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1])
-    own, theirs = (elsewhere.courses(each, range(12)) for each in (truth, other))
+    own, theirs = (elsewhere.courses(courses_system, range(12)) for courses_system in (truth, other))
     sizes = [np.abs(one[0] - two[0]).max() for one, two in zip(own, theirs, strict=True)]
     for odds in (0.25, 1.0):
         x, _ = foretell(lotka, truth, [Rival(other, 0, odds)], 1e-6)
@@ -360,8 +370,8 @@ def test_a_rival_is_disputed_where_it_weighs_most(lotka, truth):
 @pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
 def test_r2_is_of_all_courses_together(unit):
     true = [unit * np.array([[0.0, 1.0, 2.0], [5.0, 5.0, 5.0]]), unit * np.array([[3.0, 4.0], [5.0, 5.0]])]
-    found = [true[0], true[1] + unit * np.array([[1.0, -1.0], [0.0, 0.0]])]
-    assert _r2(found, true) == pytest.approx([0.8, 1.0])
+    courses = [true[0], true[1] + unit * np.array([[1.0, -1.0], [0.0, 0.0]])]
+    assert _r2(courses, true) == pytest.approx([0.8, 1.0])
 
 
 def test_a_state_that_does_not_change_is_foretold():
@@ -395,22 +405,22 @@ def test_a_rival_that_runs_away_from_one_state_alone_foretells_otherwise_there(c
 
 def test_draws_of_constants_that_go_together_are_numbers():
     """Rounding leaves such a covariance an eigenvalue below 0."""
-    its = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
+    fitted = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
     covariance = 1e-4 * (np.ones((3, 3)) + 1e-12 * (1.0 - np.eye(3)))
-    drawn = np.array([each.system.values - its.values for each in draws(its, covariance, 0)])
+    drawn = np.array([draw.system.values - fitted.values for draw in draws(fitted, covariance, 0)])
     assert drawn == pytest.approx(np.tile(drawn[:, :1], 3), abs=1e-7)
     assert 0.003 < drawn.std() < 0.03
 
 
 def test_draws_have_the_covariance_that_they_are_given():
-    its = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
+    fitted = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
     covariance = np.array([[4.0, 1.9, 0.0], [1.9, 1.0, 0.1], [0.0, 0.1, 0.25]]) * 1e-4
-    drawn = np.array([each.system.values for each in draws(its, covariance, 0)]) - its.values
+    drawn = np.array([draw.system.values for draw in draws(fitted, covariance, 0)]) - fitted.values
     whitened = np.linalg.solve(np.linalg.cholesky(covariance), drawn.T)
     assert 18.0 < (whitened**2).sum() < 60.0  # chi squared of 36: 0.5 % at either side
-    assert {each.odds for each in draws(its, covariance, 0)} == {1.0}
+    assert {draw.odds for draw in draws(fitted, covariance, 0)} == {1.0}
     covariance[2], covariance[:, 2] = 0.0, 0.0
-    assert {each.system.values[2] for each in draws(its, covariance, 0)} == {its.values[2]}
+    assert {draw.system.values[2] for draw in draws(fitted, covariance, 0)} == {fitted.values[2]}
 
 
 def test_points_far_apart_are_as_far_from_those_before_as_any():
@@ -431,15 +441,15 @@ def elsewhere(known, starts, times):
 )
 def test_growth_is_left_at_its_upper_end_alone(last, leaves):
     """Measured from 1 to 20: the trajectory ends at the upper end, and begins at the lower one."""
-    its = elsewhere(GROWTH, [[1.0]], np.linspace(0.0, math.log(20.0) / 0.3, 100))
-    assert its._leaves_as_measured(np.array([[3.0, *last]])) is leaves
-    assert its._leaves_as_measured(np.empty((1, 0))) is False
+    region = elsewhere(GROWTH, [[1.0]], np.linspace(0.0, math.log(20.0) / 0.3, 100))
+    assert region._leaves_as_measured(np.array([[3.0, *last]])) is leaves
+    assert region._leaves_as_measured(np.empty((1, 0))) is False
 
 
 @pytest.mark.parametrize(("last", "leaves"), [(0.01, True), (0.5, False), (2.5, False)])
 def test_decay_is_left_at_its_lower_end_alone(last, leaves):
-    its = elsewhere(DECAY, [[2.0]], np.linspace(0.0, 5.0, 50))
-    assert its._leaves_as_measured(np.array([[1.0, last]])) is leaves
+    region = elsewhere(DECAY, [[2.0]], np.linspace(0.0, 5.0, 50))
+    assert region._leaves_as_measured(np.array([[1.0, last]])) is leaves
 
 
 @pytest.mark.parametrize(
@@ -456,27 +466,27 @@ def test_decay_is_left_at_its_lower_end_alone(last, leaves):
 def test_the_state_that_is_farthest_out_for_its_range_tells_how_a_course_leaves(x, y, leaves):
     """Of two states one grows to the end of its range, the other goes back and forth."""
     both = Known(("x", "y"), lambda _, z: [0.3 * z[0], 2.0 * math.cos(z[0])])
-    its = elsewhere(both, [[1.0, 2.0]], np.linspace(0.0, 10.0, 100))
-    assert its._measurements.smoothed[1, -1] < its._measurements.smoothed[1].max()
-    assert its._leaves_as_measured(np.array([[2.0, x], [2.0, y]])) is leaves
+    region = elsewhere(both, [[1.0, 2.0]], np.linspace(0.0, 10.0, 100))
+    assert region._measurements.smoothed[1, -1] < region._measurements.smoothed[1].max()
+    assert region._leaves_as_measured(np.array([[2.0, x], [2.0, y]])) is leaves
 
 
 @pytest.mark.parametrize("last", [[-9.0, 0.3], [9.0, 0.3], [0.3, -9.0], [0.3, 9.0]])
 def test_a_swing_that_comes_to_rest_within_its_range_is_left_nowhere(last):
-    its = elsewhere(SWING, [[0.1, 0.0]], TIMES)
-    assert its._leaves_as_measured(np.array([last]).T) is False
+    region = elsewhere(SWING, [[0.1, 0.0]], TIMES)
+    assert region._leaves_as_measured(np.array([last]).T) is False
 
 
 def test_one_trajectory_that_ends_at_the_end_of_the_range_is_enough():
-    its = elsewhere(GROWTH, [[1.0], [20.0]], np.linspace(0.0, math.log(20.0) / 0.3, 100))
-    assert its._leaves_as_measured(np.array([[300.0, 1e3]])) is True
+    region = elsewhere(GROWTH, [[1.0], [20.0]], np.linspace(0.0, math.log(20.0) / 0.3, 100))
+    assert region._leaves_as_measured(np.array([[300.0, 1e3]])) is True
 
 
 def test_a_course_that_leaves_on_another_side_is_not_followed_for_a_while():
     """From near the end of a decay little was measured, and a growth is small for so long; it is one all the same."""
-    its = elsewhere(DECAY, [[2.0]], TIMES_OF_GROWTH)
-    assert its.own_courses(system(DECAY, "0.5*x")) == ["ran away"] * 12
-    assert its._rows == {}
+    region = elsewhere(DECAY, [[2.0]], TIMES_OF_GROWTH)
+    assert region.own_courses(system(DECAY, "0.5*x")) == ["ran away"] * 12
+    assert region._rows == {}
 
 
 @pytest.mark.parametrize(
@@ -485,13 +495,13 @@ def test_a_course_that_leaves_on_another_side_is_not_followed_for_a_while():
 def test_a_course_is_followed_for_as_long_as_was_measured_from_the_nearest_state(start, of_hundred):
     """Two trajectories: one from 1 to 20 in the whole time, the other from 20 to 400 in as long."""
     times = np.linspace(0.0, math.log(20.0) / 0.3, 201)
-    its = elsewhere(GROWTH, [[1.0], [20.0]], times)
-    assert its._rows_measured_from(np.array([start])) == pytest.approx(of_hundred, abs=1)
+    region = elsewhere(GROWTH, [[1.0], [20.0]], times)
+    assert region._rows_measured_from(np.array([start])) == pytest.approx(of_hundred, abs=1)
 
 
 def test_the_nearest_state_is_near_in_all_that_is_measured():
     """A swing is at each place again and again, with another speed, here in thousandths."""
     fine = Known(("x", "y"), lambda _, z: [0.001 * z[1], -2000.0 * z[0] - 0.3 * z[1]])
-    its = elsewhere(fine, [[1.0, 0.0]], TIMES)
-    start = its._measurements.smoothed[:, 18] + its._width * [0.01, 0.04]
-    assert its._rows_measured_from(start) == pytest.approx(COUNT * 21 / 39, abs=1)
+    region = elsewhere(fine, [[1.0, 0.0]], TIMES)
+    start = region._measurements.smoothed[:, 18] + region._width * [0.01, 0.04]
+    assert region._rows_measured_from(start) == pytest.approx(COUNT * 21 / 39, abs=1)

@@ -18,8 +18,8 @@ DRAWS = 300
 @pytest.mark.parametrize("counts", [(3, 10), (20, 200)])
 def test_the_tail_of_a_ratio_of_independent_variances_is_that_of_f(ratio, counts):
     first, second = counts
-    found = positive_tail(np.array([1.0 / first, -ratio / second]), np.array(counts, dtype=float))
-    assert found == pytest.approx(special.fdtrc(first, second, ratio), rel=0.06)
+    tails = positive_tail(np.array([1.0 / first, -ratio / second]), np.array(counts, dtype=float))
+    assert tails == pytest.approx(special.fdtrc(first, second, ratio), rel=0.06)
 
 
 def test_the_tail_is_near_one_half_where_the_mean_is_zero():
@@ -55,7 +55,7 @@ def test_bins_and_stretches_represent_long_trajectories():
 @lru_cache
 def p_values(rows: int, trajectories: int, missed: float) -> tuple[float, ...]:
     """Return p of waves with noise of deviation 0.1, the waves fitted; `missed` is the size of one that is not."""
-    found = []
+    tails = []
     for seed in range(DRAWS):
         draw = np.random.default_rng(seed)
         signals, residuals = [], []
@@ -68,18 +68,18 @@ def p_values(rows: int, trajectories: int, missed: float) -> tuple[float, ...]:
         estimate = estimate_derivatives(signals, Differentiation())
         assert estimate.smoother is not None
         reference = ReferenceSmoother(estimate.narrower_span, estimate.smoother.degree, estimate.narrower_noise)
-        found.append(check(residuals, estimate.noise, 2.0 * trajectories, reference).too_large)
-    return tuple(found)
+        tails.append(check(residuals, estimate.noise, 2.0 * trajectories, reference).too_large)
+    return tuple(tails)
 
 
 @pytest.mark.parametrize(("rows", "trajectories"), [(40, 1), (60, 3)])
 @pytest.mark.slow
 def test_p_is_uniform_if_the_model_is_right(rows, trajectories):
     """Shares within three standard errors of the binomial one, after a span that the same errors have selected."""
-    found = np.array(p_values(rows, trajectories, 0.0))
+    tails = np.array(p_values(rows, trajectories, 0.0))
     for level in (0.05, 0.2, 0.5):
-        assert (found < level).mean() == pytest.approx(level, abs=3.0 * np.sqrt(level * (1.0 - level) / DRAWS))
-    assert stats.kstest(found, "uniform").pvalue > 0.01
+        assert (tails < level).mean() == pytest.approx(level, abs=3.0 * np.sqrt(level * (1.0 - level) / DRAWS))
+    assert stats.kstest(tails, "uniform").pvalue > 0.01
 
 
 @pytest.mark.slow

@@ -10,8 +10,8 @@ TIMES = 0.05 * np.arange(1000)
 
 def recording(states: np.ndarray) -> Recording:
     nothing = np.zeros((0, len(TIMES)))
-    its = Trajectory("1", TIMES, states[None], states[None], states[None], nothing, nothing)
-    return Recording(("x",), ("x",), (), (), (), 1, 0.0, (), (its,))
+    recorded = Trajectory("1", TIMES, states[None], states[None], states[None], nothing, nothing)
+    return Recording(("x",), ("x",), (), (), (), 1, 0.0, (), (recorded,))
 
 
 def simulation(values: np.ndarray) -> Simulation:

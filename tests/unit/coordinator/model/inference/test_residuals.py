@@ -15,7 +15,7 @@ def noise(seed: int, rows: int = 100, trajectories: int = 4) -> list[FloatArray]
 def coloured(seed: int, share: float) -> list[FloatArray]:
     """Noise of variance 1, of which a share is a slow oscillation."""
     slow = np.sqrt(2.0 * share) * np.sin(np.linspace(0.0, 12.0, 100))
-    return [np.sqrt(1.0 - share) * each + slow for each in noise(seed)]
+    return [np.sqrt(1.0 - share) * series + slow for series in noise(seed)]
 
 
 def without_polynomial(errors: FloatArray, parameters: int) -> FloatArray:
@@ -24,40 +24,40 @@ def without_polynomial(errors: FloatArray, parameters: int) -> FloatArray:
 
 
 def test_noise_is_seldom_taken_for_anything_else() -> None:
-    found = [check(noise(seed), 1.0) for seed in range(300)]
-    assert sum(each.patterned < 0.05 for each in found) in range(5, 27)
-    assert sum(each.too_large < 0.05 for each in found) in range(5, 27)
-    assert np.mean([each.standard_deviation for each in found]) == pytest.approx(1.0, abs=0.01)
-    assert np.mean([each.correlation for each in found]) == pytest.approx(0.0, abs=0.01)
+    checked = [check(noise(seed), 1.0) for seed in range(300)]
+    assert sum(series.patterned < 0.05 for series in checked) in range(5, 27)
+    assert sum(series.too_large < 0.05 for series in checked) in range(5, 27)
+    assert np.mean([series.standard_deviation for series in checked]) == pytest.approx(1.0, abs=0.01)
+    assert np.mean([series.correlation for series in checked]) == pytest.approx(0.0, abs=0.01)
 
 
 def test_what_fitting_takes_away_is_allowed_for() -> None:
-    fitted = [[without_polynomial(each, 6) for each in noise(seed)] for seed in range(300)]
-    found = [check(each, 1.0, parameters=24) for each in fitted]
-    assert np.mean([each.standard_deviation for each in found]) == pytest.approx(1.0, abs=0.01)
-    assert np.mean([each.correlation for each in found]) == pytest.approx(0.0, abs=0.015)
-    assert np.mean([check(each, 1.0).correlation for each in fitted]) < -0.04
-    assert sum(each.patterned < 0.05 for each in found) in range(5, 30)
+    fitted = [[without_polynomial(series, 6) for series in noise(seed)] for seed in range(300)]
+    checked = [check(series, 1.0, parameters=24) for series in fitted]
+    assert np.mean([series.standard_deviation for series in checked]) == pytest.approx(1.0, abs=0.01)
+    assert np.mean([series.correlation for series in checked]) == pytest.approx(0.0, abs=0.015)
+    assert np.mean([check(series, 1.0).correlation for series in fitted]) < -0.04
+    assert sum(series.patterned < 0.05 for series in checked) in range(5, 30)
 
 
 def test_a_pattern_is_found_with_its_share() -> None:
-    found = check(coloured(0, 0.4), 1.0)
-    assert found.correlation == pytest.approx(0.4, abs=0.12)
-    assert found.patterned < 1e-6
-    assert 0.8 < found.ratio < 1.2
+    checked = check(coloured(0, 0.4), 1.0)
+    assert checked.correlation == pytest.approx(0.4, abs=0.12)
+    assert checked.patterned < 1e-6
+    assert 0.8 < checked.ratio < 1.2
 
 
 def test_residuals_larger_than_the_noise_are_found() -> None:
-    found = check([1.5 * each for each in noise(1)], 1.0)
-    assert found.ratio == pytest.approx(1.5, rel=0.1)
-    assert found.too_large < 1e-6
-    assert found.patterned > 0.01
+    checked = check([1.5 * series for series in noise(1)], 1.0)
+    assert checked.ratio == pytest.approx(1.5, rel=0.1)
+    assert checked.too_large < 1e-6
+    assert checked.patterned > 0.01
 
 
 def test_trajectories_are_not_joined_end_to_end() -> None:
     """A jump from one trajectory to the next is no pair of neighbours; a trajectory of one row has none at all."""
-    found = check([np.array([1.0]), np.array([1.0]), np.array([-1.0])], 1.0)
-    assert (found.correlation, found.patterned) == (0.0, 0.5)
+    checked = check([np.array([1.0]), np.array([1.0]), np.array([-1.0])], 1.0)
+    assert (checked.correlation, checked.patterned) == (0.0, 0.5)
 
 
 def test_outliers_do_not_decide_a_robust_check() -> None:

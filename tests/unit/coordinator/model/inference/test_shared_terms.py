@@ -24,11 +24,11 @@ def reaction(rate, constant, loss=0.4):
     return Known(("x", "y"), rates)
 
 
-def found(known, texts, noise=0.003):
+def fitted_together(known, texts, noise=0.003):
     """Return the comparison, the model whose terms are fitted apart, and the one where they are fitted together."""
-    its = compare(known, measurements(known, STARTS, TIMES, noise=noise))
-    apart = its.fit_model([known.parsed(text) for text in texts])
-    return its, apart, fit_together(its, apart, apart.programs)
+    comparison = compare(known, measurements(known, STARTS, TIMES, noise=noise))
+    apart = comparison.fit_model([known.parsed(text) for text in texts])
+    return comparison, apart, fit_together(comparison, apart, apart.programs)
 
 
 ENTERS = ("1.1 - 1.9*x/(0.7 + x)", "3.7*x/(0.9 + x) - 0.5*y")
@@ -36,7 +36,7 @@ ENTERS = ("1.1 - 1.9*x/(0.7 + x)", "3.7*x/(0.9 + x) - 0.5*y")
 
 @pytest.fixture(scope="module")
 def together():
-    return found(reaction(4.0, 0.8), ENTERS)
+    return fitted_together(reaction(4.0, 0.8), ENTERS)
 
 
 def test_a_flux_that_leaves_and_enters_has_one_set_of_constants(together):
@@ -53,9 +53,9 @@ def test_a_flux_that_leaves_and_enters_has_one_set_of_constants(together):
 
 
 def test_its_constants_are_known_better(together):
-    its, apart, made = together
-    before = np.sqrt(np.diag(estimate_errors(its, apart).covariance))
-    errors = estimate_errors(its, made.model).of_constants(made.model.fit.system)
+    comparison, apart, made = together
+    before = np.sqrt(np.diag(estimate_errors(comparison, apart).covariance))
+    errors = estimate_errors(comparison, made.model).of_constants(made.model.fit.system)
     after = np.sqrt(np.diag(errors.covariance))
     assert (after < before).all()
     assert after[[1, 2]] == pytest.approx(after[[3, 4]] / [2.0, 1.0])
@@ -63,14 +63,14 @@ def test_its_constants_are_known_better(together):
 
 
 def test_a_factor_that_is_no_simple_multiple_stays_one_of_its_own():
-    _, apart, made = found(reaction(2.74, 0.8), ENTERS)
+    _, apart, made = fitted_together(reaction(2.74, 0.8), ENTERS)
     (term,) = made.terms
     assert term.multiples == {0: None, 1: None}
     assert made.model.fit.system.count == apart.fit.system.count - 1
 
 
 def test_terms_that_are_alike_by_chance_are_not_fitted_together():
-    assert found(reaction(2.1, 1.0), ENTERS)[2] is None
+    assert fitted_together(reaction(2.1, 1.0), ENTERS)[2] is None
 
 
 def test_a_variable_alone_is_a_flux_if_it_leaves_as_fast_as_it_enters():
@@ -78,7 +78,7 @@ def test_a_variable_alone_is_a_flux_if_it_leaves_as_fast_as_it_enters():
         return Known(("x", "y"), lambda _, z: [1.2 - 0.7 * z[0], 0.7 * z[0] - loss * z[1] * z[1]])
 
     texts = ("1.1 - 0.8*x", "0.6*x - 0.5*y*y")
-    _, _, made = found(rates(0.4), texts)
+    _, _, made = fitted_together(rates(0.4), texts)
     (term,) = made.terms
     assert term.multiples == {0: -1.0, 1: 1.0}
 
@@ -87,10 +87,10 @@ def paired(one: str, other: str) -> list[tuple[float, ...]]:
     """Return the numbers that stand in the same place of the one term that two expressions have."""
     expansions = [expand_program(from_infix(text, ("x", "y"))) for text in (one, other)]
     ((those),) = shared_terms._common(expansions).values()
-    if len({each.layout for each in those}) > 1:
+    if len({term.layout for term in those}) > 1:
         return []
-    numbers = [[expansions[each.equation].program.constants[place[1]] * sign for place, sign in each.inner]
-               for each in those]  # fmt: skip
+    numbers = [[expansions[term.equation].program.constants[place[1]] * sign for place, sign in term.inner]
+               for term in those]  # fmt: skip
     return sorted(zip(*numbers, strict=True))
 
 

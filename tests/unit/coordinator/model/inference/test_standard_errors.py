@@ -28,27 +28,28 @@ STARTS = ([2.0], [1.0], [-1.5])
 TRUTH = DECAY.parsed("-0.5*x")
 
 
-def describe_constants(its, shown, errors):
+def describe_constants(comparison, shown, errors):
     """Return the written constants of each program, errors being those of the programs as they are written."""
     return [
-        each.written for each in standard_errors.describe_constants(its, tuple(map(as_written, shown)), shown, errors)
+        constant.written
+        for constant in standard_errors.describe_constants(comparison, tuple(map(as_written, shown)), shown, errors)
     ]
 
 
-def find_correlations(its, variables, shown, errors):
-    return standard_errors.find_correlations(its, variables, tuple(map(as_written, shown)), errors)
+def find_correlations(comparison, variables, shown, errors):
+    return standard_errors.find_correlations(comparison, variables, tuple(map(as_written, shown)), errors)
 
 
-def banded(its, rows, model):
-    return bands(rows, model.fit, *scaled_covariance(model.fit, estimate_errors(its, model)))
+def banded(comparison, rows, model):
+    return bands(rows, model.fit, *scaled_covariance(model.fit, estimate_errors(comparison, model)))
 
 
 def drawn(seed, noise=NOISE):
     """Return comparison and model of x' = -a x, fitted to fresh noise."""
-    its = compare(DECAY, measurements_of(recording(DECAY, STARTS, TIMES, noise, seed), [0]), 1e-5)
-    model = its.fit_model([TRUTH], lengths=(None,))
+    comparison = compare(DECAY, measurements_of(recording(DECAY, STARTS, TIMES, noise, seed), [0]), 1e-5)
+    model = comparison.fit_model([TRUTH], lengths=(None,))
     assert model is not None
-    return its, model
+    return comparison, model
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +66,8 @@ def rate_of(model):
 def test_intervals_cover_the_truth_as_often_as_they_say(draws):
     """95 % of 200 is 190, with a standard deviation of 3."""
     covered, errors = 0, []
-    for its, model in draws:
-        ((constant,),) = describe_constants(its, model.programs, estimate_errors(its, model))
+    for comparison, model in draws:
+        ((constant,),) = describe_constants(comparison, model.programs, estimate_errors(comparison, model))
         low, high = constant.interval
         covered += low <= -0.5 <= high or low <= 0.5 <= high
         errors.append(constant.std_error)
@@ -77,9 +78,9 @@ def test_intervals_cover_the_truth_as_often_as_they_say(draws):
 def test_intervals_are_those_of_students_t():
     from scipy import stats
 
-    its, model = drawn(0)
-    ((constant,),) = describe_constants(its, model.programs, estimate_errors(its, model))
-    assert estimate_errors(its, model).degrees_of_freedom == 60 - 1 - 3
+    comparison, model = drawn(0)
+    ((constant,),) = describe_constants(comparison, model.programs, estimate_errors(comparison, model))
+    assert estimate_errors(comparison, model).degrees_of_freedom == 60 - 1 - 3
     reach = stats.t.ppf(0.975, 56)
     assert constant.interval == pytest.approx(
         (constant.fitted - reach * constant.std_error, constant.fitted + reach * constant.std_error)
@@ -88,17 +89,17 @@ def test_intervals_are_those_of_students_t():
 
 def test_bands_are_the_spread_of_the_simulations(draws):
     spread = np.std([model.fit.simulated[0] for _, model in draws], axis=0)
-    errors = [banded(its, its.estimator.measurements, model)[0] for its, model in draws]
-    found = np.mean(errors, axis=0)
-    assert found == pytest.approx(spread, rel=0.25)
-    assert found.mean() == pytest.approx(spread.mean(), rel=0.05)
+    errors = [banded(comparison, comparison.estimator.measurements, model)[0] for comparison, model in draws]
+    mean_errors = np.mean(errors, axis=0)
+    assert mean_errors == pytest.approx(spread, rel=0.25)
+    assert mean_errors.mean() == pytest.approx(spread.mean(), rel=0.05)
 
 
 def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
     """Directly: variances of the rows by the dense covariance of all that was fitted."""
     rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
-    its = compare(LOTKA, rows, 1e-8)
-    model = its.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
+    comparison = compare(LOTKA, rows, 1e-8)
+    model = comparison.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
     fit, fitted = model.fit, len(model.fit.system.places)
     whole = np.zeros((len(TIMES) * 2, 2, fitted + 4))
     sensitivities = fit.integrated_sensitivities()
@@ -106,19 +107,19 @@ def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
         whole[first:end, :, :fitted] = sensitivities[first:end, :, :fitted]
         whole[first:end, :, fitted + 2 * group : fitted + 2 * group + 2] = sensitivities[first:end, :, fitted:]
     weighed = (whole / fit.errors.sigmas[None, :, None]).reshape(-1, fitted + 4)
-    errors = estimate_errors(its, model)
+    errors = estimate_errors(comparison, model)
     covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.degrees_of_freedom)
     expected = np.sqrt(np.einsum("nop,pq,noq->on", whole, covariance, whole))
-    assert banded(its, rows, model) == pytest.approx(expected, rel=1e-4)
+    assert banded(comparison, rows, model) == pytest.approx(expected, rel=1e-4)
 
 
 def test_bands_integrate_once_however_many_pieces_there_are(monkeypatch):
     rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
-    its = compare(LOTKA, rows, 1e-8)
-    model = its.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
+    comparison = compare(LOTKA, rows, 1e-8)
+    model = comparison.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
     integrate, times = MultipleShooting.sensitivities, []
     monkeypatch.setattr(MultipleShooting, "sensitivities", lambda self, fit: times.append(1) or integrate(self, fit))
-    spread, scale = scaled_covariance(model.fit, estimate_errors(its, model))
+    spread, scale = scaled_covariance(model.fit, estimate_errors(comparison, model))
     times.clear()
     bands(rows, model.fit, spread, scale)
     assert len(times) == 1
@@ -128,85 +129,89 @@ def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():
     """x' = -x along one trajectory: the error of the start decays."""
     bare = Known(("x",), lambda _, z: [-z[0]])
     rows = measurements_of(recording(bare, ([2.0],), TIMES, NOISE), [0])
-    its = compare(bare, rows, 1e-8)
-    model = its.fit_model([bare.parsed("-x")], lengths=(None,))
+    comparison = compare(bare, rows, 1e-8)
+    model = comparison.fit_model([bare.parsed("-x")], lengths=(None,))
     decay = np.exp(-TIMES)
     error = model.fit.errors.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
-    assert banded(its, rows, model)[0] == pytest.approx(error * decay, rel=1e-4)
-    assert describe_constants(its, model.programs, estimate_errors(its, model)) == [()]
+    assert banded(comparison, rows, model)[0] == pytest.approx(error * decay, rel=1e-4)
+    assert describe_constants(comparison, model.programs, estimate_errors(comparison, model)) == [()]
 
 
 def test_a_constant_that_the_data_do_not_determine_is_said_to_be_none():
     """x stays near 1, so that x and x^2 say nearly the same: neither is known, and they are correlated."""
     still = Known(("x",), lambda _, z: [0.5 - 0.5 * z[0]])
     rows = measurements_of(recording(still, ([1.05], [0.95], [1.02]), TIMES, 0.02), [0])
-    its = compare(still, rows, 1e-6)
-    model = its.fit_model([still.parsed("0.5 - 0.3*x - 0.2*x*x")])
-    errors = estimate_errors(its, model)
-    (constants,) = describe_constants(its, model.programs, errors)
-    assert not any(each.identifiable for each in constants)
-    found = find_correlations(its, ("x",), model.programs, errors)
-    assert len(found) >= 1
-    assert all(0.95 <= abs(each.value) <= 1.0 + 1e-6 for each in found)
-    assert [abs(each.value) for each in found] == sorted((abs(each.value) for each in found), reverse=True)
-    assert {each.first[0] for each in found} == {"x"}
+    comparison = compare(still, rows, 1e-6)
+    model = comparison.fit_model([still.parsed("0.5 - 0.3*x - 0.2*x*x")])
+    errors = estimate_errors(comparison, model)
+    (constants,) = describe_constants(comparison, model.programs, errors)
+    assert not any(constant.identifiable for constant in constants)
+    correlated = find_correlations(comparison, ("x",), model.programs, errors)
+    assert len(correlated) >= 1
+    assert all(0.95 <= abs(described.value) <= 1.0 + 1e-6 for described in correlated)
+    assert [abs(described.value) for described in correlated] == sorted(
+        (abs(described.value) for described in correlated), reverse=True
+    )
+    assert {described.first[0] for described in correlated} == {"x"}
 
 
 def test_well_determined_constants_are_not_correlated():
-    its, model = drawn(0)
-    errors = estimate_errors(its, model)
-    assert describe_constants(its, model.programs, errors)[0][0].identifiable
-    assert find_correlations(its, ("x",), model.programs, errors) == ()
+    comparison, model = drawn(0)
+    errors = estimate_errors(comparison, model)
+    assert describe_constants(comparison, model.programs, errors)[0][0].identifiable
+    assert find_correlations(comparison, ("x",), model.programs, errors) == ()
 
 
 def test_constants_of_a_fixed_equation_have_a_value_alone():
     rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
-    its = compare(LOTKA, rows, 1e-8, fixed=[0])
+    comparison = compare(LOTKA, rows, 1e-8, fixed=[0])
     programs = [LOTKA.parsed(LOTKA_TEXT[0]), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")]
-    model = its.fit_model(programs)
-    first, second = describe_constants(its, model.programs, estimate_errors(its, model))
-    assert [each.value for each in first] == programs[0].constants[constant_places(programs[0])].tolist()
-    assert all(each.fitted is None and each.std_error is None and each.interval is None for each in first)
-    assert all(each.std_error > 0.0 for each in second)
-    found = find_correlations(its, ("x", "y"), model.programs, estimate_errors(its, model))
-    assert {name for each in found for name in (each.first[0], each.second[0])} <= {"y"}
+    model = comparison.fit_model(programs)
+    first, second = describe_constants(comparison, model.programs, estimate_errors(comparison, model))
+    assert [described.value for described in first] == programs[0].constants[constant_places(programs[0])].tolist()
+    assert all(
+        described.fitted is None and described.std_error is None and described.interval is None for described in first
+    )
+    assert all(described.std_error > 0.0 for described in second)
+    correlated = find_correlations(comparison, ("x", "y"), model.programs, estimate_errors(comparison, model))
+    assert {name for described in correlated for name in (described.first[0], described.second[0])} <= {"y"}
 
 
 def test_shown_values_stand_beside_fitted_ones():
-    its, model = drawn(0)
-    ((constant,),) = describe_constants(its, [TRUTH], estimate_errors(its, model))
+    comparison, model = drawn(0)
+    ((constant,),) = describe_constants(comparison, [TRUTH], estimate_errors(comparison, model))
     assert abs(constant.value) == 0.5
     assert constant.fitted == float(model.fit.system.values[0])
 
 
 def test_held_constants_stay_and_starts_are_fitted():
-    its, model = drawn(3)
-    fit = fit_starts(its, [TRUTH])
+    comparison, model = drawn(3)
+    fit = fit_starts(comparison, [TRUTH])
     assert fit.system.values.size == 0
     assert fit.squares[0] >= model.fit.squares[0]
     assert fit.starts[:, 0] == pytest.approx([2.0, 1.0, -1.5], abs=4.0 * NOISE)
-    near = fit_starts(its, [TRUTH], model.fit)
+    near = fit_starts(comparison, [TRUTH], model.fit)
     assert near.squares[0] == pytest.approx(fit.squares[0], rel=1e-5)
 
 
 def test_simulations_are_by_trajectory():
     rows = measurements_of(recording(DECAY, STARTS, TIMES, NOISE), [0], piece=10)
-    its = compare(DECAY, rows, 1e-6)
-    model = its.fit_model([TRUTH])
+    comparison = compare(DECAY, rows, 1e-6)
+    model = comparison.fit_model([TRUTH])
     errors = np.arange(60.0)[None]
-    found = simulated(rows, model.fit, errors, ("x",), held_out=False)
-    assert [each.name for each in found] == ["1", "2", "3"]
-    assert [len(each.times) for each in found] == [20, 20, 20]
-    assert np.concatenate([each.errors[0] for each in found]).tolist() == errors[0].tolist()
-    assert np.concatenate([each.values[0] for each in found]).tolist() == model.fit.simulated[0].tolist()
-    assert all(0.5 < each.r2[0] < 1.0 for each in found)
+    curves = simulated(rows, model.fit, errors, ("x",), held_out=False)
+    assert [curve.name for curve in curves] == ["1", "2", "3"]
+    assert [len(curve.times) for curve in curves] == [20, 20, 20]
+    assert np.concatenate([curve.errors[0] for curve in curves]).tolist() == errors[0].tolist()
+    assert np.concatenate([curve.values[0] for curve in curves]).tolist() == model.fit.simulated[0].tolist()
+    assert all(0.5 < curve.r2[0] < 1.0 for curve in curves)
     assert simulated(rows, model.fit, None, ("x",), held_out=True)[0].errors is None
 
 
 def test_what_could_not_be_simulated_has_neither_values_nor_r2():
     rows = measurements_of(recording(DECAY, STARTS, TIMES, NOISE), [0])
-    found = not_simulated(rows, held_out=True)
-    assert [(each.name, each.held_out, each.values, each.errors, each.r2) for each in found] == [
+    curves = not_simulated(rows, held_out=True)
+    assert [(curve.name, curve.held_out, curve.values, curve.errors, curve.r2) for curve in curves] == [
         (name, True, None, None, (None,)) for name in ("1", "2", "3")
     ]
 
@@ -229,10 +234,10 @@ def test_constants_are_fitted_by_weight_and_their_errors_say_so():
     weights = deviations**-2 / np.mean(deviations**-2)
     rates, told = [], []
     for seed in range(60):
-        its = recording(DECAY, ([1.0],), TIMES, 1e-9)
-        (bare,) = its.trajectories
+        recorded = recording(DECAY, ([1.0],), TIMES, 1e-9)
+        (bare,) = recorded.trajectories
         noise = deviations * np.random.default_rng(seed).standard_normal((1, len(TIMES)))
-        weighed = replace(its, trajectories=(replace(bare, measured=bare.smoothed + noise, weights=weights),))
+        weighed = replace(recorded, trajectories=(replace(bare, measured=bare.smoothed + noise, weights=weights),))
         compared = compare(DECAY, measurements_of(weighed, [0]), 1e-6)
         model = compared.fit_model([DECAY.parsed("-0.45*x")], lengths=(None,))
         errors = estimate_errors(compared, model)

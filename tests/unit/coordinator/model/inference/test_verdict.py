@@ -97,12 +97,12 @@ def drawn(seed: int, count: int, sd: float = 0.1, correlation: float = 0.0) -> t
     ],
 )
 def test_what_may_be_chance_or_is_small_is_no_objection(residuals: tuple[FloatArray, ...], what: str) -> None:
-    found = check(residuals, 0.1, 3.0, None, is_robust=False)
+    checked = check(residuals, 0.1, 3.0, None, is_robust=False)
     assert {
-        "large by chance": found.ratio > 1.25 and found.too_large > 0.01,
-        "large, but not by much": 1.0 < found.ratio < 1.25 and found.too_large < 0.01,
-        "patterned by chance": found.correlation > 0.1 and found.patterned > 0.01,
-        "patterned, but not by much": 0.0 < found.correlation < 0.1 and found.patterned < 0.01,
+        "large by chance": checked.ratio > 1.25 and checked.too_large > 0.01,
+        "large, but not by much": 1.0 < checked.ratio < 1.25 and checked.too_large < 0.01,
+        "patterned by chance": checked.correlation > 0.1 and checked.patterned > 0.01,
+        "patterned, but not by much": 0.0 < checked.correlation < 0.1 and checked.patterned < 0.01,
     }[what]
     assert judge(replace(NOISY, residuals=residuals))[0] == "good"
 
@@ -180,8 +180,8 @@ def test_a_simulation_that_explains_little_or_does_not_end_is_no_model(change: d
     ],
 )
 def test_without_trajectories_the_target_decides(evidence: Evidence, grade: str, said: str) -> None:
-    found, reason = judge(evidence)
-    assert found == grade
+    verdict, reason = judge(evidence)
+    assert verdict == grade
     assert said.lower() in reason.lower()
     assert reason[0].isupper()
     assert reason.endswith(".")
@@ -231,8 +231,8 @@ def test_errors_that_add_up_along_trajectories_may_be_larger_but_not_large() -> 
     ],
 )
 def test_a_chaotic_model_stays_with_what_was_measured_or_is_doubtful(chaos: Chaos, grade: str, said: str) -> None:
-    found, reason = judge(replace(NOISY, chaos=chaos))
-    assert found == grade
+    verdict, reason = judge(replace(NOISY, chaos=chaos))
+    assert verdict == grade
     assert said.lower() in reason.lower()
 
 

@@ -23,9 +23,9 @@ def known(rows: int, seed: int, *, has_intervals: bool = True):
     draw = np.random.default_rng(seed)
     inputs = draw.normal(size=(3, rows))
     labels = 1.5 * inputs[0] - 0.7 * inputs[1] + inputs[2] + 2.0 + draw.normal(size=rows)
-    its = Problem(NAMES, inputs, Target("label", "label", labels, 0.0, float(np.std(labels))))
-    criterion = RegressionCriterion.of(its.target)
-    return its, estimate_constants(PROGRAM, LeastSquares(its), criterion, has_intervals=has_intervals)
+    sought = Problem(NAMES, inputs, Target("label", "label", labels, 0.0, float(np.std(labels))))
+    criterion = RegressionCriterion.of(sought.target)
+    return sought, estimate_constants(PROGRAM, LeastSquares(sought), criterion, has_intervals=has_intervals)
 
 
 @pytest.mark.slow
@@ -35,17 +35,17 @@ def test_intervals_hold_the_truth_nineteen_times_in_twenty():
     margin = 4.0 * math.sqrt(0.95 * 0.05 / draws)
     hits = np.zeros(4)
     for seed in range(draws):
-        _, its = known(10, seed)
-        constants = [*its.written, *(each.constant for each in its.unit_coefficients)]
-        hits += [low <= each.value <= high for each in constants for low, high in [each.interval]]
+        _, estimate = known(10, seed)
+        constants = [*estimate.written, *(coefficient.constant for coefficient in estimate.unit_coefficients)]
+        hits += [low <= constant.value <= high for constant in constants for low, high in [constant.interval]]
     assert hits / draws == pytest.approx(0.95, abs=margin)
 
 
 def test_constants_and_unit_coefficients_have_the_standard_errors_of_a_joint_linear_fit():
-    its, estimate = known(12, 3)
+    known_problem, estimate = known(12, 3)
     (unit,) = estimate.unit_coefficients
-    design = np.stack([*its.inputs, np.ones(12)]).T
-    solution, (squares,), *_ = np.linalg.lstsq(design, its.target.values, rcond=None)
+    design = np.stack([*known_problem.inputs, np.ones(12)]).T
+    solution, (squares,), *_ = np.linalg.lstsq(design, known_problem.target.values, rcond=None)
     errors = np.sqrt(np.diag(np.linalg.inv(design.T @ design)) * squares / (12 - 4))
     expected = dict(zip(TRUTH, zip(solution, errors, strict=True), strict=True))
     written = {1.5: "x", 0.7: "y", -0.7: "y", 2.0: ""}
@@ -68,9 +68,9 @@ def test_without_independent_errors_there_are_no_intervals():
 
 
 def test_an_equation_without_a_finite_value_has_no_errors():
-    its, _ = known(10, 0)
+    known_problem, _ = known(10, 0)
     program = simplify_program(from_infix("2.0*log(x)", NAMES))
     (constant,) = estimate_constants(
-        program, LeastSquares(its), RegressionCriterion.of(its.target), has_intervals=True
+        program, LeastSquares(known_problem), RegressionCriterion.of(known_problem.target), has_intervals=True
     ).written
     assert (constant.value, constant.interval, constant.identifiable) == (2.0, None, False)

@@ -35,13 +35,13 @@ def test_exact_data_give_exact_constants():
 
 
 def test_a_linear_fit_is_that_of_the_normal_equations():
-    its = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.1)
-    fitted = LeastSquares(its).fit(parsed("0.1*x + 9.0*y"))
-    expected, *_ = np.linalg.lstsq(its.inputs.T, its.target.values, rcond=None)
+    sought = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.1)
+    fitted = LeastSquares(sought).fit(parsed("0.1*x + 9.0*y"))
+    expected, *_ = np.linalg.lstsq(sought.inputs.T, sought.target.values, rcond=None)
     assert constants(fitted.program) == pytest.approx(expected.tolist(), rel=1e-7)
-    rows = len(its.target.values)
-    variance = np.linalg.inv(its.inputs @ its.inputs.T) * fitted.mse * rows / (rows - 2)
-    errors = standard_errors(fitted, RegressionCriterion.of(its.target))
+    rows = len(sought.target.values)
+    variance = np.linalg.inv(sought.inputs @ sought.inputs.T) * fitted.mse * rows / (rows - 2)
+    errors = standard_errors(fitted, RegressionCriterion.of(sought.target))
     assert errors == pytest.approx(np.sqrt(np.diag(variance)).tolist(), rel=1e-7)
 
 
@@ -49,8 +49,8 @@ def test_the_variance_of_few_errors_is_over_what_constants_leave_of_them():
     """Of five rows a line leaves three: errors would be 23 % too small over all rows."""
     rows = np.arange(5.0)[None]
     target = Target("y", "y", 2.0 * rows[0] + 1.0 + np.array([0.1, -0.2, 0.05, 0.2, -0.1]), 0.0, 1.0)
-    its = Problem(("x",), rows, target)
-    fitted = LeastSquares(its).fit(from_infix("1.5*x + 0.5", ("x",)))
+    sought = Problem(("x",), rows, target)
+    fitted = LeastSquares(sought).fit(from_infix("1.5*x + 0.5", ("x",)))
     expected = stats.linregress(rows[0], target.values)
     errors = standard_errors(fitted, RegressionCriterion.of(target))
     assert sorted(errors) == pytest.approx(sorted([expected.stderr, expected.intercept_stderr]), rel=1e-6)
@@ -80,8 +80,10 @@ def test_a_program_without_a_finite_value_stays_and_has_infinite_error():
 
 
 def test_constants_that_the_data_cannot_tell_apart_have_large_errors():
-    its = problem(lambda x, y: 6.0 * x, noise=0.1)
-    errors = standard_errors(LeastSquares(its).fit(parsed("(2.0*(3.0*sin(x)))")), RegressionCriterion.of(its.target))
+    sought = problem(lambda x, y: 6.0 * x, noise=0.1)
+    errors = standard_errors(
+        LeastSquares(sought).fit(parsed("(2.0*(3.0*sin(x)))")), RegressionCriterion.of(sought.target)
+    )
     assert min(errors) > 1e3
 
 
@@ -116,18 +118,18 @@ def bounded(*texts):
 
 
 def test_constants_are_fitted_within_bounds_as_well_as_these_allow():
-    its = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.1)
-    fitted = LeastSquares(its, restrictions=bounded("x < 2.5")).fit(parsed("0.1*x + 9.0*y"))
-    expected, *_ = np.linalg.lstsq(its.inputs[1:].T, its.target.values - 2.5 * its.inputs[0], rcond=None)
+    sought = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.1)
+    fitted = LeastSquares(sought, restrictions=bounded("x < 2.5")).fit(parsed("0.1*x + 9.0*y"))
+    expected, *_ = np.linalg.lstsq(sought.inputs[1:].T, sought.target.values - 2.5 * sought.inputs[0], rcond=None)
     assert constants(fitted.program) == pytest.approx([2.5, float(expected[0])], rel=1e-6)
 
 
 def test_a_constant_on_its_bound_has_a_one_sided_interval():
-    its = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.1)
-    least_squares = LeastSquares(its, restrictions=bounded("x < 2.5", "y < 0"))
+    sought = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.1)
+    least_squares = LeastSquares(sought, restrictions=bounded("x < 2.5", "y < 0"))
     program = least_squares.fit(parsed("0.1*x - 9.0*y")).program
     on_bound, free = estimate_constants(
-        program, least_squares, RegressionCriterion.of(its.target), has_intervals=True
+        program, least_squares, RegressionCriterion.of(sought.target), has_intervals=True
     ).written
     assert (on_bound.value, on_bound.std_error, on_bound.is_at_bound) == (2.5, None, True)
     assert on_bound.interval[1] == 2.5
@@ -144,20 +146,20 @@ def test_what_may_not_stand_has_no_finite_error():
 
 @pytest.mark.slow
 def test_an_equation_of_given_targets_keeps_its_bounds():
-    its = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.05)
+    sought = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.05)
     config = JobConfig(space=SpaceConfig(operators=("+", "-", "*")), prior=PriorConfig(bounds={"label": ("x < 2.5",)}))
-    members = decode_members((entry("2.5*x - 1.5*y", its),), 2)
-    found = fit_equation(its, config, members, has_intervals=True)
+    members = decode_members((entry("2.5*x - 1.5*y", sought),), 2)
+    fitted = fit_equation(sought, config, members, has_intervals=True)
     bounds = bounded("x < 2.5").bounds
-    assert bounds.are_kept(found.program)
-    assert not bounds.are_kept(fit_equation(its, JobConfig(space=config.space), members, has_intervals=True).program)
+    assert bounds.are_kept(fitted.program)
+    assert not bounds.are_kept(fit_equation(sought, JobConfig(space=config.space), members, has_intervals=True).program)
 
 
 def test_rows_that_are_compared_are_not_in_step_with_a_period():
     """Of 6,000 rows with three to a period, every third one would be the same point."""
     phases = np.tile([1.0, 2.0, 4.0], 2000)
-    its = _spread(Problem(("x",), phases[None], Target("y", "y", 3.0 * phases, 0.0, 1.0)), 2000)
-    assert set(its.inputs[0]) == {1.0, 2.0, 4.0}
-    assert its.target.values.tolist() == (3.0 * its.inputs[0]).tolist()
+    sought = _spread(Problem(("x",), phases[None], Target("y", "y", 3.0 * phases, 0.0, 1.0)), 2000)
+    assert set(sought.inputs[0]) == {1.0, 2.0, 4.0}
+    assert sought.target.values.tolist() == (3.0 * sought.inputs[0]).tolist()
     weights = _spread_weights(phases, 2000)
-    np.testing.assert_allclose(weights, its.inputs[0] / its.inputs[0].mean())
+    np.testing.assert_allclose(weights, sought.inputs[0] / sought.inputs[0].mean())

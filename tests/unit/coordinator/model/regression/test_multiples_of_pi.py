@@ -8,8 +8,8 @@ from atoll_coordinator.model.regression.simple_numbers import simple_numbers
 
 
 def _shortest(value: float, error: float) -> float:
-    found = simple_numbers(value, error)
-    return min(found, key=found.__getitem__)
+    simple = simple_numbers(value, error)
+    return min(simple, key=simple.__getitem__)
 
 
 @pytest.mark.parametrize("multiple", [math.pi, math.pi / 2.0, -math.pi / 6.0, 2.0 * math.pi, 4.0 * math.pi / 3.0])

@@ -43,8 +43,8 @@ def test_an_estimate_is_not_shown_as_a_prettier_number_within_its_error():
     ],
 )
 def test_a_number_that_the_data_single_out_is_shown(value, error, expected):
-    found, simple = shown(value, error)
-    assert found == simple.value == expected
+    numbers, simple = shown(value, error)
+    assert numbers == simple.value == expected
     assert simple.odds >= ODDS
 
 
@@ -101,7 +101,7 @@ def test_the_probability_of_any_number_is_that_of_the_simple_ones_of_its_decade(
         widths = np.diff(np.append(points, 10.0 ** (decade + 1)))
         continuum = sum(continuum_density(float(point)) * width for point, width in zip(points, widths, strict=True))
         near = [simple_numbers(float(value), 0.001 * value) for value in points]
-        few = {number: length for its in near for number, length in its.items()}
+        few = {number: length for rounded in near for number, length in rounded.items()}
         few = {number: length for number, length in few.items() if 10.0**decade <= number < 10.0 ** (decade + 1)}
         simple = sum(math.exp(-length) for length in few.values())
         assert continuum == pytest.approx(simple, rel=0.25)
@@ -139,21 +139,21 @@ def test_simple_numbers_are_judged_together_where_each_alone_stays_an_estimate()
     covariance = np.outer(errors, errors) * np.array([[1.0, -0.6], [-0.6, 1.0]])
     rounding = round_estimates(means, covariance)
     assert rounding.simple[1].odds < ODDS
-    its = rounding.together([0, 1])
-    assert its.constants == (0, 1)
-    assert its.values == pytest.approx((0.9, 1.0 / 9.0))
-    assert 1.0 < its.odds <= min(each.odds for each in rounding.simple)
-    away = means - its.values
-    assert its.chi_square == pytest.approx(away @ np.linalg.solve(covariance, away))
+    rounded = rounding.together([0, 1])
+    assert rounded.constants == (0, 1)
+    assert rounded.values == pytest.approx((0.9, 1.0 / 9.0))
+    assert 1.0 < rounded.odds <= min(simple.odds for simple in rounding.simple)
+    away = means - rounded.values
+    assert rounded.chi_square == pytest.approx(away @ np.linalg.solve(covariance, away))
     assert rounding.together([1]) is None
 
 
 def test_the_places_of_simple_numbers_are_those_in_the_equation():
     rounding = round_estimates(np.array([3.7281, 2.00001, 5.00001]), np.diag([1e-4, 1e-5, 1e-5]) ** 2)
-    its = rounding.together([2, 0, 1])
-    assert its.constants == (0, 2)
-    assert its.values == (5.0, 2.0)
-    assert its.odds > ODDS
+    rounded = rounding.together([2, 0, 1])
+    assert rounded.constants == (0, 2)
+    assert rounded.values == (5.0, 2.0)
+    assert rounded.odds > ODDS
 
 
 @pytest.mark.slow

@@ -76,6 +76,6 @@ def test_an_error_larger_than_the_constant_leaves_its_sign_only():
 @pytest.mark.parametrize("value", [sys.float_info.max, 1e308, -3e307, 1e-307, -5e-324])
 def test_the_largest_and_the_smallest_numbers_have_lengths_and_densities(value):
     error = max(1e-3 * abs(value), 5e-324)
-    assert all(math.isfinite(each) for its in simple_numbers(value, error).items() for each in its)
+    assert all(math.isfinite(value) for number in simple_numbers(value, error).items() for value in number)
     assert math.isfinite(fitted_length(value, error))
     assert continuum_density(value) > 0.0

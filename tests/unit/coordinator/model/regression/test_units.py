@@ -52,8 +52,8 @@ def test_a_result_has_the_odds_of_simple_numbers_together():
     y = 2.0 * x + 0.5 * x * x - 3.0 + 0.01 * random.standard_normal(300)
     problem = Problem(("x",), x[None], Target("y", "y", y, 0.0, float(y.std())))
     program = from_infix("1.9*x + 0.6*x*x - 2.9", ("x",))
-    its = fit_equation(problem, SUMS, [Member(program, 1.0, 1.0)])
-    together = its.simple_together
-    assert together.values == tuple(its.constants[place].value for place in together.constants)
-    assert len(together.values) == len(its.constants) == 3
-    assert 20.0 <= together.odds <= min(each.simple.odds for each in its.constants)
+    fitted = fit_equation(problem, SUMS, [Member(program, 1.0, 1.0)])
+    together = fitted.simple_together
+    assert together.values == tuple(fitted.constants[place].value for place in together.constants)
+    assert len(together.values) == len(fitted.constants) == 3
+    assert 20.0 <= together.odds <= min(constant.simple.odds for constant in fitted.constants)

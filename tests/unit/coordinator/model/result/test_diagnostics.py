@@ -28,15 +28,17 @@ def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory
 
 
 def recording(*trajectories: Trajectory, excluded: tuple[ExcludedRow, ...] = (), span: int = 21) -> Recording:
-    its = Smoothing("x", "loess", 0.1, 0.05, span, 3, uncertain_rows=4, outliers=1, excluded_rows=excluded)
+    described_smoothing = Smoothing(
+        "x", "loess", 0.1, 0.05, span, 3, uncertain_rows=4, outliers=1, excluded_rows=excluded
+    )
     exact = Smoothing("y", "interpolation", 1e-12, 1e-12)
-    return Recording(("x", "y"), ("x", "y"), (), (), (), 1, 100.0, (its, exact), trajectories)
+    return Recording(("x", "y"), ("x", "y"), (), (), (), 1, 100.0, (described_smoothing, exact), trajectories)
 
 
 def test_noise_is_said_of_each_state() -> None:
-    found = noise(recording(trajectory(101)), {})
-    assert [*found] == ["x", "y"]
-    assert found["x"] == {
+    described = noise(recording(trajectory(101)), {})
+    assert [*described] == ["x", "y"]
+    assert described["x"] == {
         "sd": 0.1,
         "relative": 0.05,
         "method": "loess",
@@ -50,18 +52,18 @@ def test_noise_is_said_of_each_state() -> None:
         "doubtful": [],
         "errors": None,
     }
-    assert found["y"]["largest_residual"] is None
+    assert described["y"]["largest_residual"] is None
     assert noise(None, {}) == {}
 
 
 def test_the_largest_residual_is_found_in_time() -> None:
-    its, other = trajectory(101), trajectory(101, "2")
+    one, other = trajectory(101), trajectory(101, "2")
     other.measured[0, 30] = other.smoothed[0, 30] - 0.7
-    found = noise(recording(its, other), {})["x"]["largest_residual"]
-    assert found == {"value": pytest.approx(-0.7), "trajectory": "2", "time": pytest.approx(98.0)}
+    described = noise(recording(one, other), {})["x"]["largest_residual"]
+    assert described == {"value": pytest.approx(-0.7), "trajectory": "2", "time": pytest.approx(98.0)}
     hidden = trajectory(101, "3", held_out=True)
     hidden.measured[0, 0] = 9.0
-    assert noise(recording(its, other, hidden), {})["x"]["largest_residual"] == found
+    assert noise(recording(one, other, hidden), {})["x"]["largest_residual"] == described
 
 
 def test_a_span_beyond_the_longest_trajectory_is_all_of_it() -> None:
@@ -75,8 +77,8 @@ def test_doubtful_rows_stand_by_trajectory_and_reason() -> None:
         ExcludedRow(0, 50, "jump"),
         ExcludedRow(1, 100, "end"),
     )
-    found = noise(recording(trajectory(101), trajectory(101, "2b"), excluded=excluded), {})["x"]["doubtful"]
-    assert found == [
+    described = noise(recording(trajectory(101), trajectory(101, "2b"), excluded=excluded), {})["x"]["doubtful"]
+    assert described == [
         {"trajectory": "1", "reason": "end", "times": [95.0, 95.1]},
         {"trajectory": "1", "reason": "jump", "times": [100.0]},
         {"trajectory": "2b", "reason": "end", "times": [105.0]},
@@ -85,15 +87,15 @@ def test_doubtful_rows_stand_by_trajectory_and_reason() -> None:
 
 def test_only_so_many_doubtful_rows_are_listed() -> None:
     excluded = tuple(ExcludedRow(0, row, "jump") for row in range(MOST_EXCLUDED + 10))
-    (found,) = noise(recording(trajectory(MOST_EXCLUDED + 10), excluded=excluded), {})["x"]["doubtful"]
-    assert len(found["times"]) == MOST_EXCLUDED
+    (described,) = noise(recording(trajectory(MOST_EXCLUDED + 10), excluded=excluded), {})["x"]["doubtful"]
+    assert len(described["times"]) == MOST_EXCLUDED
 
 
 def test_smoothed_rows_stand_beside_measured_ones() -> None:
-    found = smoothing(recording(trajectory(5), trajectory(4, "2", held_out=True)))
-    assert found is not None
-    assert (found["rows"], found["listed"]) == (9, 9)
-    first, second = found["trajectories"]
+    described = smoothing(recording(trajectory(5), trajectory(4, "2", held_out=True)))
+    assert described is not None
+    assert (described["rows"], described["listed"]) == (9, 9)
+    first, second = described["trajectories"]
     assert (first["name"], first["held_out"], second["name"], second["held_out"]) == ("1", False, "2", True)
     assert first["times"] == [95.0, 97.5, 100.0, 102.5, 105.0]
     assert [*first["measured"]] == [*first["smoothed"]] == [*first["residuals"]] == ["x"]
@@ -103,12 +105,12 @@ def test_smoothed_rows_stand_beside_measured_ones() -> None:
 
 @pytest.mark.parametrize(("count", "rows"), [(1, 50_001), (40, 501), (3000, 10)])
 def test_of_many_rows_some_are_listed_and_their_number_is_said(count: int, rows: int) -> None:
-    found = smoothing(recording(*(trajectory(rows, str(each)) for each in range(count))))
-    assert found is not None
-    listed = [its["times"] for its in found["trajectories"]]
-    assert found["rows"] == count * rows
-    assert found["listed"] == sum(map(len, listed)) <= max(MOST_ROWS, 2 * count)
-    assert {(its[0], its[-1]) for its in listed} == {(95.0, 105.0)}
+    described = smoothing(recording(*(trajectory(rows, str(number)) for number in range(count))))
+    assert described is not None
+    listed = [trajectory["times"] for trajectory in described["trajectories"]]
+    assert described["rows"] == count * rows
+    assert described["listed"] == sum(map(len, listed)) <= max(MOST_ROWS, 2 * count)
+    assert {(described_smoothing[0], described_smoothing[-1]) for described_smoothing in listed} == {(95.0, 105.0)}
 
 
 def test_no_table_without_smoothed_states_and_nothing_but_numbers() -> None:
@@ -119,10 +121,10 @@ def test_no_table_without_smoothed_states_and_nothing_but_numbers() -> None:
     assert smoothing(None) is None
     wild = trajectory(5)
     wild.measured[0, 2] = math.inf
-    found = smoothing(recording(wild))
-    assert found is not None
-    assert found["trajectories"][0]["measured"]["x"][2] is None
-    json.dumps([found, noise(recording(wild), {})], allow_nan=False)
+    described = smoothing(recording(wild))
+    assert described is not None
+    assert described["trajectories"][0]["measured"]["x"][2] is None
+    json.dumps([described, noise(recording(wild), {})], allow_nan=False)
 
 
 def whole(errors: dict[str, StateErrors]) -> Result:
@@ -132,8 +134,13 @@ def whole(errors: dict[str, StateErrors]) -> Result:
 def test_what_residuals_say_of_errors_is_listed_and_told_in_words():
     solver = StateErrors(2e-4, 0.0, 1.0, 5.0, 20.0, True, 10)
     sensor = StateErrors(0.1, 0.8, 0.5, 6.3, 30.0, False)
-    found = noise(recording(trajectory(101)), {"x": sensor})["x"]["errors"]
-    assert (found["sd"], found["proportional"], found["correlation_rows"], found["add_up"]) == (0.1, 0.8, 6.3, False)
+    described = noise(recording(trajectory(101)), {"x": sensor})["x"]["errors"]
+    assert (described["sd"], described["proportional"], described["correlation_rows"], described["add_up"]) == (
+        0.1,
+        0.8,
+        6.3,
+        False,
+    )
     line, *_ = noise_lines(whole({"x": sensor}))
     assert "80 % of their variance grows with the value squared" in line
     assert "50 % of the errors' variance of neighbouring rows goes together over about 6 rows" in line

@@ -43,8 +43,8 @@ def test_one_without_a_value_everywhere_has_no_finite_error():
 
 def test_one_without_a_value_everywhere_is_warned_of():
     config = JobConfig(prior=PriorConfig(known={"x": "3*x", "y": "log(x)"}))
-    its = with_remarks(Preparation(DATASET, None), config)
-    assert its.dataset.warnings == ("The known equation of 'y' has no finite value on 25 of 50 rows.",)
+    prepared = with_remarks(Preparation(DATASET, None), config)
+    assert prepared.dataset.warnings == ("The known equation of 'y' has no finite value on 25 of 50 rows.",)
 
 
 def result(text="-x/10"):
@@ -77,7 +77,7 @@ def test_the_digest_covers_what_was_searched_alone():
 
 def test_without_a_search_it_covers_what_is_known_and_the_data():
     def digest(text):
-        outcomes = [replace(each, why=KNOWN) for each in result(text)[1]]
+        outcomes = [replace(outcome, why=KNOWN) for outcome in result(text)[1]]
         built = build_result(
             "j", JobConfig(), Preparation(DATASET, None), outcomes, Account("done", 1.0, 1.0)
         ).as_dict()

@@ -78,8 +78,8 @@ def test_the_equation_says_what_was_found_when_and_at_what_cost():
 def test_convergence_is_listed_by_island_relative_to_the_target():
     steps = {1: ((7, 2.5),), 0: tuple((generation, 250.0 - generation) for generation in range(200))}
     outcome = replace(outcomes()[0], convergence=steps)
-    found = build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0)).as_dict()
-    first, second = found["equations"][0]["convergence"]
+    written = build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0)).as_dict()
+    first, second = written["equations"][0]["convergence"]
     assert second == {"island": 1, "generations": [7], "errors": [2.0]}
     assert (len(first["errors"]), first["generations"][0], first["generations"][-1]) == (40, 0, 199)
 
@@ -87,10 +87,12 @@ def test_convergence_is_listed_by_island_relative_to_the_target():
 def test_measured_and_fitted_values_of_a_regression_are_listed():
     source = Source("0" * 64, ("a.csv",), 50, {}, None, (), (), ("x", "S", "v [m/s]"), "v [m/s]", 1)
     given = replace(PREPARATION, source=source)
-    found = build_result("job-1", JobConfig(), given, outcomes()[:1], Account("done", 1.0, 1.0)).as_dict()["regression"]
-    assert (found["rows"], found["listed"], set(found["fitted"])) == (50, 50, {0.0})
-    assert found["measured"][:2] == pytest.approx([-2.0, -1.918367])
-    assert set(found["variables"]) == {"x", "S", "v [m/s]"}
+    written = build_result("job-1", JobConfig(), given, outcomes()[:1], Account("done", 1.0, 1.0)).as_dict()[
+        "regression"
+    ]
+    assert (written["rows"], written["listed"], set(written["fitted"])) == (50, 50, {0.0})
+    assert written["measured"][:2] == pytest.approx([-2.0, -1.918367])
+    assert set(written["variables"]) == {"x", "S", "v [m/s]"}
     assert result()["regression"] is None
 
 
@@ -111,12 +113,12 @@ def test_members_that_are_one_function_fall_together_and_the_front_is_one_of_sho
     )
     selected = VariableOutcome("x", front, 1)
     shown = build_result("j", JobConfig(), PREPARATION, [selected], Account("done", 1.0, 1.0)).as_dict()["equations"][0]
-    assert [(each["expression"], each["complexity"], each["error"]) for each in shown["front"]] == [
+    assert [(equation["expression"], equation["complexity"], equation["error"]) for equation in shown["front"]] == [
         ("x", 1, 0.4),
         ("cos(v)", 2, 0.35),
         ("x + S", 3, 0.3),
     ]
-    assert [each["selected"] for each in shown["front"]].count(True) == 1
+    assert [equation["selected"] for equation in shown["front"]].count(True) == 1
 
 
 def test_a_known_equation_is_shown_as_it_was_given():
@@ -155,9 +157,9 @@ def test_a_generation_without_a_hit_is_that_of_the_selected_member():
 def test_a_result_says_how_far_its_model_can_be_trusted():
     built = result()
     assert (built["noise"], built["correlations"], built["simulation"]) == ({}, [], None)
-    found, empty = built["equations"]
-    assert (found["verdict"], empty["verdict"]) == ("exact", "no model")
-    assert found["candidates"] == []
+    contents, empty = built["equations"]
+    assert (contents["verdict"], empty["verdict"]) == ("exact", "no model")
+    assert contents["candidates"] == []
     assert result(state="running")["equations"][0]["verdict"] is None
 
 
@@ -289,7 +291,7 @@ def test_latex_writes_fractions_and_rounded_constants():
 
 
 def test_latex_of_nothing_found_yet_has_no_blank_line():
-    empty = {**result(), "equations": [{**each, "expression": None} for each in result()["equations"]]}
+    empty = {**result(), "equations": [{**equation, "expression": None} for equation in result()["equations"]]}
     assert rendered(empty, "latex").splitlines() == [r"\begin{align*}", r"\end{align*}"]
 
 
@@ -361,13 +363,13 @@ def test_an_equation_whose_display_has_other_numbers_is_written_out():
 
 
 def test_text_names_the_functions_that_equations_have_in_common():
-    its = result()
+    contents = result()
     factors = {"x": 1.0, "v": -2.0}
-    its["shared_terms"] = [
+    contents["shared_terms"] = [
         {"term": "S/(1.0 + x)", "has_function": True, "factors": factors},
         {"term": "x*S", "has_function": False, "factors": factors},
     ]
-    lines = [line for line in render_text(its).splitlines() if line.startswith("shared")]
+    lines = [line for line in render_text(contents).splitlines() if line.startswith("shared")]
     assert lines == ["shared: S/(1 + x) in dx/dt, dv/dt"]
-    its["shared_terms"][0]["multiples"] = {"x": 1.0, "v": -2.0}
-    assert "flux: S/(1 + x), +1 in dx/dt, -2 in dv/dt" in render_text(its).splitlines()
+    contents["shared_terms"][0]["multiples"] = {"x": 1.0, "v": -2.0}
+    assert "flux: S/(1 + x), +1 in dx/dt, -2 in dv/dt" in render_text(contents).splitlines()

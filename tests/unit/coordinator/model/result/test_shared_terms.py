@@ -20,10 +20,10 @@ def equation(text, error=1e-4):
 
 
 def test_a_flux_is_in_both_equations_with_its_factors():
-    found = shared_terms(
+    terms = shared_terms(
         {"x": equation("2.5 - 7.3*x*y/(0.0731 + y*y)"), "y": equation("14.6*x*y/(0.0732 + y*y) - 6*z")}, NAMES
     )
-    assert found == [
+    assert terms == [
         {"term": "x*y/(0.0731 + y**2)", "has_function": True, "factors": {"x": -7.3, "y": 14.6}, "multiples": None},
     ]
 
@@ -35,12 +35,12 @@ def test_numbers_that_differ_inside_make_two_terms(inside):
 
 
 def test_products_are_terms_lone_variables_and_numbers_are_none():
-    found = shared_terms({"x": equation("3.0 - x*y - z"), "y": equation("3.0 + x*y - z"), "z": equation("z")}, NAMES)
-    assert found == [{"term": "x*y", "has_function": False, "factors": {"x": -1.0, "y": 1.0}, "multiples": None}]
+    terms = shared_terms({"x": equation("3.0 - x*y - z"), "y": equation("3.0 + x*y - z"), "z": equation("z")}, NAMES)
+    assert terms == [{"term": "x*y", "has_function": False, "factors": {"x": -1.0, "y": 1.0}, "multiples": None}]
 
 
 def test_terms_that_were_fitted_together_have_their_multiples():
     equations = {"x": equation("3.0 - 0.5*x - x*y"), "y": equation("0.5*x - x*y")}
     ((monomial, _),) = terms_of(from_infix("0.5*x", NAMES))
-    found = shared_terms(equations, NAMES, (SharedTerm(shape_of(monomial), {"x": -1.0, "y": 1.0}),))
-    assert [(each["term"], each["multiples"]) for each in found] == [("x", {"x": -1.0, "y": 1.0}), ("x*y", None)]
+    terms = shared_terms(equations, NAMES, (SharedTerm(shape_of(monomial), {"x": -1.0, "y": 1.0}),))
+    assert [(term["term"], term["multiples"]) for term in terms] == [("x", {"x": -1.0, "y": 1.0}), ("x*y", None)]

@@ -44,9 +44,9 @@ def simulated(rows: int, **changes: object) -> Simulated:
 
 
 def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:
-    found = simulation(Simulation(("x",), (simulated(5, held_out=True),), 2.5), PREPARATION)
-    assert found is not None
-    (curve,) = found["trajectories"]
+    summary = simulation(Simulation(("x",), (simulated(5, held_out=True),), 2.5), PREPARATION)
+    assert summary is not None
+    (curve,) = summary["trajectories"]
     assert curve["times"] == [95.0, 97.5, 100.0, 102.5, 105.0]
     assert curve["held_out"] is True
     assert curve["r2"] == {"x": 0.99}
@@ -58,15 +58,15 @@ def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:
 
 def test_an_initial_state_names_velocities_behind_the_states() -> None:
     source = Source("0" * 64, ("a.csv",), 5, {}, "t", ("x",), ("x_dot",), (), None, 2)
-    its = simulated(5, start=np.array([1.0, 2.0]))
-    found = simulation(Simulation(("x",), (its,), 2.0), replace(PREPARATION, source=source))
-    assert found is not None
-    assert found["trajectories"][0]["start"] == {"x": 1.0, "x_dot": 2.0}
+    curve = simulated(5, start=np.array([1.0, 2.0]))
+    summary = simulation(Simulation(("x",), (curve,), 2.0), replace(PREPARATION, source=source))
+    assert summary is not None
+    assert summary["trajectories"][0]["start"] == {"x": 1.0, "x_dot": 2.0}
 
 
 def test_the_covariance_names_its_constants_and_has_no_infinite_number() -> None:
-    its = Covariance((("x", 0), ("x", None)), np.array([[1.0, math.nan], [math.nan, math.inf]]), 7.0)
-    assert covariance(its) == {
+    estimated = Covariance((("x", 0), ("x", None)), np.array([[1.0, math.nan], [math.nan, math.inf]]), 7.0)
+    assert covariance(estimated) == {
         "constants": [{"variable": "x", "constant": 0}, {"variable": "x", "constant": None}],
         "matrix": [[1.0, None], [None, None]],
         "freedom": 7.0,
@@ -76,9 +76,9 @@ def test_the_covariance_names_its_constants_and_has_no_infinite_number() -> None
 
 @pytest.mark.parametrize(("count", "points"), [(1, MOST_POINTS), (1000, 20)])
 def test_long_curves_are_thinned_from_end_to_end(count: int, points: int) -> None:
-    found = simulation(Simulation(("x",), (simulated(5001),) * count, 2.0), PREPARATION)
-    assert found is not None
-    times = found["trajectories"][0]["times"]
+    summary = simulation(Simulation(("x",), (simulated(5001),) * count, 2.0), PREPARATION)
+    assert summary is not None
+    times = summary["trajectories"][0]["times"]
     assert len(times) == points
     assert (times[0], times[-1]) == (95.0, 105.0)
     assert np.diff(times) == pytest.approx(10.0 / (points - 1), rel=0.05)
@@ -90,10 +90,10 @@ def test_a_simulation_that_ends_early_and_numbers_that_are_not_finite_are_null()
         simulated(3, values=None, errors=None, r2=(None,)),
         simulated(3, values=wild, errors=None, r2=(math.nan,)),
     )
-    found = simulation(Simulation(("x",), parts, 2.0), PREPARATION)
-    assert found is not None
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
-    first, second = found["trajectories"]
+    summary = simulation(Simulation(("x",), parts, 2.0), PREPARATION)
+    assert summary is not None
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+    first, second = summary["trajectories"]
     assert (first["values"], first["lower"], first["r2"]) == (None, None, {"x": None})
     assert second["values"] == {"x": [1.0, None, None]}
     assert second["upper"] is None
@@ -103,19 +103,19 @@ def test_a_simulation_that_ends_early_and_numbers_that_are_not_finite_are_null()
 def test_contenders_stand_in_the_order_of_their_length() -> None:
     texts = {"3*x": 2.0, "x": 0.0, "x*x": 7.0}
     made = [Alternative(from_infix(text, ("x",)), nats, 0.9, is_shown=text == "x") for text, nats in texts.items()]
-    found = candidates(made, DATASET)
-    assert [(each["expression"], each["nats"], each["selected"]) for each in found] == [
+    summary = candidates(made, DATASET)
+    assert [(candidate["expression"], candidate["nats"], candidate["selected"]) for candidate in summary] == [
         ("x", 0.0, True),
         ("3.0*x", 2.0, False),
         ("x**2", 7.0, False),
     ]
-    assert found[0]["held_out_r2"] is None
+    assert summary[0]["held_out_r2"] is None
 
 
 def test_correlations_name_constants() -> None:
-    (found,) = correlations([Correlation(("x", 0), ("y", 2), -0.98)])
-    assert found["second"] == {"variable": "y", "constant": 2}
-    assert found["value"] == -0.98
+    (correlated,) = correlations([Correlation(("x", 0), ("y", 2), -0.98)])
+    assert correlated["second"] == {"variable": "y", "constant": 2}
+    assert correlated["value"] == -0.98
 
 
 def test_a_verdict_is_given_when_the_job_has_ended() -> None:

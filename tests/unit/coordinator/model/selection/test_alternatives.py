@@ -36,21 +36,21 @@ def selection(starts=STARTS, known=(), data=None):
     return SelectedModel(task, comparison, best)
 
 
-def ranked_by(its):
-    return rank_alternatives(its, its.task.dataset.inputs)
+def ranked_by(chosen):
+    return rank_alternatives(chosen, chosen.task.dataset.inputs)
 
 
 def test_rivals_are_other_functions_and_no_better():
-    its = selection()
-    ranking = ranked_by(its)
-    assert ranking.selection is its
+    chosen = selection()
+    ranking = ranked_by(chosen)
+    assert ranking.selection is chosen
     assert ranking.alternatives[0] == ()
-    forms = [structure(each.model.programs[1]) for each in ranking.alternatives[1]]
+    forms = [structure(alternative.model.programs[1]) for alternative in ranking.alternatives[1]]
     assert structure(SWING.parsed("-0.3*y - 2.1*x")) not in forms
     assert structure(SWING.parsed("-1.9*x")) in forms
-    nats = [each.model.nats for each in ranking.alternatives[1]]
+    nats = [alternative.model.nats for alternative in ranking.alternatives[1]]
     assert nats == sorted(nats)
-    assert nats[0] > its.model.nats
+    assert nats[0] > chosen.model.nats
     assert len(forms) <= SETTINGS.effort.beam
 
 
@@ -58,21 +58,21 @@ def test_without_time_nothing_is_validated(monkeypatch):
     monkeypatch.setattr(Validation, "of", lambda *_: None)
     ranking = ranked_by(selection())
     assert ranking.validated is None
-    assert [each.validated for each in ranking.alternatives[1]] == [None] * len(ranking.alternatives[1])
+    assert [alternative.validated for alternative in ranking.alternatives[1]] == [None] * len(ranking.alternatives[1])
     assert ranking.alternatives[1]
 
 
 def test_only_close_ones_are_validated():
-    its = selection()
-    for each in ranked_by(its).alternatives[1]:
-        is_close = each.model.nats <= its.model.nats + SETTINGS.inference.distinct_nats
-        assert (each.validated is not None) == is_close
+    chosen = selection()
+    for alternative in ranked_by(chosen).alternatives[1]:
+        is_close = alternative.model.nats <= chosen.model.nats + SETTINGS.inference.distinct_nats
+        assert (alternative.validated is not None) == is_close
 
 
 def test_with_two_trajectories_nothing_is_validated():
     ranking = ranked_by(selection(STARTS[:2]))
     assert ranking.validated is None
-    assert all(each.validated is None for each in ranking.alternatives[1])
+    assert all(alternative.validated is None for alternative in ranking.alternatives[1])
 
 
 def test_a_known_equation_has_no_rivals():
@@ -81,40 +81,40 @@ def test_a_known_equation_has_no_rivals():
 
 @pytest.mark.parametrize(("behind", "wins"), [(1.0, True), (2.9, True), (3.1, False)])
 def test_one_that_is_close_behind_and_foretells_better_wins(monkeypatch, behind, wins):
-    its = selection()
-    other = its.comparison.fit_exchanged(its.model, 1, SWING.parsed("-1.9*x"), 12)
-    close = replace(other, nats=its.model.nats + behind)
-    misfits = {id(its.model): 100.0, id(close): 50.0}
+    chosen = selection()
+    other = chosen.comparison.fit_exchanged(chosen.model, 1, SWING.parsed("-1.9*x"), 12)
+    close = replace(other, nats=chosen.model.nats + behind)
+    misfits = {id(chosen.model): 100.0, id(close): 50.0}
     monkeypatch.setattr(
-        alternatives, "_alternatives", lambda _, best, index, __: [close] if index and best is its.model else []
+        alternatives, "_alternatives", lambda _, best, index, __: [close] if index and best is chosen.model else []
     )
     monkeypatch.setattr(Validation, "of", lambda _, model: Validated((0.9, 0.9), misfits[id(model)]))
-    ranking = ranked_by(its)
+    ranking = ranked_by(chosen)
     assert (ranking.selection.model is close) is wins
     assert ranking.validated.misfit == (50.0 if wins else 100.0)
 
 
 def test_one_that_foretells_worse_does_not_win(monkeypatch):
-    its = selection()
-    other = its.comparison.fit_exchanged(its.model, 1, SWING.parsed("-1.9*x"), 12)
-    close = replace(other, nats=its.model.nats + 0.5)
-    misfits = {id(its.model): 100.0, id(close): 130.0}
+    chosen = selection()
+    other = chosen.comparison.fit_exchanged(chosen.model, 1, SWING.parsed("-1.9*x"), 12)
+    close = replace(other, nats=chosen.model.nats + 0.5)
+    misfits = {id(chosen.model): 100.0, id(close): 130.0}
     monkeypatch.setattr(alternatives, "_alternatives", lambda _, best, index, __: [close] if index else [])
     monkeypatch.setattr(Validation, "of", lambda _, model: Validated((0.9, 0.9), misfits[id(model)]))
-    ranking = ranked_by(its)
-    assert ranking.selection is its
+    ranking = ranked_by(chosen)
+    assert ranking.selection is chosen
     assert ranking.alternatives[1][0].validated.misfit == 130.0
 
 
 @pytest.mark.parametrize("is_earned", [False, True])
 def test_a_pole_must_be_earned(monkeypatch, is_earned):
-    its = selection()
-    truth = structure(its.model.programs[1])
-    (_, (nearest, *_)) = ranked_by(its).alternatives
-    gap = nearest.model.nats - its.model.nats
+    chosen = selection()
+    truth = structure(chosen.model.programs[1])
+    (_, (nearest, *_)) = ranked_by(chosen).alternatives
+    gap = nearest.model.nats - chosen.model.nats
     limit = gap + (-0.1 if is_earned else 0.1)
     monkeypatch.setattr(alternatives, "find_poles", lambda program, _: [program] * (structure(program) == truth))
     monkeypatch.setattr(alternatives, "SETTINGS", settings("inference", distinct_nats=limit))
     monkeypatch.setattr(alternatives, "_winner", lambda *_: None)
-    shown = ranked_by(its).selection.model.programs[1]
+    shown = ranked_by(chosen).selection.model.programs[1]
     assert (structure(shown) == truth) is is_earned

@@ -33,9 +33,9 @@ def test_a_bound_that_excludes_the_best_constant_is_met_with_equality():
 
 
 def test_the_other_numbers_are_the_best_beside_the_bound():
-    its = decay("-0.3 < x < 0")
-    model = its.fit_model([DECAY.parsed("-0.7*x")])
-    measured = its.estimator.measurements.measured[0]
+    comparison = decay("-0.3 < x < 0")
+    model = comparison.fit_model([DECAY.parsed("-0.7*x")])
+    measured = comparison.estimator.measurements.measured[0]
     curve = np.exp(-0.3 * (TIMES - TIMES[0]))
     best = minimize_scalar(lambda start: float(((measured - start * curve) ** 2).sum()))
     assert model.fit.starts[0, 0] == pytest.approx(best.x, rel=1e-4)
@@ -48,31 +48,32 @@ def test_a_bound_that_the_data_keep_changes_no_constant():
 
 
 def test_bounds_are_about_coefficients_also_of_products_of_sums():
-    its = compare(
+    comparison = compare(
         LOTKA, measurements(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, noise=0.02),
         constraints=bounded(LOTKA, "x*y > -1.5"),
     )  # fmt: skip
-    model = its.fit_model([LOTKA.parsed("x*(2.5 - 1.8*y - x)"), LOTKA.parsed(LOTKA_TEXT[1])])
+    model = comparison.fit_model([LOTKA.parsed("x*(2.5 - 1.8*y - x)"), LOTKA.parsed(LOTKA_TEXT[1])])
     assert LOTKA.text(model.programs[0]).endswith("*x - x**2 - 1.5*x*y")
-    (governed,) = its.restrictions(0).bounds.governed(model.programs[0])
+    (governed,) = comparison.restrictions(0).bounds.governed(model.programs[0])
     assert (governed.values, governed.is_active) == ((-1.5,), True)
 
 
 def test_programs_without_a_required_variable_are_not_fitted():
-    its = compare(
+    comparison = compare(
         LOTKA, measurements(LOTKA, ([1.0, 3.0],), TIMES, noise=0.02), constraints=bounded(LOTKA, required=(1,))
     )
     other = LOTKA.parsed(LOTKA_TEXT[1])
-    assert its.fit_model([LOTKA.parsed("2*x - x*x"), other]) is None
-    assert its.fit_model([LOTKA.parsed("2*x - x*y"), other]) is not None
+    assert comparison.fit_model([LOTKA.parsed("2*x - x*x"), other]) is None
+    assert comparison.fit_model([LOTKA.parsed("2*x - x*y"), other]) is not None
 
 
 def test_a_constant_on_its_bound_has_a_one_sided_interval():
-    its = decay("x > -0.4995", noise=0.01)
-    model = its.fit_model([DECAY.parsed("-0.3*x")])
-    errors = estimate_errors(its, model)
+    comparison = decay("x > -0.4995", noise=0.01)
+    model = comparison.fit_model([DECAY.parsed("-0.3*x")])
+    errors = estimate_errors(comparison, model)
     ((constant,),) = (
-        known.written for known in describe_constants(its, [as_written(model.programs[0])], model.programs, errors)
+        known.written
+        for known in describe_constants(comparison, [as_written(model.programs[0])], model.programs, errors)
     )
     free = decay().fit_model([DECAY.parsed("-0.7*x")])
     error = float(np.sqrt(estimate_errors(decay(), free).covariance[0, 0]))
@@ -83,12 +84,12 @@ def test_a_constant_on_its_bound_has_a_one_sided_interval():
 
 
 def test_intervals_end_at_bounds_that_are_not_met():
-    its = decay("-0.5002 < x < -0.4", noise=0.02)
-    model = its.fit_model([DECAY.parsed("-0.45*x")])
+    comparison = decay("-0.5002 < x < -0.4", noise=0.02)
+    model = comparison.fit_model([DECAY.parsed("-0.45*x")])
     ((constant,),) = (
         known.written
         for known in describe_constants(
-            its, [as_written(model.programs[0])], model.programs, estimate_errors(its, model)
+            comparison, [as_written(model.programs[0])], model.programs, estimate_errors(comparison, model)
         )
     )
     assert constant.bounds == (-0.5002, -0.4)

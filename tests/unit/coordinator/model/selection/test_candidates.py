@@ -34,29 +34,31 @@ TEXTS = ("0.5*y", "-2.5*x - 0.1*y", "-1.5*x", "-x - x*y", "exp(9.0*x*x)")
 
 
 def test_the_truth_comes_first_and_what_cannot_be_simulated_last(alone):
-    found = ranked(*alone, programs(*TEXTS), [])
-    assert structure(found[0]) == structure(SWING.parsed("-2.5*x - 0.1*y"))
-    assert structure(found[-1]) == structure(SWING.parsed("exp(9.0*x*x)"))
-    assert {structure(each) for each in found} == {structure(each) for each in programs(*TEXTS)}
-    assert len(found) == len(TEXTS)
-    assert sorted(np.abs(found[0].constants[found[0].operators == 1]).tolist()) == pytest.approx([0.3, 2.0], abs=0.1)
+    candidates = ranked(*alone, programs(*TEXTS), [])
+    assert structure(candidates[0]) == structure(SWING.parsed("-2.5*x - 0.1*y"))
+    assert structure(candidates[-1]) == structure(SWING.parsed("exp(9.0*x*x)"))
+    assert {structure(candidate) for candidate in candidates} == {structure(program) for program in programs(*TEXTS)}
+    assert len(candidates) == len(TEXTS)
+    assert sorted(np.abs(candidates[0].constants[candidates[0].operators == 1]).tolist()) == pytest.approx(
+        [0.3, 2.0], abs=0.1
+    )
 
 
 def test_of_equal_structures_the_first_counts(alone):
-    found = ranked(*alone, programs("-1.5*x", "-1.7*x", "-1.5*x - 0.5*y"), [])
-    assert len(found) == 2
+    candidates = ranked(*alone, programs("-1.5*x", "-1.7*x", "-1.5*x - 0.5*y"), [])
+    assert len(candidates) == 2
 
 
 def test_libraries_have_what_was_not_handed_on(alone):
-    found = ranked(*alone, programs("0.5*y"), libraries([0, 1], ARITHMETIC))
-    assert len(found) > 5
-    text = SWING.text(found[0])
+    candidates = ranked(*alone, programs("0.5*y"), libraries([0, 1], ARITHMETIC))
+    assert len(candidates) > 5
+    text = SWING.text(candidates[0])
     assert (text.count("x"), text.count("y")) == (1, 1)
 
 
 def test_a_library_of_some_variables_uses_no_other(alone):
-    for each in ranked(*alone, [], libraries([1], ARITHMETIC)):
-        assert set(each.left[each.operators == 0].tolist()) <= {1}
+    for program in ranked(*alone, [], libraries([1], ARITHMETIC)):
+        assert set(program.left[program.operators == 0].tolist()) <= {1}
 
 
 def test_what_has_no_value_on_the_rows_is_no_candidate(alone):

@@ -42,8 +42,8 @@ def lotka(noise=NOISE, **options) -> ModelComparison:
 
 
 def test_a_standing_has_the_nats_of_misfit_programs_and_constants():
-    its = lotka()
-    model = its.fit_model([TRUTH, OTHER])
+    comparison = lotka()
+    model = comparison.fit_model([TRUTH, OTHER])
     assert model is not None
     squares = (model.fit.residuals**2).mean(axis=1)
     misfit = 0.5 * 120 * float(np.log(squares).sum())
@@ -62,10 +62,10 @@ def test_programs_come_back_with_fitted_constants():
 
 
 def test_the_truth_has_the_shortest_description():
-    its = lotka()
-    models = its.fit_all(lambda program: its.fit_model([program, OTHER]), [*RIVALS, TRUTH])
+    comparison = lotka()
+    models = comparison.fit_all(lambda program: comparison.fit_model([program, OTHER]), [*RIVALS, TRUTH])
     assert structure(models[0].programs[0]) == structure(TRUTH)
-    assert [each.nats for each in models] == sorted(each.nats for each in models)
+    assert [model.nats for model in models] == sorted(model.nats for model in models)
     assert len(models) == len(RIVALS)  # the exponential cannot be simulated
 
 
@@ -76,84 +76,87 @@ def test_what_cannot_be_simulated_has_no_standing():
 
 
 def test_an_exchange_leaves_the_other_equations_structure():
-    its = lotka()
-    near = its.fit_model([TRUTH, OTHER])
-    other = its.fit_exchanged(near, 0, RIVALS[0], 20)
+    comparison = lotka()
+    near = comparison.fit_model([TRUTH, OTHER])
+    other = comparison.fit_exchanged(near, 0, RIVALS[0], 20)
     assert structure(other.programs[0]) == structure(RIVALS[0])
     assert structure(other.programs[1]) == structure(OTHER)
     assert other.nats > near.nats
 
 
 def test_halving_keeps_the_best_and_notes_them():
-    its = lotka()
-    near = its.fit_model([RIVALS[2], OTHER])
-    found = its.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 3), (20, 2)))
-    assert structure(found[0].programs[0]) == structure(TRUTH)
-    assert len(found) <= 2
-    assert its.tried == {(0, structure(each.programs[0])): each for each in found}
+    comparison = lotka()
+    near = comparison.fit_model([RIVALS[2], OTHER])
+    models = comparison.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 3), (20, 2)))
+    assert structure(models[0].programs[0]) == structure(TRUTH)
+    assert len(models) <= 2
+    assert comparison.tried == {(0, structure(model.programs[0])): model for model in models}
 
 
 def test_beyond_the_work_that_is_allowed_no_more_programs_are_taken_in(monkeypatch):
     monkeypatch.setattr(comparison, "SETTINGS", settings("effort", kept=2))
-    its = lotka()
-    near = its.fit_model([RIVALS[2], OTHER])
+    lotkas = lotka()
+    near = lotkas.fit_model([RIVALS[2], OTHER])
     programs = [RIVALS[0], RIVALS[3], TRUTH]
-    found = its.narrow_down(near, 0, programs, ((4, 3),), until=its.estimator.work)
-    assert {structure(each.programs[0]) for each in found} == {structure(program) for program in programs[:2]}
-    assert len(its.narrow_down(near, 0, programs, ((4, 3),))) == 3
+    models = lotkas.narrow_down(near, 0, programs, ((4, 3),), until=lotkas.estimator.work)
+    assert {structure(model.programs[0]) for model in models} == {structure(program) for program in programs[:2]}
+    assert len(lotkas.narrow_down(near, 0, programs, ((4, 3),))) == 3
 
 
 def test_of_programs_that_say_the_same_the_shortest_stays():
-    its = lotka()
-    near = its.fit_model([TRUTH, OTHER])
+    comparison = lotka()
+    near = comparison.fit_model([TRUTH, OTHER])
     words = [LOTKA.parsed(text) for text in ("x/(1.0/(2.9 - 2.1*y - 0.9*x))", "x*(2.9 - 2.1*y - 0.9*x)")]
-    found = its.narrow_down(near, 0, [*words, RIVALS[1]], ((20, 5),))
-    assert [structure(each.programs[0]) for each in found] == [structure(words[1])]
+    models = comparison.narrow_down(near, 0, [*words, RIVALS[1]], ((20, 5),))
+    assert [structure(model.programs[0]) for model in models] == [structure(words[1])]
 
 
 def test_only_a_shorter_description_replaces_what_was_noted():
-    its = lotka()
-    near = its.fit_model([TRUTH, OTHER])
-    its.narrow_down(near, 0, [RIVALS[0]], ((30, 1),))
-    (best,) = its.tried.values()
-    its.narrow_down(near, 0, [RIVALS[0]], ((0, 1),))
-    assert its.tried == {(0, structure(RIVALS[0])): best}
+    comparison = lotka()
+    near = comparison.fit_model([TRUTH, OTHER])
+    comparison.narrow_down(near, 0, [RIVALS[0]], ((30, 1),))
+    (best,) = comparison.tried.values()
+    comparison.narrow_down(near, 0, [RIVALS[0]], ((0, 1),))
+    assert comparison.tried == {(0, structure(RIVALS[0])): best}
 
 
 def test_distinct_standings_differ_in_misfit():
     def model(misfit: float, nats: float) -> FittedModel:
         return FittedModel((), None, misfit, nats)
 
-    its = [model(-100.0, 1.0), model(-100.0 - 1e-5, 2.0), model(-99.0, 3.0), model(-99.0, 4.0)]
-    assert [each.nats for each in distinct(its)] == [1.0, 3.0]
+    models = [model(-100.0, 1.0), model(-100.0 - 1e-5, 2.0), model(-99.0, 3.0), model(-99.0, 4.0)]
+    assert [model.nats for model in distinct(models)] == [1.0, 3.0]
     near = [model(-99.0 + 1.01e-4 * step, float(step)) for step in range(-3, 4)]
-    assert [each.nats for each in distinct(near)] == [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]
+    assert [model.nats for model in distinct(near)] == [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]
     nearer = [model(-99.0 + 0.99e-4 * step, float(step)) for step in range(-3, 4)]
-    assert [each.nats for each in distinct(nearer)] == [-3.0, -1.0, 1.0, 3.0]
+    assert [model.nats for model in distinct(nearer)] == [-3.0, -1.0, 1.0, 3.0]
 
 
 def test_constants_of_a_fixed_equation_stay():
-    its = lotka(fixed=[1])
+    comparison = lotka(fixed=[1])
     known = LOTKA.parsed("2.02*y - x*y - y**2")
-    model = its.fit_model([RIVALS[1], known])
+    model = comparison.fit_model([RIVALS[1], known])
     assert model.programs[1] == known
     assert len(model.fit.system.places) == 3
     assert model.programs[0] != RIVALS[1]
 
 
 def test_held_nodes_of_a_program_stay():
-    its = lotka()
+    comparison = lotka()
     held = range(len(TRUTH)), ()
-    system = its.system([TRUTH, OTHER], held)
+    system = comparison.system([TRUTH, OTHER], held)
     assert set(system.owners.tolist()) == {1}
 
 
 @pytest.mark.parametrize("threads", [1, 4])
 def test_the_number_of_threads_changes_no_bit(threads):
     def run(executor: Executor | None) -> list[tuple[float, Program]]:
-        its = lotka(executor=executor)
-        near = its.fit_model([RIVALS[0], OTHER])
-        return [(each.nats, each.programs[0]) for each in its.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4), (10, 3)))]
+        comparison = lotka(executor=executor)
+        near = comparison.fit_model([RIVALS[0], OTHER])
+        return [
+            (model.nats, model.programs[0])
+            for model in comparison.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4), (10, 3)))
+        ]
 
     with ThreadPoolExecutor(threads) as executor:
         assert run(executor) == run(None)
@@ -161,15 +164,15 @@ def test_the_number_of_threads_changes_no_bit(threads):
 
 def test_noise_is_not_exact_and_its_absence_is():
     assert not lotka().is_exact(lotka().fit_model([TRUTH, OTHER]))
-    its = compare(LOTKA, measurements(LOTKA, STARTS, TIMES), 1e-10)
-    assert its.is_exact(its.fit_model([TRUTH, OTHER]))
-    assert not its.is_exact(its.fit_model([RIVALS[0], OTHER]))
+    comparison = compare(LOTKA, measurements(LOTKA, STARTS, TIMES), 1e-10)
+    assert comparison.is_exact(comparison.fit_model([TRUTH, OTHER]))
+    assert not comparison.is_exact(comparison.fit_model([RIVALS[0], OTHER]))
 
 
 def test_the_covariance_is_that_of_least_squares():
     """x' = -a x from a fitted start: two columns, in closed form."""
-    its = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
-    fit = MultipleShooting(its, 1e-10).fit(compare(DECAY, its).system([DECAY.parsed("-0.5*x")]), None, 30)
+    rows = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
+    fit = MultipleShooting(rows, 1e-10).fit(compare(DECAY, rows).system([DECAY.parsed("-0.5*x")]), None, 30)
     rate, start = abs(float(fit.system.values[0])), float(fit.starts[0, 0])
     decay = np.exp(-rate * TIMES)
     columns = np.stack([TIMES * start * decay, decay], axis=1) / fit.errors.sigmas[0]
@@ -177,9 +180,9 @@ def test_the_covariance_is_that_of_least_squares():
 
 
 def test_constants_that_only_count_together_have_infinite_variances():
-    its = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
-    made = compare(DECAY, its).system([from_infix("-0.2*x - 0.3*x", DECAY.names)])
-    fit = MultipleShooting(its, 1e-8).fit(made, None, 10)
+    rows = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
+    made = compare(DECAY, rows).system([from_infix("-0.2*x - 0.3*x", DECAY.names)])
+    fit = MultipleShooting(rows, 1e-8).fit(made, None, 10)
     assert np.isinf(np.diag(covariance(fit))).all()
     assert np.isfinite(covariance(fit)[0, 1])
     bounded = bounded_covariance(fit)
@@ -187,18 +190,18 @@ def test_constants_that_only_count_together_have_infinite_variances():
 
 
 def test_a_constant_beside_redundant_ones_keeps_its_variance():
-    its = measurements(LOTKA, STARTS, TIMES, noise=NOISE)
-    made = compare(LOTKA, its).system([from_infix("2.2*x + 0.7*x - 2.1*x*y - 0.9*x*x", LOTKA.names), OTHER])
-    fit = MultipleShooting(its, 1e-8).fit(made, None, 10)
+    rows = measurements(LOTKA, STARTS, TIMES, noise=NOISE)
+    made = compare(LOTKA, rows).system([from_infix("2.2*x + 0.7*x - 2.1*x*y - 0.9*x*x", LOTKA.names), OTHER])
+    fit = MultipleShooting(rows, 1e-8).fit(made, None, 10)
     variances = np.diag(covariance(fit)).tolist()
     assert len(variances) == len(made.places) > 3
     assert np.isinf(variances).tolist() == [True, True, *[False] * (len(variances) - 2)]
 
 
-def calibrated(its: ModelComparison, *programs: Program) -> FittedModel:
-    model = its.fit_model(list(programs), 40)
+def calibrated(comparison: ModelComparison, *programs: Program) -> FittedModel:
+    model = comparison.fit_model(list(programs), 40)
     assert model is not None
-    return its.calibrate(model)
+    return comparison.calibrate(model)
 
 
 def long_lotka(noise: float, seed: int = 0) -> ModelComparison:
@@ -207,27 +210,27 @@ def long_lotka(noise: float, seed: int = 0) -> ModelComparison:
 
 @pytest.mark.parametrize("seed", [1, 3])
 def test_where_noise_alone_is_left_no_longer_system_is_worth_looking_for(seed):
-    its = long_lotka(NOISE, seed)
-    assert not its.has_room(calibrated(its, TRUTH, OTHER))
+    comparison = long_lotka(NOISE, seed)
+    assert not comparison.has_room(calibrated(comparison, TRUTH, OTHER))
 
 
 def test_what_is_left_beyond_noise_gives_room_for_a_longer_system():
-    its = long_lotka(NOISE, 1)
-    assert its.has_room(calibrated(its, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
+    comparison = long_lotka(NOISE, 1)
+    assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
 
 
 def test_without_noise_only_errors_of_integration_leave_no_room():
-    its = long_lotka(0.0)
-    assert not its.has_room(calibrated(its, TRUTH, OTHER))
-    assert its.has_room(calibrated(its, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
+    comparison = long_lotka(0.0)
+    assert not comparison.has_room(calibrated(comparison, TRUTH, OTHER))
+    assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
 
 
 def test_an_absent_species_must_stay_absent():
     """Along the second trajectory x is 0 throughout: an equation with a constant term would bring it in."""
     times = 0.1 * np.arange(40.0)
-    its = recording(LOTKA, ([1.0, 3.0], [0.0, 1.0]), times, noise=0.02, seed=4)
-    its.trajectories[1].measured[0], its.trajectories[1].smoothed[0] = 0.0, 0.0
-    comparison = compare(LOTKA, measurements_of(its, [0, 1]), 1e-8)
+    recorded = recording(LOTKA, ([1.0, 3.0], [0.0, 1.0]), times, noise=0.02, seed=4)
+    recorded.trajectories[1].measured[0], recorded.trajectories[1].smoothed[0] = 0.0, 0.0
+    comparison = compare(LOTKA, measurements_of(recorded, [0, 1]), 1e-8)
     truth, wrong = (
         comparison.fit_model([LOTKA.parsed(text), LOTKA.parsed("2.0*y - x*y - y*y")], lengths=(10, None))
         for text in ("3.0*x - 2.0*x*y - x*x", "3.0*x - 2.0*x*y - x*x + 0.001")
@@ -252,11 +255,11 @@ def test_what_the_equations_miss_is_not_taken_for_errors_that_go_together():
 
 def test_errors_that_go_together_are_found():
     rng = np.random.default_rng(3)
-    its = measurements(DECAY, ([4.0],), 0.1 * np.arange(300.0), noise=NOISE)
+    rows = measurements(DECAY, ([4.0],), 0.1 * np.arange(300.0), noise=NOISE)
     walk = np.zeros(300)
     for row in range(1, 300):
         walk[row] = 0.9 * walk[row - 1] + NOISE * rng.standard_normal()
-    comparison = compare(DECAY, replace(its, measured=its.measured + walk))
+    comparison = compare(DECAY, replace(rows, measured=rows.measured + walk))
     model = comparison.calibrate(comparison.fit_model([DECAY.parsed("-0.4*x")]))
     correlated = comparison.fit_correlated(model)
     assert correlated is not None

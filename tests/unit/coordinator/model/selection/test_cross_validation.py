@@ -18,10 +18,10 @@ def swinging(starts=STARTS, **options):
     return compare(SWING, measurements(SWING, starts, TIMES, noise=NOISE, seed=120), 1e-5, **options)
 
 
-def model(its, *texts):
-    found = its.fit_model([SWING.parsed(text) for text in texts])
-    assert found is not None
-    return found
+def model(comparison, *texts):
+    model = comparison.fit_model([SWING.parsed(text) for text in texts])
+    assert model is not None
+    return model
 
 
 @pytest.mark.parametrize(("count", "possible"), [(1, False), (2, False), (3, True), (4, True)])
@@ -36,25 +36,25 @@ def test_pieces_of_one_trajectory_stand_and_fall_together():
 
 
 def test_the_truth_foretells_and_less_does_not():
-    its = swinging()
-    good = Validation(its).of(model(its, "y", "-1.9*x - 0.2*y"))
+    rows = swinging()
+    good = Validation(rows).of(model(rows, "y", "-1.9*x - 0.2*y"))
     assert all(0.9 < r2 < 1.0 for r2 in good.r2)
-    poor = Validation(its).of(model(its, "y", "-1.9*x"))
+    poor = Validation(rows).of(model(rows, "y", "-1.9*x"))
     assert poor.misfit > good.misfit
     assert min(poor.r2) < min(good.r2)
 
 
 def test_what_is_foretold_is_a_little_worse_than_what_was_fitted():
-    its = swinging()
-    found = model(its, "y", "-1.9*x - 0.2*y")
-    assert found.misfit < Validation(its).of(found).misfit < found.misfit + 20.0
+    rows = swinging()
+    fitted = model(rows, "y", "-1.9*x - 0.2*y")
+    assert fitted.misfit < Validation(rows).of(fitted).misfit < fitted.misfit + 20.0
 
 
 def test_it_is_the_error_of_fits_to_the_others():
     """x' = -a x, by hand: the rate from three trajectories, the start of the fourth alone."""
-    its = compare(DECAY, measurements(DECAY, ([3.0], [2.0], [-1.0], [-2.0]), TIMES, noise=NOISE, seed=121), 1e-8)
-    found = its.fit_model([DECAY.parsed("-0.4*x")])
-    rows = its.estimator.measurements
+    comparison = compare(DECAY, measurements(DECAY, ([3.0], [2.0], [-1.0], [-2.0]), TIMES, noise=NOISE, seed=121), 1e-8)
+    model = comparison.fit_model([DECAY.parsed("-0.4*x")])
+    rows = comparison.estimator.measurements
     squares = 0.0
     for left_out in range(4):
         others = compare(DECAY, rows.part({0, 1, 2, 3} - {left_out}), 1e-8).fit_model([DECAY.parsed("-0.4*x")])
@@ -62,41 +62,41 @@ def test_it_is_the_error_of_fits_to_the_others():
         values = rows.part({left_out}).measured[0]
         squares += float(np.sum((values - decay * (decay @ values) / (decay @ decay)) ** 2))
     mean = squares / 120.0
-    assert Validation(its).of(found).misfit == pytest.approx(0.5 * 120 * np.log(mean), rel=1e-5)
+    assert Validation(comparison).of(model).misfit == pytest.approx(0.5 * 120 * np.log(mean), rel=1e-5)
 
 
 def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
     starts = [[1.0 + 0.2 * index, 0.0] for index in range(25)]
-    its = compare(SWING, measurements(SWING, starts, TIMES[:8], noise=NOISE, seed=122), 1e-4)
+    comparison = compare(SWING, measurements(SWING, starts, TIMES[:8], noise=NOISE, seed=122), 1e-4)
     seen = []
-    validation = Validation(its)
+    validation = Validation(comparison)
     own = validation._squared_errors
 
-    def left(found, left_out):
+    def left(fitted, left_out):
         seen.append(left_out)
-        return own(found, left_out)
+        return own(fitted, left_out)
 
     monkeypatch.setattr(validation, "_squared_errors", left)
-    validation.of(model(its, "y", "-1.9*x - 0.2*y"))
+    validation.of(model(comparison, "y", "-1.9*x - 0.2*y"))
     assert len(seen) == SETTINGS.effort.beam
     assert sorted(owner for fold in seen for owner in fold) == list(range(25))
 
 
 def test_what_cannot_be_simulated_foretells_nothing(monkeypatch):
-    its = swinging()
-    validation = Validation(its)
+    rows = swinging()
+    validation = Validation(rows)
     monkeypatch.setattr(validation, "_squared_errors", lambda *_: None)
-    found = validation.of(model(its, "y", "-1.9*x - 0.2*y"))
-    assert found.misfit == np.inf
-    assert found.r2 == (-np.inf, -np.inf)
+    fitted = validation.of(model(rows, "y", "-1.9*x - 0.2*y"))
+    assert fitted.misfit == np.inf
+    assert fitted.r2 == (-np.inf, -np.inf)
 
 
 @pytest.mark.parametrize("fold", [0, 2])
 def test_nothing_is_foretold_after_the_time_is_over(monkeypatch, fold):
-    its, now, seen = swinging(), [0.0], []
-    found = model(its, "y", "-1.9*x - 0.2*y")
-    monkeypatch.setattr(its.estimator, "deadline", Deadline(1.0, lambda: now[0]))
-    validation = Validation(its)
+    rows, now, seen = swinging(), [0.0], []
+    fitted = model(rows, "y", "-1.9*x - 0.2*y")
+    monkeypatch.setattr(rows.estimator, "deadline", Deadline(1.0, lambda: now[0]))
+    validation = Validation(rows)
     own = validation._squared_errors
 
     def left(model, left_out):
@@ -106,15 +106,15 @@ def test_nothing_is_foretold_after_the_time_is_over(monkeypatch, fold):
 
     monkeypatch.setattr(validation, "_squared_errors", left)
     now[0] = 0.0 if fold else 2.0
-    assert validation.of(found) is None
+    assert validation.of(fitted) is None
     assert len(seen) == fold
-    assert validation._shooter(its.estimator.measurements).deadline is its.estimator.deadline
+    assert validation._shooter(rows.estimator.measurements).deadline is rows.estimator.deadline
 
 
 def test_missing_values_do_not_count():
     whole = recording(SWING, STARTS, TIMES, NOISE, seed=120)
     whole.trajectories[2].measured[0, 4:20] = np.nan
-    its = compare(SWING, measurements_of(whole, [0, 1]), 1e-5)
-    found = Validation(its).of(model(its, "y", "-1.9*x - 0.2*y"))
-    assert np.isfinite(found.misfit)
-    assert all(0.8 < r2 < 1.0 for r2 in found.r2)
+    comparison = compare(SWING, measurements_of(whole, [0, 1]), 1e-5)
+    fitted = Validation(comparison).of(model(comparison, "y", "-1.9*x - 0.2*y"))
+    assert np.isfinite(fitted.misfit)
+    assert all(0.8 < r2 < 1.0 for r2 in fitted.r2)

@@ -31,10 +31,10 @@ def duffing(noise):
 
 def test_elimination_goes_past_the_truth():
     alone, problem = duffing(0.02)
-    (terms,) = (each for each in libraries([0, 1], PLAIN) if len(each) == 10)
-    found = eliminated(alone, problem, terms)
-    assert [len(constant_places(each.programs[0])) for each in found] == list(range(10, 0, -1))
-    best = min(found, key=lambda each: each.nats)
+    (terms,) = (library for library in libraries([0, 1], PLAIN) if len(library) == 10)
+    models = eliminated(alone, problem, terms)
+    assert [len(constant_places(model.programs[0])) for model in models] == list(range(10, 0, -1))
+    best = min(models, key=lambda model: model.nats)
     assert sorted(best.fit.system.values.tolist()) == pytest.approx([-1.5, -0.7, -0.2], abs=0.06)
     text = DUFFING.text(best.programs[0])
     assert (text.count("x"), text.count("y")) == (2, 1) or (text.count("x"), text.count("y")) == (4, 1)
@@ -66,8 +66,8 @@ def test_a_linear_system_is_found_alone():
     inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
     slopes = np.concatenate([part.slopes[1] for part in whole.trajectories])
     problem = Problem(SWING.names, inputs, Target("y", "dy/dt", slopes, 0.01, float(slopes.std()), 0.01))
-    found = eliminated(alone, problem, SQUARES)
-    best = min(found, key=lambda each: each.nats)
+    models = eliminated(alone, problem, SQUARES)
+    best = min(models, key=lambda model: model.nats)
     assert sorted(best.fit.system.values.tolist()) == pytest.approx([-2.0, -0.3], abs=0.03)
 
 
@@ -81,8 +81,8 @@ def test_elimination_goes_past_a_law_that_saturates():
     inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
     slopes = np.concatenate([part.slopes[0] for part in whole.trajectories])
     problem = Problem(PREY.names, inputs, Target("x", "dx/dt", slopes, 0.01, float(slopes.std()), 0.01))
-    found = eliminated(alone, problem, next(fractions([0, 1], (*PLAIN, DIVIDE), [3.0, 3.0])))
-    best = min(found, key=lambda each: each.nats)
+    models = eliminated(alone, problem, next(fractions([0, 1], (*PLAIN, DIVIDE), [3.0, 3.0])))
+    best = min(models, key=lambda model: model.nats)
     assert sorted(best.fit.system.values.tolist()) == pytest.approx([-1.0, -1.0, 1.0, 4.0], abs=0.15)
 
 

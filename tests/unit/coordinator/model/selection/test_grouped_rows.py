@@ -30,15 +30,15 @@ def comparison(noise=0.0, bounds=()):
         replace(part.trajectories[0], name=name, group=name) for part, name in zip(parts, "abc", strict=True)
     )
     whole = replace(parts[0], trajectories=trajectories, groups=("a", "b", "c"))
-    its = measurements_of(whole, [0])
-    inputs = its.smoothed
-    slopes = np.concatenate([each.slopes[0] for each in trajectories])
+    measured = measurements_of(whole, [0])
+    inputs = measured.smoothed
+    slopes = np.concatenate([trajectory.slopes[0] for trajectory in trajectories])
     target = Target("x", "dx/dt", slopes, 0.0, float(slopes.std()))
-    problem = Problem(("x",), inputs, target, its.owners_of_rows)
+    problem = Problem(("x",), inputs, target, measured.owners_of_rows)
     texts = tuple(parse_bound(text, ("x",)) for text in bounds)
     restrictions = {0: Restrictions(EquationBounds(texts))} if bounds else {}
     rows = GroupedRows(3, [[problem.of_group(group) for group in range(3)]], restrictions)
-    return ModelComparison(MultipleShooting(its, 1e-6), ("x",), constraints=Constraints(restrictions, rows))
+    return ModelComparison(MultipleShooting(measured, 1e-6), ("x",), constraints=Constraints(restrictions, rows))
 
 
 def by_group(model):
@@ -49,23 +49,23 @@ def by_group(model):
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_constants_are_fitted_group_by_group(noise):
     model = comparison(noise).fit_model([LOGISTIC])
-    found = by_group(model)
+    by_constant = by_group(model)
     assert model.fit.system.count == 6
-    assert found[:, 0] == pytest.approx(RATES, rel=0.1 if noise else 1e-5)
-    assert found[:, 1] == pytest.approx([0.5] * 3, rel=0.1 if noise else 1e-5)
-    assert model.programs[0].constants[constant_places(model.programs[0])] == pytest.approx(found.mean(axis=0))
+    assert by_constant[:, 0] == pytest.approx(RATES, rel=0.1 if noise else 1e-5)
+    assert by_constant[:, 1] == pytest.approx([0.5] * 3, rel=0.1 if noise else 1e-5)
+    assert model.programs[0].constants[constant_places(model.programs[0])] == pytest.approx(by_constant.mean(axis=0))
 
 
 def test_a_shared_constant_is_one_number_and_costs_one():
-    its = comparison(0.02)
-    apart = its.fit_model([LOGISTIC])
+    grouped = comparison(0.02)
+    apart = grouped.fit_model([LOGISTIC])
     node = constant_places(LOGISTIC)[1]
-    together = its.fit_beside(apart, apart.programs, shared={(((0, node), 1.0),)})
+    together = grouped.fit_beside(apart, apart.programs, shared={(((0, node), 1.0),)})
     assert together.fit.system.count == 4
     assert np.ptp(by_group(together)[:, 1]) == 0.0
     assert together.nats < apart.nats
     rate = constant_places(LOGISTIC)[0]
-    assert its.fit_beside(apart, apart.programs, shared={(((0, rate), 1.0),)}).nats > apart.nats + 10.0
+    assert grouped.fit_beside(apart, apart.programs, shared={(((0, rate), 1.0),)}).nats > apart.nats + 10.0
 
 
 def test_sensitivities_are_those_of_finite_differences():
@@ -80,18 +80,18 @@ def test_sensitivities_are_those_of_finite_differences():
 
 
 def test_an_exchanged_equation_begins_from_each_groups_own_constants():
-    its = comparison()
-    model = its.fit_model([GROWTHS[0].parsed("0.3*x")])
-    found = its.fit_exchanged(model, 0, LOGISTIC, 40)
-    assert by_group(found)[:, 0] == pytest.approx(RATES, rel=1e-3)
+    grouped = comparison()
+    model = grouped.fit_model([GROWTHS[0].parsed("0.3*x")])
+    fitted = grouped.fit_exchanged(model, 0, LOGISTIC, 40)
+    assert by_group(fitted)[:, 0] == pytest.approx(RATES, rel=1e-3)
 
 
 def test_bounds_are_kept_in_each_group():
     model = comparison(0.02, bounds=("x < 0.8",)).fit_model([LOGISTIC])
-    found = by_group(model)[:, 0]
-    assert (found <= 0.8).all()
-    assert found[1] == found[2] == 0.8
-    assert found[0] == pytest.approx(0.5, abs=0.1)
+    by_constant = by_group(model)[:, 0]
+    assert (by_constant <= 0.8).all()
+    assert by_constant[1] == by_constant[2] == 0.8
+    assert by_constant[0] == pytest.approx(0.5, abs=0.1)
 
 
 def test_a_group_without_rows_begins_with_the_constants_as_they_are():

@@ -28,12 +28,12 @@ def prepared():
 
 def candidates(prepared, text):
     """Return the candidates when a converged search has found `text`."""
-    its = pools(prepared, v=(text,))
-    (entry,) = its["v"].front
+    entries = pools(prepared, v=(text,))
+    (entry,) = entries["v"].front
     settled = {"v": Refined(0, DRAG.parsed(text), entry.error, entry.mse)}
-    candidates = collect_candidates(prepared.dataset, CONFIG, its)
-    (found,) = ranked_candidates(ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates, settled))
-    return found
+    candidates = collect_candidates(prepared.dataset, CONFIG, entries)
+    (ranking,) = ranked_candidates(ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates, settled))
+    return ranking
 
 
 def test_what_a_converged_search_found_without_noise_stands_alone(prepared):
@@ -54,11 +54,11 @@ SPIRAL = Known(("a", "b"), lambda _, z: [-0.2 * z[0] + z[1], -z[0]])
 @pytest.mark.parametrize(("lawful", "sizes"), [(("a",), (1, 2)), (("a", "b"), (2, 2))])
 def test_an_equation_among_many_that_has_a_law_has_no_other_candidates_unless_all_have(lawful, sizes):
     measured = prepare(table(SPIRAL, ([3.0, 1.0], [1.0, 2.0]), 0.1 * np.arange(40.0)), NO_LIBRARIES)
-    its = pools(measured, a=("b", "-a"), b=("b", "-b"))
+    entries = pools(measured, a=("b", "-a"), b=("b", "-b"))
     laws = {name: (Law(SPIRAL.parsed("b - 0.3*a"), 10.0, 0.5, is_tested=True, is_of_rates=True),) for name in lawful}
-    found = collect_candidates(measured.dataset, NO_LIBRARIES, its)
-    lists = ranked_candidates(ModellingTask(measured.dataset, measured.recording, NO_LIBRARIES, found, laws=laws))
-    assert tuple(min(len(each), 2) for each in lists) == sizes
+    candidates = collect_candidates(measured.dataset, NO_LIBRARIES, entries)
+    lists = ranked_candidates(ModellingTask(measured.dataset, measured.recording, NO_LIBRARIES, candidates, laws=laws))
+    assert tuple(min(len(ranked_list), 2) for ranked_list in lists) == sizes
 
 
 def test_where_no_system_can_be_simulated_no_libraries_are_tried(monkeypatch):
@@ -74,6 +74,6 @@ def test_where_no_system_can_be_simulated_no_libraries_are_tried(monkeypatch):
 
     monkeypatch.setattr(joint_search, "_libraries", libraries)
     for text, is_tried in (("1e9*v*v", False), ("1.5*v - 2.1*v", True)):
-        found = collect_candidates(measured.dataset, config, pools(measured, v=(text,)))
-        ranked_candidates(ModellingTask(measured.dataset, measured.recording, config, found))
+        candidates = collect_candidates(measured.dataset, config, pools(measured, v=(text,)))
+        ranked_candidates(ModellingTask(measured.dataset, measured.recording, config, candidates))
         assert bool(tried) == is_tried, text

@@ -24,8 +24,8 @@ def swinging():
     return compare(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
 
 
-def begun(its, *texts):
-    model = its.fit_model([SWING.parsed(text) for text in texts])
+def begun(comparison, *texts):
+    model = comparison.fit_model([SWING.parsed(text) for text in texts])
     assert model is not None
     return model
 
@@ -69,11 +69,11 @@ def test_whatever_is_not_needed_goes(swinging, texts):
 def test_a_constant_goes_only_if_that_shortens_the_description(rate):
     """x' = -r x, where r is 1 as far as the data can tell, or nearly, or not at all."""
     known = Known(("x",), lambda _, z: [-rate * z[0]])
-    its = compare(known, measurements(known, ([1.0], [-2.0]), TIMES, noise=0.02, seed=111), 1e-6)
-    start = its.fit_model([known.parsed("-1.2*x")])
-    end = LocalSearch(its, lambda *_: iter(()), PLENTY).improve(start, [0])
+    comparison = compare(known, measurements(known, ([1.0], [-2.0]), TIMES, noise=0.02, seed=111), 1e-6)
+    start = comparison.fit_model([known.parsed("-1.2*x")])
+    end = LocalSearch(comparison, lambda *_: iter(()), PLENTY).improve(start, [0])
     assert end.nats <= start.nats
-    bare = its.fit_model([known.parsed("-x")])
+    bare = comparison.fit_model([known.parsed("-x")])
     assert (structure(end.programs[0]) == structure(bare.programs[0])) == (
         bare.nats < start.nats - SETTINGS.selection.least_gain
     )

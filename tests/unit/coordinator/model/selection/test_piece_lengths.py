@@ -111,7 +111,7 @@ def test_terms_that_followed_errors_of_a_coarse_integration_are_left_out(rows):
     task = field_of(turning, ([1.0, 0.0],), times, 0.0, JobConfig(), x=("y + 1e-6*x",), y=("-x",))
     measurements = task.measurements(task.variables)
     comparison = task.compare(measurements, task.variables)
-    model = comparison.fit_model([each.front[0].program for each in task.candidates.values()])
+    model = comparison.fit_model([candidate.front[0].program for candidate in task.candidates.values()])
     assert model.fit.system.count > 0
     whole = on_all_rows(SelectedModel(task, comparison, model))
     assert whole.model.fit.system.count == 0

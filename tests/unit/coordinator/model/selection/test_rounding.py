@@ -17,15 +17,15 @@ TIMES = 0.25 * np.arange(60.0)
 def decayed(rate, noise, text="-0.3*x", seed=0):
     """Return the comparison of x' = -rate x with a little noise, and the model of `text` in it."""
     known = Known(("x",), lambda _, z: [-rate * z[0]])
-    its = compare(known, measurements(known, [[2.0], [-1.0]], TIMES, noise=noise, seed=seed), 1e-8)
-    model = its.fit_model([known.parsed(text)], lengths=(10, None))
+    comparison = compare(known, measurements(known, [[2.0], [-1.0]], TIMES, noise=noise, seed=seed), 1e-8)
+    model = comparison.fit_model([known.parsed(text)], lengths=(10, None))
     assert model is not None
-    return known, its, model
+    return known, comparison, model
 
 
 def shown(rate, noise, **options):
-    known, its, model = decayed(rate, noise, **options)
-    (program,) = round_system(its, model)
+    known, rounded, model = decayed(rate, noise, **options)
+    (program,) = round_system(rounded, model)
     return known.text(program), model
 
 
@@ -42,11 +42,11 @@ def test_a_simple_number_that_is_singled_out_is_taken(rate, simple):
 
 def test_a_simple_number_that_is_merely_within_the_error_is_not_taken():
     """0.05 lies within the errors of 0.0496, known to about 0.002, and so do many numbers."""
-    _, its, model = decayed(0.0496, 0.03)
+    _, decay, model = decayed(0.0496, 0.03)
     error = math.sqrt(covariance(model.fit)[0, 0])
     assert 5e-4 < error < 4e-3
-    assert round_system(its, model) == model.programs
-    rounded = round_shown(its, model, 2)
+    assert round_system(decay, model) == model.programs
+    rounded = round_shown(decay, model, 2)
     (value,) = np.abs(rounded.programs[0].constants[constant_places(rounded.programs[0])])
     ((simple,),) = rounded.simple
     assert value != 0.05
@@ -69,52 +69,57 @@ def test_a_third_is_a_simple_number():
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_all_constants_of_a_system_are_decided_together(seed):
-    its = compare(LOTKA, measurements(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES[:40], noise=0.001, seed=seed), 1e-8)
-    model = its.fit_model([LOTKA.parsed(text) for text in ("2.9*x - 2.1*x*y - 0.9*x*x", "1.9*y - 0.9*x*y - 1.1*y*y")])
-    programs = round_system(its, model)
-    values = [sorted(np.abs(each.constants[constant_places(each)]).tolist()) for each in programs]
+    comparison = compare(LOTKA, measurements(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES[:40], noise=0.001, seed=seed), 1e-8)
+    model = comparison.fit_model(
+        [LOTKA.parsed(text) for text in ("2.9*x - 2.1*x*y - 0.9*x*x", "1.9*y - 0.9*x*y - 1.1*y*y")]
+    )
+    programs = round_system(comparison, model)
+    values = [sorted(np.abs(program.constants[constant_places(program)]).tolist()) for program in programs]
     assert [value[-1] for value in values] == [3.0, 2.0]
     assert set().union(*values) <= {1.0, 2.0, 3.0}
 
 
 def test_what_is_shown_misses_the_measurements_by_little_more():
     for rate, noise in ((0.0496, 0.03), (0.05, 0.001)):
-        _, its, model = decayed(rate, noise)
-        rounded = round_shown(its, model, 2)
-        held = its.system(rounded.programs, [range(len(rounded.programs[0]))])
-        fixed = its.estimator.fit(held, None, 30)
-        assert abs(its.measure(fixed).misfit - model.misfit) < 2.0
+        _, decay, model = decayed(rate, noise)
+        rounded = round_shown(decay, model, 2)
+        held = decay.system(rounded.programs, [range(len(rounded.programs[0]))])
+        fixed = decay.estimator.fit(held, None, 30)
+        assert abs(decay.measure(fixed).misfit - model.misfit) < 2.0
 
 
 def test_a_fixed_equation_is_shown_as_it_is():
     rows = measurements(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES[:40], noise=0.001)
-    its = compare(LOTKA, rows, 1e-8, fixed=[1])
+    comparison = compare(LOTKA, rows, 1e-8, fixed=[1])
     known = LOTKA.parsed("2.0013*y - x*y - y**2")
-    model = its.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), known])
-    programs = round_system(its, model)
+    model = comparison.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), known])
+    programs = round_system(comparison, model)
     assert programs[1] == known
     assert 3.0 in np.abs(programs[0].constants).tolist()
-    assert [len(each) for each in round_shown(its, model, 2).simple] == [len(constant_places(model.programs[0])), 0]
+    assert [len(simple) for simple in round_shown(comparison, model, 2).simple] == [
+        len(constant_places(model.programs[0])),
+        0,
+    ]
 
 
 def test_with_nothing_to_decide_programs_stay():
-    its = compare(LOTKA, measurements(LOTKA, ([1.0, 3.0],), TIMES[:40], noise=0.01), 1e-8, fixed=[0, 1])
-    model = its.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT])
-    assert round_system(its, model) == model.programs
+    comparison = compare(LOTKA, measurements(LOTKA, ([1.0, 3.0],), TIMES[:40], noise=0.01), 1e-8, fixed=[0, 1])
+    model = comparison.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT])
+    assert round_system(comparison, model) == model.programs
 
 
 def test_too_many_constants_are_left_as_fitted():
-    known, its, _ = decayed(0.3, 0.01)
+    known, rounded, _ = decayed(0.3, 0.01)
     text = " - ".join(f"{0.2 + 0.001 * index}*x**{index}" for index in range(1, SETTINGS.effort.beam + 2))
-    system = its.system([known.parsed(text)])
-    fit = its.estimator.fit(system, 5, 0)
-    model = its.measure(fit)
+    system = rounded.system([known.parsed(text)])
+    fit = rounded.estimator.fit(system, 5, 0)
+    model = rounded.measure(fit)
     assert len(constant_places(model.programs[0])) > SETTINGS.effort.beam
-    assert round_system(its, model) == model.programs
+    assert round_system(rounded, model) == model.programs
 
 
 def test_a_constant_that_becomes_neutral_goes():
-    known, its, model = decayed(1.0, 0.001)
-    (program,) = round_system(its, model)
+    known, rounded, model = decayed(1.0, 0.001)
+    (program,) = round_system(rounded, model)
     assert constant_places(program) == []
     assert structure(program) == structure(known.parsed("-x"))

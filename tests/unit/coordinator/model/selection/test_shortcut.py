@@ -82,8 +82,8 @@ def converged_task(texts, *, with_law):
 def test_equations_that_a_search_without_noise_has_converged_to_stand_beside_laws_and_in_their_place():
     texts = ("10*(y - x)", "x*(28 - z) - y", "x*y - 2.5*z - 1/6*z")
     for with_law in (True, False):
-        found = select_by_laws(converged_task(texts, with_law=with_law))
-        for name, program in zip(NAMES, found.model.programs, strict=True):
+        selected = select_by_laws(converged_task(texts, with_law=with_law))
+        for name, program in zip(NAMES, selected.model.programs, strict=True):
             assert monomials(to_infix(program, NAMES)) == TERMS[name], name
 
 
@@ -116,8 +116,8 @@ def test_one_wrong_law_gives_way_to_another_candidate_and_leaves_the_others_as_t
     candidates["x2"] = CandidateSet((Member(from_infix("x0*x1 - 0.9*x2", RING), 0.1, 0.01),))
     task = ModellingTask(preparation.dataset, preparation.recording, SUMS, candidates, among_many=laws)
     assert select_by_laws(with_laws(task)) is None
-    found = select_model(task)
-    assert forms(found.model.programs[:5]) == forms(from_infix(text, RING) for text in TRUTHS.values())
+    selected = select_model(task)
+    assert forms(selected.model.programs[:5]) == forms(from_infix(text, RING) for text in TRUTHS.values())
 
 
 @pytest.mark.slow

@@ -52,9 +52,9 @@ class Known:
         if key not in _SOLVED:
             span = (float(times[0]), float(times[-1]))
             with np.errstate(all="ignore"):
-                its = solve_ivp(self.rates, span, start, "DOP853", times, rtol=1e-12, atol=1e-13)
-            assert its.success
-            _SOLVED[key] = its.y
+                solution = solve_ivp(self.rates, span, start, "DOP853", times, rtol=1e-12, atol=1e-13)
+            assert solution.success
+            _SOLVED[key] = solution.y
         return _SOLVED[key].copy()
 
 
@@ -84,10 +84,10 @@ def recording(
 ) -> Recording:
     """Return trajectories from `starts`, smoothed without error; `noise` is the standard deviation of each state."""
     draw = np.random.default_rng(seed)
-    each = times if isinstance(times, list) else [times] * len(starts)
+    instants = times if isinstance(times, list) else [times] * len(starts)
     deviations = np.broadcast_to(np.asarray(noise, dtype=np.float64), len(known.states))
     trajectories = []
-    for index, (start, at) in enumerate(zip(starts, each, strict=True)):
+    for index, (start, at) in enumerate(zip(starts, instants, strict=True)):
         values = known.values(start, at)
         slopes = np.array([known.rates(t, z) for t, z in zip(at, values.T, strict=True)]).T
         measured = values + deviations[:, None] * draw.standard_normal(values.shape)
@@ -97,8 +97,8 @@ def recording(
         slopes = np.ascontiguousarray(slopes)
         trajectories.append(Trajectory(str(index + 1), at, measured, values, slopes, *stacked, index in held_out))
     smoothing = tuple(
-        Smoothing(name, "loess" if its else "interpolation", float(its) or 1e-9, float(its))
-        for name, its in zip(known.states, deviations.tolist(), strict=True)
+        Smoothing(name, "loess" if deviation else "interpolation", float(deviation) or 1e-9, float(deviation))
+        for name, deviation in zip(known.states, deviations.tolist(), strict=True)
     )
     inputs = tuple(known.inputs)
     return Recording(known.states, known.states, (), inputs, inputs, 1, 0.0, smoothing, tuple(trajectories))
@@ -122,12 +122,12 @@ def table(
 
 def pools(preparation: Preparation, **texts: Sequence[str]) -> dict[str, Pool]:
     """Return what a search might hand on of each variable: these equations, by complexity."""
-    found = {}
-    for name, its in texts.items():
+    pools_made = {}
+    for name, text in texts.items():
         problem = preparation.dataset.problem(name)
-        entries = [entry(from_infix(text, problem.names), problem) for text in its]
-        found[name] = Pool(tuple(sorted(entries, key=lambda each: each.complexity)))
-    return found
+        entries = [entry(from_infix(text, problem.names), problem) for text in text]
+        pools_made[name] = Pool(tuple(sorted(entries, key=lambda entry: entry.complexity)))
+    return pools_made
 
 
 def entry(program: Program, problem: Problem) -> FrontEntry:
@@ -141,5 +141,5 @@ def measurements(known: Known, starts: Sequence[Sequence[float]], times: FloatAr
     return measurements_of(recording(known, starts, times, **options), range(len(known.states)))
 
 
-def compare(known: Known, its: Measurements, precision: float = 1e-6, **options) -> ModelComparison:
-    return ModelComparison(MultipleShooting(its, precision), known.names, **options)
+def compare(known: Known, deviation: Measurements, precision: float = 1e-6, **options) -> ModelComparison:
+    return ModelComparison(MultipleShooting(deviation, precision), known.names, **options)

@@ -23,14 +23,14 @@ def test_what_is_kept_is_recalled_until_there_is_no_room():
 
 
 def test_a_key_differs_with_the_last_bit_of_a_constant_or_a_start():
-    its, starts = decay(), np.array([[3.0]])
-    values = its.values
+    rows, starts = decay(), np.array([[3.0]])
+    values = rows.values
     keys = {
-        key_of(its, starts, None, 3),
-        key_of(its, starts, None, 4),
-        key_of(its, starts, ErrorModel.independent(np.ones(1)), 3),
-        key_of(its, np.nextafter(starts, 4.0), None, 3),
-        key_of(its.with_values(np.nextafter(values, 1.0)), starts, None, 3),
+        key_of(rows, starts, None, 3),
+        key_of(rows, starts, None, 4),
+        key_of(rows, starts, ErrorModel.independent(np.ones(1)), 3),
+        key_of(rows, np.nextafter(starts, 4.0), None, 3),
+        key_of(rows.with_values(np.nextafter(values, 1.0)), starts, None, 3),
         key_of(decay("-0.4*x*x"), starts, None, 3),
     }
     assert len(keys) == 6

@@ -43,8 +43,8 @@ def test_a_million_rows_take_no_longer_than_a_transform():
 
 
 def test_pieces_are_rows_over_the_lag():
-    its = measurements_of(recording(SWING, ([1.0, 2.0],), 0.1 * np.arange(300.0), noise=0.1), [0, 1])
-    lags = [summed([np.diff(values)]) for values in its.smoothed]
-    assert count_pieces(its) == pytest.approx([300.0 / lag for lag in lags])
-    half = replace(its, weights=np.where(np.arange(300) < 150, its.weights, 0.0))
+    rows = measurements_of(recording(SWING, ([1.0, 2.0],), 0.1 * np.arange(300.0), noise=0.1), [0, 1])
+    lags = [summed([np.diff(values)]) for values in rows.smoothed]
+    assert count_pieces(rows) == pytest.approx([300.0 / lag for lag in lags])
+    half = replace(rows, weights=np.where(np.arange(300) < 150, rows.weights, 0.0))
     assert count_pieces(half) == pytest.approx([150.0 / lag for lag in lags])

@@ -29,8 +29,8 @@ def system(known, *texts):
     return system_of([known.parsed(text) for text in texts], known.names, known.names)
 
 
-def fitted_lotka(its, precision=1e-8):
-    return fit_in_stages(MultipleShooting(its, precision), system(LOTKA, *FAR), (8, 25, None), 40)
+def fitted_lotka(rows, precision=1e-8):
+    return fit_in_stages(MultipleShooting(rows, precision), system(LOTKA, *FAR), (8, 25, None), 40)
 
 
 def sizes(fit):
@@ -39,13 +39,15 @@ def sizes(fit):
 
 def robust(seed, outliers):
     """Return a decay with errors of deviation 0.1, some of them 30 times as large, weighed as smoothing does it."""
-    its = recording(DECAY, [[2.0]] * 4, 0.05 * np.arange(100.0), noise=0.1, seed=seed)
-    for each in its.trajectories:
-        each.measured[0, 7 :: 100 // outliers if outliers else 100] += 3.0 if outliers else 0.0
-    signals = [Signal(each.times, each.measured[0]) for each in its.trajectories]
+    recorded = recording(DECAY, [[2.0]] * 4, 0.05 * np.arange(100.0), noise=0.1, seed=seed)
+    for trajectory in recorded.trajectories:
+        trajectory.measured[0, 7 :: 100 // outliers if outliers else 100] += 3.0 if outliers else 0.0
+    signals = [Signal(trajectory.times, trajectory.measured[0]) for trajectory in recorded.trajectories]
     weights = [signal.robustness_weights for signal in fit_robustly(signals, (3, 4)).signals]
-    weighed = zip(its.trajectories, weights, strict=True)
-    return replace(its, trajectories=tuple(replace(each, robustness_weights=part[None]) for each, part in weighed))
+    weighed = zip(recorded.trajectories, weights, strict=True)
+    return replace(
+        recorded, trajectories=tuple(replace(trajectory, robustness_weights=part[None]) for trajectory, part in weighed)
+    )
 
 
 @pytest.mark.parametrize("outliers", [0, 2])
@@ -54,8 +56,8 @@ def test_robustness_weights_do_not_bias_the_variance_of_the_errors(outliers):
     right = system(DECAY, "-0.5*x")
     squares = []
     for seed in range(20):
-        its = MultipleShooting(measurements_of(robust(seed, outliers), [0]), 1e-6)
-        squares.append(its.fit(right, None, 0).squares[0] / 0.01)
+        estimator = MultipleShooting(measurements_of(robust(seed, outliers), [0]), 1e-6)
+        squares.append(estimator.fit(right, None, 0).squares[0] / 0.01)
     assert np.mean(squares) == pytest.approx(1.0, abs=0.07)
 
 
@@ -77,18 +79,18 @@ def test_noise_costs_accuracy_in_proportion():
 
 
 def test_a_measured_input_takes_part():
-    its = measurements(DRIVEN, [[2.0], [-1.0]], TIMES)
-    fit = MultipleShooting(its, 1e-8).fit(system(DRIVEN, "-0.3*x + 0.5*u"), 10, 30)
+    rows = measurements(DRIVEN, [[2.0], [-1.0]], TIMES)
+    fit = MultipleShooting(rows, 1e-8).fit(system(DRIVEN, "-0.3*x + 0.5*u"), 10, 30)
     assert sizes(fit) == pytest.approx([0.8, 1.5], rel=1e-3)
 
 
 def test_errors_of_every_state_are_weighted_by_their_own_size():
     """Of two states that share a constant, the one with a thousandth of the noise decides."""
     both = Known(("x", "y"), lambda _, z: [-0.5 * z[0], -0.5 * z[0] - 0.2 * z[1]])
-    its = measurements(both, [[3.0, 1.0], [2.0, -1.0]], TIMES, noise=(0.3, 3e-4), seed=1)
+    rows = measurements(both, [[3.0, 1.0], [2.0, -1.0]], TIMES, noise=(0.3, 3e-4), seed=1)
     start = system(both, "-0.8*x", "-0.5*x - 0.2*y")
     equal = np.array([0.1, 0.1])
-    fit = MultipleShooting(its, 1e-6).fit(start, None, 40, errors=ErrorModel.independent(equal))
+    fit = MultipleShooting(rows, 1e-6).fit(start, None, 40, errors=ErrorModel.independent(equal))
     assert fit.errors.sigmas == pytest.approx([0.3, 3e-4], rel=0.2)
     assert fit.errors.sigmas == pytest.approx(np.sqrt(fit.squares), rel=2e-3)
     assert sizes(fit) == pytest.approx([0.2, 0.5, 0.5], rel=5e-3)
@@ -105,8 +107,8 @@ def test_missing_values_and_outliers_without_weight_do_not_count():
 
 def test_the_fit_is_the_one_of_least_squares():
     """At the end the gradient vanishes, and moving any constant or start costs."""
-    its = measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05)
-    estimator = MultipleShooting(its, 1e-9)
+    rows = measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05)
+    estimator = MultipleShooting(rows, 1e-9)
     fit = estimator.fit(system(DECAY, "-0.3*x"), None, 50)
     for shift in (-1e-3, 1e-3):
         moved = estimator.fit(fit.system.with_values(fit.system.values + shift), None, 0, fit.starts, fit.errors)
@@ -122,45 +124,45 @@ def test_without_steps_a_system_is_simulated_as_it_is():
 
 
 def test_a_simulation_is_that_of_a_fit_without_steps():
-    its, right = lotka(), system(LOTKA, "3*x - 2*x*y - x**2", "2*y - x*y - y**2")
-    one = its.part([1])
+    rows, right = lotka(), system(LOTKA, "3*x - 2*x*y - x**2", "2*y - x*y - y**2")
+    one = rows.part([1])
     fit = MultipleShooting(one, 1e-8).fit(right, None, 0)
     simulated = MultipleShooting(one, 1e-8).simulate(right, fit.starts[0])
     assert simulated.tolist() == fit.simulated.tolist()
 
 
 def test_a_stiff_system_is_simulated_without_sensitivities():
-    its = measurements(DECAY, [[3.0]], TIMES)
-    simulated = MultipleShooting(its, 1e-4).simulate(system(DECAY, "-1e6*x + 1e6"), np.array([3.0]))
+    rows = measurements(DECAY, [[3.0]], TIMES)
+    simulated = MultipleShooting(rows, 1e-4).simulate(system(DECAY, "-1e6*x + 1e6"), np.array([3.0]))
     assert simulated[0, 1:] == pytest.approx(np.ones(49), abs=1e-3)
-    assert MultipleShooting(its, 1e-4).simulate(system(DECAY, "x*x*x"), np.array([3.0])) == "ran away"
+    assert MultipleShooting(rows, 1e-4).simulate(system(DECAY, "x*x*x"), np.array([3.0])) == "ran away"
 
 
 def test_running_out_of_steps_is_not_running_away():
     """Some 3,000 turns between two rows take more steps than are allowed, and fewer than so many measured rows have."""
-    its, fast = measurements(SWING, [[1.0, 0.0]], TIMES), system(SWING, "6000*y", "-6000*x")
-    assert MultipleShooting(its, 1e-4).simulate(fast, np.array([0.5, 0.0])) == "out of steps"
-    longer = MultipleShooting(its, 1e-4, measured_rows=100_000).simulate(fast, np.array([0.5, 0.0]))
+    rows, fast = measurements(SWING, [[1.0, 0.0]], TIMES), system(SWING, "6000*y", "-6000*x")
+    assert MultipleShooting(rows, 1e-4).simulate(fast, np.array([0.5, 0.0])) == "out of steps"
+    longer = MultipleShooting(rows, 1e-4, measured_rows=100_000).simulate(fast, np.array([0.5, 0.0]))
     assert np.abs(longer).max() < 1.0
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_steps_that_are_tried_by_states_alone_are_the_same(monkeypatch, noise):
-    found = []
+    estimates = []
     for rejected in (0.0, 1.0):
         monkeypatch.setattr(multiple_shooting, "_REJECTED", rejected)
         estimator = MultipleShooting(lotka(noise=noise), 1e-8)
         fit = fit_in_stages(estimator, system(LOTKA, *FAR), (8, 25, None), 40)
-        found.append((fit.system.values.tolist(), fit.starts.tolist(), fit.normal.tolist(), estimator.work))
-    assert found[0] == found[1]
+        estimates.append((fit.system.values.tolist(), fit.starts.tolist(), fit.normal.tolist(), estimator.work))
+    assert estimates[0] == estimates[1]
 
 
 def test_constants_that_are_held_stay_and_initial_states_are_fitted():
-    its = lotka(noise=0.01)
+    rows = lotka(noise=0.01)
     programs = [LOTKA.parsed("3*x - 2*x*y - x**2"), LOTKA.parsed("2*y - x*y - y**2")]
     held = system_of(programs, LOTKA.names, LOTKA.names, [range(20), range(20)])
     off = np.array(LOTKA_STARTS) + 0.2
-    fit = MultipleShooting(its, 1e-8).fit(held, None, 30, off)
+    fit = MultipleShooting(rows, 1e-8).fit(held, None, 30, off)
     assert fit.system.values.size == 0
     assert fit.starts == pytest.approx(np.array(LOTKA_STARTS), abs=0.03)
     assert fit.reduced.shape == (0, 0)
@@ -169,15 +171,15 @@ def test_constants_that_are_held_stay_and_initial_states_are_fitted():
 @pytest.mark.parametrize("text", ["x*x*x", "log(x - 100.0)", "1e6*x - 1e6", "1/(x - x)"])
 def test_what_cannot_be_integrated_is_none(text):
     """It blows up, or has no value."""
-    its = measurements(DECAY, [[3.0], [2.0]], TIMES)
-    assert MultipleShooting(its, 1e-6).fit(system(DECAY, text), None, 10) is None
-    assert fit_in_stages(MultipleShooting(its, 1e-6), system(DECAY, text), (8, None), 10) is None
+    rows = measurements(DECAY, [[3.0], [2.0]], TIMES)
+    assert MultipleShooting(rows, 1e-6).fit(system(DECAY, text), None, 10) is None
+    assert fit_in_stages(MultipleShooting(rows, 1e-6), system(DECAY, text), (8, None), 10) is None
 
 
 def test_a_stiff_system_is_simulated():
     """Within a microsecond the state is what the equation says."""
-    its = measurements(DECAY, [[3.0], [2.0]], TIMES)
-    fit = MultipleShooting(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, 0, is_stiff=True)
+    rows = measurements(DECAY, [[3.0], [2.0]], TIMES)
+    fit = MultipleShooting(rows, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, 0, is_stiff=True)
     assert fit is not None
     assert fit.is_stiff
     assert fit.simulated[0, 1:50] == pytest.approx(np.ones(49), abs=1e-3)
@@ -188,24 +190,24 @@ def test_a_stiff_system_is_simulated():
 )
 def test_what_seems_stiff_gets_implicit_steps_in_a_long_fit_alone(steps, is_fitted):
     """Most candidates that seem so are bad ones."""
-    its = measurements(DECAY, [[3.0], [2.0]], TIMES)
-    fit = MultipleShooting(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, steps)
+    rows = measurements(DECAY, [[3.0], [2.0]], TIMES)
+    fit = MultipleShooting(rows, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, steps)
     assert (fit is not None) is is_fitted
 
 
 def test_short_segments_hold_where_whole_trajectories_blow_up():
     """x' = 0.2 x^2 from 3 has a pole at 1.7, segments of five rows do not reach it."""
-    its = measurements(DECAY, [[3.0], [2.0]], TIMES)
+    rows = measurements(DECAY, [[3.0], [2.0]], TIMES)
     start = system(DECAY, "0.2*x*x - 0.1*x")
-    assert MultipleShooting(its, 1e-6).fit(start, None, 10) is None
-    fit = fit_in_stages(MultipleShooting(its, 1e-6), start, (5, None), 30)
+    assert MultipleShooting(rows, 1e-6).fit(start, None, 10) is None
+    fit = fit_in_stages(MultipleShooting(rows, 1e-6), start, (5, None), 30)
     assert fit is not None
     assert np.sqrt(fit.squares[0]) < 0.02
 
 
 def test_the_block_inverse_gives_the_covariance_of_the_dense_fit():
-    its = lotka(noise=0.01)
-    fit = fitted_lotka(its)
+    rows = lotka(noise=0.01)
+    fit = fitted_lotka(rows)
     fitted = len(fit.system.places)
     columns = []
     for group, (first, end) in enumerate(fit.segments.tolist()):
@@ -220,16 +222,16 @@ def test_the_block_inverse_gives_the_covariance_of_the_dense_fit():
 
 
 def test_two_fits_are_the_same_to_the_bit():
-    its = lotka(noise=0.05)
-    first, second = fitted_lotka(its), fitted_lotka(its)
+    rows = lotka(noise=0.05)
+    first, second = fitted_lotka(rows), fitted_lotka(rows)
     assert first.system.values.tobytes() == second.system.values.tobytes()
     assert first.simulated.tobytes() == second.simulated.tobytes()
     assert first.integrated_sensitivities().tobytes() == second.integrated_sensitivities().tobytes()
 
 
 def test_work_counts_rows_and_what_is_carried_along():
-    its = lotka()
-    small, large = MultipleShooting(its, 1e-6), MultipleShooting(its, 1e-6)
+    rows = lotka()
+    small, large = MultipleShooting(rows, 1e-6), MultipleShooting(rows, 1e-6)
     small.fit(system(LOTKA, "3*x", "2*y"), 10, 0)
     large.fit(system(LOTKA, *FAR), 10, 0)
     assert small.work == 150 * (10 + 2 * (1 + 2 + 2))
@@ -239,9 +241,9 @@ def test_work_counts_rows_and_what_is_carried_along():
 @pytest.mark.parametrize("noise", [(0.0, 0.0), (0.01, 0.1)])
 def test_a_fit_begun_at_its_end_integrates_once_or_twice(noise):
     """A step that promises nothing is not tried, however many could be."""
-    its = lotka(noise=noise)
-    fit = fitted_lotka(its)
-    again = MultipleShooting(its, 1e-8)
+    rows = lotka(noise=noise)
+    fit = fitted_lotka(rows)
+    again = MultipleShooting(rows, 1e-8)
     again.fit(fit.system, None, 0, fit.starts, fit.errors)
     once = again.work
     again.fit(fit.system, None, 40, fit.starts, fit.errors)
@@ -250,19 +252,19 @@ def test_a_fit_begun_at_its_end_integrates_once_or_twice(noise):
 
 def test_correlated_errors_are_found_and_widen_what_they_should():
     """AR(1) errors: the share, the correlation and honest standard errors of a constant, 60 times."""
-    times, draw, scores, found = np.linspace(0.0, 12.0, 200), np.random.default_rng(3), [], []
+    times, draw, scores, estimates = np.linspace(0.0, 12.0, 200), np.random.default_rng(3), [], []
     exact = measurements(DECAY, [[2.0]], times, noise=0.0)
     for _ in range(60):
         errors = 0.05 * draw.standard_normal(200)
         for row in range(1, 200):
             errors[row] = 0.8 * errors[row - 1] + 0.6 * errors[row]
-        its = replace(exact, measured=exact.measured + errors, noise=np.array([0.05]))
-        estimator = MultipleShooting(its, 1e-8)
+        disturbed = replace(exact, measured=exact.measured + errors, noise=np.array([0.05]))
+        estimator = MultipleShooting(disturbed, 1e-8)
         first = estimator.fit(system(DECAY, "-0.5*x"), None, 20)
         fit = estimator.fit(first.system, None, 20, first.starts, replace(first.errors, is_correlation_sought=True))
         scores.append((fit.system.values[0] + 0.5) / np.sqrt(covariance(fit)[0, 0]))
-        found.append((fit.errors.shares[0], fit.errors.decays[0]))
-    shares, decays = np.median(found, axis=0)
+        estimates.append((fit.errors.shares[0], fit.errors.decays[0]))
+    shares, decays = np.median(estimates, axis=0)
     assert shares >= 0.9
     assert decays == pytest.approx(0.8, abs=0.1)
     assert 0.8 < np.std(scores) < 1.3
@@ -272,16 +274,18 @@ def test_an_unmeasured_velocity_is_fitted_from_positions():
     """Order 2: x'' = -2 x - 0.3 x', only x measured."""
     whole = recording(SWING, [[1.0, 2.0], [0.5, -1.0]], TIMES, noise=1e-3)
     parts = tuple(
-        replace(each, measured=each.measured[:1], smoothed=each.smoothed[:1], slopes=each.slopes[:1])
-        for each in whole.trajectories
+        replace(
+            trajectory, measured=trajectory.measured[:1], smoothed=trajectory.smoothed[:1], slopes=trajectory.slopes[:1]
+        )
+        for trajectory in whole.trajectories
     )
     second = replace(
         whole, states=("x",), state_symbols=("x",), velocity_symbols=("y",), order=2, smoothing=whole.smoothing[:1],
         trajectories=parts,
     )  # fmt: skip
-    its = measurements_of(second, [0])
-    made = system_of([variable_program(1), SWING.parsed("-1.2*x - 0.1*y")], SWING.names, its.variables)
-    fit = fit_in_stages(MultipleShooting(its, 1e-6), made, (10, None), 30)
+    rows = measurements_of(second, [0])
+    made = system_of([variable_program(1), SWING.parsed("-1.2*x - 0.1*y")], SWING.names, rows.variables)
+    fit = fit_in_stages(MultipleShooting(rows, 1e-6), made, (10, None), 30)
     assert sizes(fit) == pytest.approx([0.3, 2.0], rel=0.01)
     assert fit.starts == pytest.approx(np.array([[1.0, 2.0], [0.5, -1.0]]), abs=0.01)
 
@@ -289,14 +293,15 @@ def test_an_unmeasured_velocity_is_fitted_from_positions():
 @pytest.mark.parametrize(("x_unit", "y_unit"), [(1e-30, 1e30), (1e30, 1e-30), (1e-40, 1e-40)])
 def test_states_of_any_units_have_the_same_fit(x_unit, y_unit):
     """A constant of 1e-60 has a sensitivity of 1e90, and nothing is steep about that."""
-    its = recording(SWING, ([1.0, 2.0],), TIMES)
+    recorded = recording(SWING, ([1.0, 2.0],), TIMES)
     units = np.array([[x_unit], [y_unit]])
-    (one,) = its.trajectories
+    (one,) = recorded.trajectories
     moved = replace(one, measured=units * one.measured, smoothed=units * one.smoothed, slopes=units * one.slopes)
     smoothing = tuple(
-        replace(each, noise=each.noise * unit) for each, unit in zip(its.smoothing, units[:, 0], strict=True)
+        replace(trajectory, noise=trajectory.noise * unit)
+        for trajectory, unit in zip(recorded.smoothing, units[:, 0], strict=True)
     )
-    there = measurements_of(replace(its, trajectories=(moved,), smoothing=smoothing), range(2))
+    there = measurements_of(replace(recorded, trajectories=(moved,), smoothing=smoothing), range(2))
     texts = (f"{0.9 * x_unit / y_unit!r}*y", f"{-2.2 * y_unit / x_unit!r}*x - 0.3*y")
     fit = MultipleShooting(there, 1e-8).fit(system(SWING, *texts), None, 20)
     values = fit.system.values * np.array([y_unit / x_unit, x_unit / y_unit, 1.0])
@@ -318,10 +323,10 @@ TURN = ClosedForm(("x", "y"), lambda _, z: [z[1], -1.0001 * z[0] - 0.02 * z[1]])
 @pytest.mark.parametrize("rows", [200, 500, 1000, 2000])
 def test_nothing_is_fitted_to_the_rounding_of_a_solution_in_closed_form(rows):
     """Each stage integrates where it begins, takes a step, and perhaps some more; some twenty would follow rounding."""
-    its = measurements(TURN, [[1.0, -0.01]], 0.02 * np.arange(rows))
-    estimator = MultipleShooting(its, 1e-12)
+    measured = measurements(TURN, [[1.0, -0.01]], 0.02 * np.arange(rows))
+    estimator = MultipleShooting(measured, 1e-12)
     fit = fit_in_stages(estimator, system(TURN, "y", "-1.0001*x - 0.02*y"), (30, 150, None), 40)
     assert sizes(fit) == pytest.approx([0.02, 1.0001], rel=1e-9)
-    once = MultipleShooting(its, 1e-12)
+    once = MultipleShooting(measured, 1e-12)
     once.fit(fit.system, None, 0, fit.starts, fit.errors)
     assert estimator.work <= 3 * 4 * once.work

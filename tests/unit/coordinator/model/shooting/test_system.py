@@ -61,10 +61,10 @@ def test_fixed_constants_are_no_parameters_and_stay():
 
 def test_a_system_whose_constants_are_fixed_afterwards_is_the_one_of_programs_that_have_them_fixed():
     programs = parsed(*TEXTS)
-    found = system_of(programs, NAMES, NAMES).with_fixed_constants()
+    built = system_of(programs, NAMES, NAMES).with_fixed_constants()
     expected = system_of(programs, NAMES, NAMES, [constant_places(program) for program in programs])
-    assert [each.tobytes() for each in found.tape] == [each.tobytes() for each in expected.tape]
-    assert (found.owners.tolist(), found.places.tolist()) == (expected.owners.tolist(), expected.places.tolist())
+    assert [array.tobytes() for array in built.tape] == [array.tobytes() for array in expected.tape]
+    assert (built.owners.tolist(), built.places.tolist()) == (expected.owners.tolist(), expected.places.tolist())
 
 
 def test_other_values_make_another_system_and_leave_the_first():

@@ -17,6 +17,6 @@ def test_initial_states_that_are_forgotten_leave_the_matrix_positive():
     blocks = SimpleNamespace(
         normal=constants.T @ constants, coupling=(constants.T @ starts)[None], own=(starts.T @ starts)[None]
     )
-    found = TrajectoryFit.reduced.fget(blocks)
-    assert np.abs(found - left.T @ left).max() < 0.5 * np.abs(left.T @ left).max()
-    assert (np.linalg.eigvalsh(found) > 0.0).all()
+    reduced = TrajectoryFit.reduced.fget(blocks)
+    assert np.abs(reduced - left.T @ left).max() < 0.5 * np.abs(left.T @ left).max()
+    assert (np.linalg.eigvalsh(reduced) > 0.0).all()

@@ -21,15 +21,15 @@ def measured(proportional, constant=0.0, seed=0):
         sizes = np.sqrt(constant**2 + (proportional * part.measured) ** 2)
         noisy = part.measured + sizes * draw.standard_normal(part.measured.shape)
         parts.append(replace(part, measured=noisy, smoothed=part.measured))
-    smoothing = tuple(replace(each, method="loess", noise=0.1) for each in exact.smoothing)
+    smoothing = tuple(replace(estimate, method="loess", noise=0.1) for estimate in exact.smoothing)
     return replace(exact, trajectories=tuple(parts), smoothing=smoothing)
 
 
 def test_proportional_errors_are_found_and_weighted():
-    its = measured(0.05)
-    model = estimate_variance(its, 0)
+    rows = measured(0.05)
+    model = estimate_variance(rows, 0)
     assert model.proportional >= 0.9
-    layout = measurements_of(its, [0, 1])
+    layout = measurements_of(rows, [0, 1])
     errors = (layout.measured - layout.smoothed) ** 2 * layout.weights
     low = layout.smoothed[0] < np.median(layout.smoothed[0])
     assert errors[0, low].mean() == pytest.approx(errors[0, ~low].mean(), rel=0.4)
@@ -37,29 +37,29 @@ def test_proportional_errors_are_found_and_weighted():
 
 
 def test_a_constant_part_beside_it_is_told_apart():
-    found = [estimate_variance(measured(0.05, 0.03, seed), 0) for seed in range(20)]
-    assert [each.proportional > 0.0 for each in found].count(True) >= 18
-    true = (0.05 * found[0].rms) ** 2 / ((0.05 * found[0].rms) ** 2 + 0.03**2)
-    assert np.median([each.proportional for each in found]) == pytest.approx(true, abs=0.15)
+    estimates = [estimate_variance(measured(0.05, 0.03, seed), 0) for seed in range(20)]
+    assert [estimate.proportional > 0.0 for estimate in estimates].count(True) >= 18
+    true = (0.05 * estimates[0].rms) ** 2 / ((0.05 * estimates[0].rms) ** 2 + 0.03**2)
+    assert np.median([estimate.proportional for estimate in estimates]) == pytest.approx(true, abs=0.15)
 
 
 def test_equal_errors_are_hardly_ever_taken_for_proportional_ones():
-    found = [estimate_variance(measured(0.0, 0.2, seed), 0).proportional for seed in range(40)]
-    assert sum(share > 0.0 for share in found) <= 4
+    estimates = [estimate_variance(measured(0.0, 0.2, seed), 0).proportional for seed in range(40)]
+    assert sum(share > 0.0 for share in estimates) <= 4
 
 
 def test_rows_with_weights_or_interpolated_states_stay_as_they_are():
-    its = measured(0.05)
-    clean = replace(its, smoothing=tuple(replace(each, method="interpolation") for each in its.smoothing))
-    given = replace(its, trajectories=tuple(replace(part, weights=np.ones(200)) for part in its.trajectories))
+    rows = measured(0.05)
+    clean = replace(rows, smoothing=tuple(replace(estimate, method="interpolation") for estimate in rows.smoothing))
+    given = replace(rows, trajectories=tuple(replace(part, weights=np.ones(200)) for part in rows.trajectories))
     assert estimate_variance(clean, 0).proportional == 0.0
     assert estimate_variance(given, 0).proportional == 0.0
     assert measurements_of(clean, [0]).inverse_variances is None
 
 
 def test_zeros_along_a_whole_trajectory_say_nothing_of_errors():
-    its = measured(0.0, 0.3)
-    absent = replace(its.trajectories[1], measured=0.0 * its.trajectories[1].measured, smoothed=np.zeros((2, 200)))
-    assert estimate_variance(replace(its, trajectories=(its.trajectories[0], absent)), 0) == estimate_variance(
-        replace(its, trajectories=its.trajectories[:1]), 0
+    rows = measured(0.0, 0.3)
+    absent = replace(rows.trajectories[1], measured=0.0 * rows.trajectories[1].measured, smoothed=np.zeros((2, 200)))
+    assert estimate_variance(replace(rows, trajectories=(rows.trajectories[0], absent)), 0) == estimate_variance(
+        replace(rows, trajectories=rows.trajectories[:1]), 0
     )

@@ -108,8 +108,8 @@ def test_windows_that_differ_much_in_variance_decide_the_terms_of_a_state_in_bur
     values = np.array([6.0 * np.sin(times), np.exp(-6.0 * np.cos(times) + 0.1 * times - 3.0), np.cos(0.37 * times)])
     sizes = 0.02 * values.std(axis=1)
     noisy = values + sizes[:, None] * generator.normal(size=values.shape)
-    its = Measured(times, ((0, len(times)),), noisy, values, sizes)
-    form = weak_form(its, 1, 12)
+    measured_states = Measured(times, ((0, len(times)),), noisy, values, sizes)
+    form = weak_form(measured_states, 1, 12)
     wrong = [term for degree in range(3) for term in products((0, 1, 2), degree)]
     law = Regression(form, wrong).law(wrong, is_tested=True)
     assert terms(law) == {"y", "x*y"}

@@ -12,7 +12,7 @@ from atoll_core.expression.program import constant_places
 from atoll_core.expression.text.parsing import from_infix
 
 NAMES = ("x", "y")
-ALL = {each.code for each in BY_NAME.values()}
+ALL = {program.code for program in BY_NAME.values()}
 DEFAULT = {BY_NAME[name].code for name in ("+", "-", "*", "/", "sin", "cos")}
 
 
@@ -37,27 +37,27 @@ def problem_of(law, noise=0.0):
 )
 def test_a_law_is_among_the_sums_of_as_many_constants(law, constants, noise):
     problem, exact = problem_of(law, noise)
-    found = pursue(problem, (0, 1), ALL)
-    sums = [each for each in found if len(constant_places(each)) <= constants]
-    errors = [np.abs(values_of(each, problem.inputs) - exact).max() for each in sums]
+    programs = pursue(problem, (0, 1), ALL)
+    sums = [program for program in programs if len(constant_places(program)) <= constants]
+    errors = [np.abs(values_of(program, problem.inputs) - exact).max() for program in sums]
     assert min(errors) < max(1e-8, noise) * exact.std()
 
 
 def test_only_operators_and_variables_that_are_allowed_are_used():
     problem, _ = problem_of("0.6*y*exp(-0.7*x) - 1.2*y**3")
-    found = pursue(problem, (1,), DEFAULT)
-    codes = {code for each in found for code in each.operators.tolist()} - {0, 1}
+    programs = pursue(problem, (1,), DEFAULT)
+    codes = {code for program in programs for code in program.operators.tolist()} - {0, 1}
     assert codes <= DEFAULT | {BY_NAME["neg"].code, BY_NAME["square"].code, BY_NAME["inverse"].code}
-    assert {int(each.left[node]) for each in found for node in np.flatnonzero(each.operators == 0)} == {1}
+    assert {int(program.left[node]) for program in programs for node in np.flatnonzero(program.operators == 0)} == {1}
     assert pursue(problem, (0, 1), {BY_NAME["sin"].code}) == []
 
 
 def test_sums_are_few_and_finite():
     problem, _ = problem_of("1.0/(x - 0.25) + 0.1*y", 0.01)
-    found = pursue(problem, (0, 1), ALL)
-    assert 0 < len(found) <= SETTINGS.sparse.pursued_kept * SETTINGS.sparse.pursued_constants
-    for each in found:
-        assert np.isfinite(values_of(each, problem.inputs)).all()
+    programs = pursue(problem, (0, 1), ALL)
+    assert 0 < len(programs) <= SETTINGS.sparse.pursued_kept * SETTINGS.sparse.pursued_constants
+    for program in programs:
+        assert np.isfinite(values_of(program, problem.inputs)).all()
 
 
 @pytest.mark.slow
@@ -65,9 +65,9 @@ def test_sums_are_few_and_finite():
 def test_inputs_that_do_not_vary_have_constant_sums(rows):
     values = np.random.default_rng(1).standard_normal(rows)
     for inputs in (np.ones((2, rows)), np.zeros((2, rows))):
-        found = pursue(Problem(NAMES, inputs, Target("x", "dx/dt", values, 0.0, 1.0)), (0, 1), ALL)
-        assert found
-        assert all(np.ptp(values_of(each, inputs)) == 0.0 for each in found)
+        programs = pursue(Problem(NAMES, inputs, Target("x", "dx/dt", values, 0.0, 1.0)), (0, 1), ALL)
+        assert programs
+        assert all(np.ptp(values_of(program, inputs)) == 0.0 for program in programs)
 
 
 def test_rows_in_step_with_a_period_are_not_one_state():
@@ -76,6 +76,8 @@ def test_rows_in_step_with_a_period_are_not_one_state():
     inputs = np.array([1.5 + np.cos(phases), 1.5 - np.sin(phases)])
     values = 0.6 * inputs[1] - 1.2 * inputs[0]
     target = Target("x", "dx/dt", values, 0.0, float(values.std()))
-    found = pursue(Problem(NAMES, inputs, target), (0, 1), {BY_NAME["+"].code, BY_NAME["*"].code})
-    errors = [np.abs(values_of(each, inputs) - values).max() for each in found if len(constant_places(each)) <= 2]
+    programs = pursue(Problem(NAMES, inputs, target), (0, 1), {BY_NAME["+"].code, BY_NAME["*"].code})
+    errors = [
+        np.abs(values_of(program, inputs) - values).max() for program in programs if len(constant_places(program)) <= 2
+    ]
     assert min(errors) < 1e-8

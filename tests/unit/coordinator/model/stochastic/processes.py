@@ -12,10 +12,10 @@ def ornstein_uhlenbeck(rows: int, step: float, seed: int, noise: float = 0.0) ->
     """Return dx = -x dt + 0.5 dW at so many rows, with errors of measurement."""
     random = np.random.default_rng(seed)
     decay, spread = np.exp(-step), 0.5 * np.sqrt((1.0 - np.exp(-2.0 * step)) / 2.0)
-    found = [0.0]
-    for each in random.standard_normal(rows - 1):
-        found.append(decay * found[-1] + spread * each)
-    return np.array(found) + noise * random.standard_normal(rows)
+    states = [0.0]
+    for shock in random.standard_normal(rows - 1):
+        states.append(decay * states[-1] + spread * shock)
+    return np.array(states) + noise * random.standard_normal(rows)
 
 
 def steps_of(states: FloatArray, step: float) -> Steps:

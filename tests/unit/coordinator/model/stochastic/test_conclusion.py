@@ -78,9 +78,11 @@ EXACT = {"a ramp": 2.0 * (0.1 * ROWS), "back and forth": ROWS % 2.0}
 def test_exact_tables_have_equations_of_which_none_is_said_to_be_the_law_of_a_process(states: FloatArray) -> None:
     config = JobConfig(data=DataConfig(stochastic=True), space=SpaceConfig(operators=("+", "*")))
     prepared = prepare(table_of({"t": 0.1 * ROWS, "x": states}), config)
-    found = refine_all(prepared, config, {}).equations
-    assert [*found] == ["x", "[x]"]
-    assert {(each.grade, (each.reason or "")[:16]) for each in found.values()} == {("doubtful", "No noise is seen")}
+    equations = refine_all(prepared, config, {}).equations
+    assert [*equations] == ["x", "[x]"]
+    assert {(equation.grade, (equation.reason or "")[:16]) for equation in equations.values()} == {
+        ("doubtful", "No noise is seen")
+    }
 
 
 def test_what_is_the_same_everywhere_has_no_pattern() -> None:
@@ -97,11 +99,13 @@ def judged(rows_a_period: int, model: ProcessModel) -> list[Grade]:
         process, ("x", "y", *process.components), (*range(count),), (), ProcessLikelihood(steps), fitted,
         ((),) * count, (), 0.0,
     )  # fmt: skip
-    return [grade for grade, _ in _judge(chosen, model, [_Equation(each, Known((), ())) for each in model.programs])]
+    return [
+        grade for grade, _ in _judge(chosen, model, [_Equation(program, Known((), ())) for program in model.programs])
+    ]
 
 
 def two_states(*equations: str) -> ProcessModel:
-    programs = tuple(from_infix(each, ("x", "y")) for each in equations)
+    programs = tuple(from_infix(equation, ("x", "y")) for equation in equations)
     return ProcessModel(programs[:2], programs[2:], ((0, 0), (1, 1)), (0.0, 0.0))
 
 

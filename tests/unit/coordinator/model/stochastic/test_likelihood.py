@@ -11,10 +11,10 @@ NAMES = ("x", "y")
 
 def test_the_misfit_is_minus_the_logarithm_of_the_transition_densities() -> None:
     states = ornstein_uhlenbeck(200, 0.02, seed=1)
-    found = ProcessLikelihood(steps_of(states[None], 0.02)).whitened(model_of("-1*x", "0.25"))
+    whitened = ProcessLikelihood(steps_of(states[None], 0.02)).whitened(model_of("-1*x", "0.25"))
     decay, spread = np.exp(-0.02), 0.5 * np.sqrt((1.0 - np.exp(-0.04)) / 2.0)
     exact = -stats.norm.logpdf(states[1:], decay * states[:-1], spread).sum() - 199 * 0.5 * np.log(2.0 * np.pi)
-    assert abs(found.misfit - exact) < 1e-3
+    assert abs(whitened.misfit - exact) < 1e-3
 
 
 def test_with_errors_of_measurement_it_is_that_of_all_rows_together() -> None:
@@ -26,8 +26,8 @@ def test_with_errors_of_measurement_it_is_that_of_all_rows_together() -> None:
     move = np.eye(39, 40, 1) - decay * np.eye(39, 40)
     covariance = variance * np.eye(39) + 0.04 * move @ move.T
     exact = -stats.multivariate_normal(np.zeros(39), covariance).logpdf(move @ states) - 39 * 0.5 * np.log(2.0 * np.pi)
-    found = ProcessLikelihood(steps).whitened(model)
-    assert abs(found.misfit - exact) < 0.05, "the mean of a step and its Jacobian differ in the third order"
+    whitened = ProcessLikelihood(steps).whitened(model)
+    assert abs(whitened.misfit - exact) < 0.05, "the mean of a step and its Jacobian differ in the third order"
 
 
 def test_constants_and_both_noises_lie_in_their_intervals() -> None:

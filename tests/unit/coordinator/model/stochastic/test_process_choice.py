@@ -22,19 +22,19 @@ def oscillator(rows: int, step: float, seed: int) -> FloatArray:
     block = linalg.expm(step * np.block([[-drift, noise], [np.zeros((2, 2)), drift.T]]))
     move = block[2:, 2:].T
     factor = np.linalg.cholesky(move @ block[:2, 2:])
-    found = [np.array([1.0, 0.0])]
+    states = [np.array([1.0, 0.0])]
     for normal in np.random.default_rng(seed).standard_normal((rows - 1, 2)):
-        found.append(move @ found[-1] + factor @ normal)
-    return np.array(found).T
+        states.append(move @ states[-1] + factor @ normal)
+    return np.array(states).T
 
 
 def euler_maruyama(rows: int, step: float, seed: int) -> FloatArray:
     """Return position and velocity of the same oscillator as the method of Euler and Maruyama moves them."""
-    x, v, found = 1.0, 0.0, [(1.0, 0.0)]
+    x, v, states = 1.0, 0.0, [(1.0, 0.0)]
     for normal in (0.5 * np.sqrt(step) * np.random.default_rng(seed).standard_normal(rows - 1)).tolist():
         x, v = x + step * v, v - step * (x + 0.5 * v) + normal
-        found.append((x, v))
-    return np.array(found).T
+        states.append((x, v))
+    return np.array(states).T
 
 
 def begun(
@@ -58,8 +58,8 @@ def test_a_variance_that_must_depend_on_a_variable_does_not_become_zero() -> Non
     programs = [from_infix(text, ["x", "v"]) for text in ("v", "-x - 0.5*v", "0.01*v*v", "0.25")]
     model = ProcessModel(tuple(programs[:2]), tuple(programs[2:]), ((0, 0), (1, 1)), (0.0, 0.0))
     assert is_zero(begun(states)._as_euler_maruyama(model).model.programs[2])
-    its = begun(states, required={"[x]": ("v",)})
-    assert not is_zero(its._as_euler_maruyama(model).model.programs[2])
+    choice = begun(states, required={"[x]": ("v",)})
+    assert not is_zero(choice._as_euler_maruyama(model).model.programs[2])
 
 
 def test_a_table_made_by_euler_and_maruyama_is_taken_for_that() -> None:

@@ -24,18 +24,18 @@ def units(text, lhs="dx/dt", symbols=("x", "v"), **data):
 
 
 def test_the_left_hand_side_is_a_rate():
-    found = units("2*x - 3*v", units={"x": "m", "v": "m/s", "t": "s"})
-    assert list(map(str, found.constants)) == ["1/s", "1"]
+    units_found = units("2*x - 3*v", units={"x": "m", "v": "m/s", "t": "s"})
+    assert list(map(str, units_found.constants)) == ["1/s", "1"]
 
 
 def test_velocities_follow_from_positions_and_time():
-    found = units("2*x - 3*x_dot", "d2x/dt2", ("x", "x_dot"), order=2, units={"x": "m", "t": "s"})
-    assert list(map(str, found.constants)) == ["1/s^2", "1/s"]
+    units_found = units("2*x - 3*x_dot", "d2x/dt2", ("x", "x_dot"), order=2, units={"x": "m", "t": "s"})
+    assert list(map(str, units_found.constants)) == ["1/s^2", "1/s"]
 
 
 def test_angles_are_in_radians():
-    found = units("2*sin(x)", units={"x": "deg", "t": "s"}, angles=(Angle(column="x", degrees=True),))
-    assert (list(map(str, found.constants)), found.faults) == (["1/s"], ())
+    units_found = units("2*sin(x)", units={"x": "deg", "t": "s"}, angles=(Angle(column="x", degrees=True),))
+    assert (list(map(str, units_found.constants)), units_found.faults) == (["1/s"], ())
 
 
 def test_a_header_may_hold_what_is_no_unit():

@@ -13,10 +13,10 @@ from atoll_coordinator.model.structure.one_sided import one_sided_reaches
 @pytest.mark.parametrize("slope", [0.0, 0.5, 20.0, 1e4])
 def test_reaches_are_quantiles_of_a_truncated_normal(slope):
     error, gradient = 0.5, np.array([0.0, -slope])
-    found = one_sided_reaches(np.diag([1.0, 4.0]), gradient, np.array([False, True]))
+    reaches = one_sided_reaches(np.diag([1.0, 4.0]), gradient, np.array([False, True]))
     beyond = slope * error
     expected = error * stats.truncnorm.ppf(0.95, beyond, np.inf, loc=-beyond)
-    assert found == {1: pytest.approx(expected, rel=1e-6)}
+    assert reaches == {1: pytest.approx(expected, rel=1e-6)}
 
 
 @pytest.mark.slow

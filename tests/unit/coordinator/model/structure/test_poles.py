@@ -24,7 +24,7 @@ POINTS = np.random.default_rng(0).uniform([[0.2], [-1.0]], [[3.0], [1.0]], (2, 6
     ],
 )
 def test_poles_among_the_points_are_found(text, parts):
-    assert [shown(each) for each in find_poles(from_infix(text, ("x", "y")), POINTS)] == parts
+    assert [shown(pole) for pole in find_poles(from_infix(text, ("x", "y")), POINTS)] == parts
 
 
 @pytest.mark.parametrize("text", ["y/x", "1.0/(x + 0.1)", "y/(x - 5.0)", "sin(y)/y", "x/(y*y + 0.1)", "log(x)", "x*y"])
@@ -37,5 +37,5 @@ def test_along_a_trajectory_poles_are_those_between_neighbouring_points():
     course = np.maximum(2.0 - 0.2 * np.arange(20.0), 0.0)[None]
     text = "6e-13/(3e-12 - x**3) - 0.2"
     parts = find_poles(from_infix(text, ("x",)), course[:, :-1], course[:, 1:])
-    assert [to_infix(each, ("x",)) for each in parts] == ["3e-12 - x**3"]
+    assert [to_infix(part, ("x",)) for part in parts] == ["3e-12 - x**3"]
     assert not find_poles(from_infix(text, ("x",)), course[:, :9], course[:, 1:10])

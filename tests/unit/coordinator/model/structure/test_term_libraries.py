@@ -30,7 +30,7 @@ def test_polynomials_waves_and_coupled_phases_over_two_variables():
 
 @pytest.mark.parametrize("variables", [1, 2, 3, 5, 8])
 def test_no_library_is_larger_than_allowed_and_none_has_a_term_twice(variables):
-    for terms in libraries(range(variables), [its.code for its in BY_NAME.values()]):
+    for terms in libraries(range(variables), [operator.code for operator in BY_NAME.values()]):
         assert len(terms) <= SETTINGS.structure.largest_library
         assert len(set(terms)) == len(terms)
 
@@ -60,17 +60,17 @@ def test_a_sum_has_the_values_of_its_columns(terms, seed):
     assert len(constant_places(program)) == len(terms)
 
 
-ALLOWED = [its.code for its in BY_NAME.values()]
+ALLOWED = [operator.code for operator in BY_NAME.values()]
 
 
 def test_products_that_saturate_and_what_is_divided_by_a_variable():
     over_x, over_y = (Factor(v, divisor=Divisor(v, 1, (2.0, 3.0)[v])) for v in (0, 1))
     square_x, square_y = (Factor(v, divisor=Divisor(v, 2, (4.0, 9.0)[v])) for v in (0, 1))
-    found = list(fractions([0, 1], PLAIN_AND_DIVIDE, [2.0, 3.0]))
+    terms_listed = list(fractions([0, 1], PLAIN_AND_DIVIDE, [2.0, 3.0]))
     expected = []
     for own, other, under in ((X, Y, over_x), (X, Y, square_x), (Y, X, over_y), (Y, X, square_y)):
         expected += [[*SQUARES, (other, own, under)], [*SQUARES, (own, under), (other, own, under)]]
-    assert found == expected
+    assert terms_listed == expected
     over = Factor(0, divisor=Divisor(0))
     assert list(fractions([0, 1], ALLOWED, [2.0, 3.0]))[8] == [
         (), (X,), (Y,), *WAVES, (over,), (Y, over), *((*wave, over) for wave in WAVES)

@@ -73,7 +73,7 @@ def test_what_breaks_says_what_to_send_and_loses_nothing(monkeypatch: pytest.Mon
     assert "equations are as found" in warning
     for sentence in (failed.sentence, warning):
         assert "broke (ZeroDivisionError: planted in two lines)" in sentence
-        assert all(each in sentence for each in (f"Atoll {VERSION}", "seed 77", "command", "to_csv"))
+        assert all(part in sentence for part in (f"Atoll {VERSION}", "seed 77", "command", "to_csv"))
         assert "\n" not in sentence
 
 
@@ -81,10 +81,10 @@ def test_what_breaks_says_what_to_send_and_loses_nothing(monkeypatch: pytest.Mon
 def test_sentences_that_something_broke_are_made_where_they_are_told_what_to_send() -> None:
     """By `job_tasks` (above) and `breakages`; what an island says, `workers/worker_controller.py` completes."""
     sources = [path for folder in ("common", "coordinator", "island_worker") for path in (ROOT / folder).rglob("*.py")]
-    found = {path.name for path in sources for its in ast.walk(ast.parse(path.read_text("utf-8")))
-             if isinstance(its, ast.JoinedStr) and " broke " in ast.unparse(its)}  # fmt: skip
-    assert found == {"job_tasks.py", "breakages.py", "run_queue.py"}
-    assert all("to_send" in signature(each).parameters for each in (preparation_failed, refinement_failed))
+    names = {path.name for path in sources for node in ast.walk(ast.parse(path.read_text("utf-8")))
+             if isinstance(node, ast.JoinedStr) and " broke " in ast.unparse(node)}  # fmt: skip
+    assert names == {"job_tasks.py", "breakages.py", "run_queue.py"}
+    assert all("to_send" in signature(part).parameters for part in (preparation_failed, refinement_failed))
     assert "please report it with" in Breakages().add("a task", ValueError("planted"))
 
 
@@ -92,7 +92,7 @@ def test_sentences_that_something_broke_are_made_where_they_are_told_what_to_sen
 def test_a_report_names_version_command_seed_and_data(is_certain: bool) -> None:
     sentence = what_to_send(SUMS.model_copy(update={"seed": 77}), is_certain=is_certain)
     assert ("a mistake of Atoll" in sentence) is is_certain
-    assert all(each in sentence for each in (f"Atoll {VERSION}", "command or call", "seed 77", "the data", "to_csv"))
+    assert all(part in sentence for part in (f"Atoll {VERSION}", "command or call", "seed 77", "the data", "to_csv"))
 
 
 @pytest.mark.parametrize(("limit", "expected"), [(None, ["prepare"]), (20.0, ["ready", "PreparationBegun", "prepare"])])

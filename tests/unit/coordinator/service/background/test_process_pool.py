@@ -113,7 +113,7 @@ def plain(what: Any) -> Any:
     if isinstance(what, np.ndarray):
         return what.dtype.str, what.shape, what.tobytes()
     if dataclasses.is_dataclass(what):
-        return tuple((each.name, plain(getattr(what, each.name))) for each in dataclasses.fields(what))
+        return tuple((field.name, plain(getattr(what, field.name))) for field in dataclasses.fields(what))
     if isinstance(what, Mapping):
         return tuple((plain(key), plain(value)) for key, value in what.items())
     if isinstance(what, list | tuple):
@@ -130,9 +130,9 @@ def test_what_children_make_is_what_threads_make_to_the_last_bit(pool: ProcessPo
     assert isinstance(here, JobPrepared)
     assert isinstance(there, JobPrepared)
     assert plain(there) == plain(here)
-    found = pools(here.prepared.preparation, x=("x", "-0.4*x"))
+    pools_sent = pools(here.prepared.preparation, x=("x", "-0.4*x"))
     refined = [
-        work(partial(refine_job, refine, "j", ready.prepared, found))
+        work(partial(refine_job, refine, "j", ready.prepared, pools_sent))
         for ready, work in ((here, lambda task: task()), (there, partial(pool.run, "j")))
     ]
     assert refined[0].refinement.simulation is not None
@@ -423,4 +423,4 @@ def test_a_checkpoint_that_cannot_be_written_is_posted_with_its_error(pool: Proc
     runner = TaskRunner(Dependencies(pool, writer=call), FullStore(), said.append)  # type: ignore[arg-type]
     checkpoint = Checkpoint("j", "x", 1, 8, None, {})  # type: ignore[arg-type]
     runner.write(checkpoint, b"", 1.0)
-    assert [str(each.error) for each in said] == ["the disk is full"]
+    assert [str(error.error) for error in said] == ["the disk is full"]

@@ -45,8 +45,8 @@ def test_runners_up_are_kept_as_soon_as_one_target_is_noisy() -> None:
 
 def test_the_search_for_a_noisy_target_stagnates_sooner_and_that_for_a_clean_one_beside_it_does_not() -> None:
     targets = dataset(noise=0.01).targets
-    found = [stagnation_of(JobConfig(), target, RECORDING) for target in targets]
-    assert found == [Stagnation(STAGNATION_CLEAN, grows=True), Stagnation(STAGNATION_NOISY)]
+    epochs = [stagnation_of(JobConfig(), target, RECORDING) for target in targets]
+    assert epochs == [Stagnation(STAGNATION_CLEAN, grows=True), Stagnation(STAGNATION_NOISY)]
     given = [stagnation_of(JobConfig(), target, None) for target in targets]
     assert given == [Stagnation(STAGNATION_GIVEN), Stagnation(STAGNATION_NOISY)]
 
@@ -73,8 +73,8 @@ def test_what_is_given_stands() -> None:
         budget=BudgetConfig(stagnation=7),
     )
     assert resolve(config, dataset(noise=0.1)) == config
-    found = [stagnation_of(config, target, RECORDING) for target in dataset(noise=0.1).targets]
-    assert found == [Stagnation(7), Stagnation(7)]
+    epochs = [stagnation_of(config, target, RECORDING) for target in dataset(noise=0.1).targets]
+    assert epochs == [Stagnation(7), Stagnation(7)]
     assert resolve(PAPER, dataset(9, noise=0.1)) == PAPER
     assert stagnation_of(PAPER, dataset(noise=0.1).targets[1], RECORDING) == Stagnation(500)
 

@@ -74,7 +74,7 @@ def running(**budget: object) -> Job:
 def report(island: int, epoch: int, variable: str = "x", term: int = 2, program: bytes | None = None) -> EpochReport:
     code = program if program is not None else bytes([1, 0]) + bytes(4)
     addition = Addition(complexity=1, error=0.5, mse=0.25, generation=1, program=code)
-    each = IslandReport(
+    archipelago = IslandReport(
         island=island,
         generations=100,
         hit=None,
@@ -83,7 +83,7 @@ def report(island: int, epoch: int, variable: str = "x", term: int = 2, program:
         best_error=0.5,
         digest=f"{epoch:032x}",
     )
-    return EpochReport(job="job", variable=variable, term=term, epoch=epoch, islands=(each,))
+    return EpochReport(job="job", variable=variable, term=term, epoch=epoch, islands=(archipelago,))
 
 
 def test_nothing_leads_out_of_a_final_state_and_everything_can_be_cancelled_before() -> None:
@@ -129,7 +129,7 @@ def test_a_variable_can_have_fewer_epochs_than_the_others() -> None:
     job = running(max_epochs=9, max_epochs_of={"y": 1})
     job.add_report("w0", report(0, 0, "y"), 1.0)
     job.add_report("w1", report(1, 0, "y"), 1.0)
-    assert [each.variable for each in job.open_archipelagos] == ["x"]
+    assert [archipelago.variable for archipelago in job.open_archipelagos] == ["x"]
 
 
 def test_time_cuts_every_variable() -> None:
@@ -328,7 +328,7 @@ def test_cuts_that_were_committed_before_a_restart_stand() -> None:
     job.start_clock(0.0)
     cut = Cut(variable="x", epochs=3, generation=None, why="max-time", front=(), evaluations={}, seconds=1.0)
     assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}, 0.0) == []
-    assert [each.variable for each in job.open_archipelagos] == ["y"]
+    assert [archipelago.variable for archipelago in job.open_archipelagos] == ["y"]
     other = job_with()
     other.start_preparing()
     other.start_clock(0.0)
@@ -340,19 +340,19 @@ def test_cuts_that_were_committed_before_a_restart_stand() -> None:
 
 def test_a_noisy_target_s_search_goes_on_below_its_floor() -> None:
     """Many a wrong equation lies below the floor; that they get better is progress all the same."""
-    found = [(FrontEntry(3, error, error * error, 0, 0, 0, bytes([1, 0, 0, 0, 0, 0])),) for error in (0.05, 0.01)]
+    fronts = [(FrontEntry(3, error, error * error, 0, 0, 0, bytes([1, 0, 0, 0, 0, 0])),) for error in (0.05, 0.01)]
     clean = Target("x", "dx/dt", VALUES, 9e-4, 300.0)
     noisy = replace(clean, noise=0.1)
-    assert measure_of(clean, 30.0)(found[1]) == measure_of(clean, 30.0)(found[0])
-    assert measure_of(noisy, 30.0)(found[1]) < measure_of(noisy, 30.0)(found[0]) - 1.0
+    assert measure_of(clean, 30.0)(fronts[1]) == measure_of(clean, 30.0)(fronts[0])
+    assert measure_of(noisy, 30.0)(fronts[1]) < measure_of(noisy, 30.0)(fronts[0]) - 1.0
     assert measure_of(noisy, 30.0)(()) == float("inf")
 
 
 def test_what_is_gained_at_the_level_of_errors_that_go_together_is_no_progress() -> None:
-    found = [(FrontEntry(3, error, error * error, 0, 0, 0, bytes([1, 0, 0, 0, 0, 0])),) for error in (0.05, 0.045)]
+    fronts = [(FrontEntry(3, error, error * error, 0, 0, 0, bytes([1, 0, 0, 0, 0, 0])),) for error in (0.05, 0.045)]
     target = Target("x", "dx/dt", VALUES, 0.0, 1.0)
-    assert measure_of(target, 30.0)(found[1]) < measure_of(target, 30.0)(found[0]) - 1.0
-    assert measure_of(target, 2.0)(found[1]) > measure_of(target, 2.0)(found[0]) - 1.0
+    assert measure_of(target, 30.0)(fronts[1]) < measure_of(target, 30.0)(fronts[0]) - 1.0
+    assert measure_of(target, 2.0)(fronts[1]) > measure_of(target, 2.0)(fronts[0]) - 1.0
 
 
 def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuration() -> None:

@@ -14,8 +14,8 @@ def job(name: str, priority: int = 0, state: str = "queued") -> Job:
 
 def test_higher_priority_comes_first_then_who_came_first() -> None:
     jobs = [job("a"), job("b", 2), job("c", -1), job("d", 2), job("e", state="running")]
-    assert [each.id for each in waiting_jobs(jobs)] == ["b", "d", "a", "c"]
-    assert [Line(jobs).ahead_of(each) for each in jobs] == [2, 0, 3, 1, None]
+    assert [job.id for job in waiting_jobs(jobs)] == ["b", "d", "a", "c"]
+    assert [Line(jobs).ahead_of(job) for job in jobs] == [2, 0, 3, 1, None]
 
 
 def test_one_job_is_prepared_at_a_time_while_there_is_room() -> None:
@@ -29,7 +29,7 @@ def test_one_job_is_prepared_at_a_time_while_there_is_room() -> None:
 
 def test_what_a_queued_job_waits_for_is_said() -> None:
     jobs = [job("r", state="running"), job("a"), job("b"), job("c")]
-    said = [Line(jobs).waiting_reason(each) for each in jobs[1:]]
+    said = [Line(jobs).waiting_reason(job) for job in jobs[1:]]
     assert said == [
         "waits for its turn (it is next; 1 job is under way)",
         "waits for its turn (1 job before it)",

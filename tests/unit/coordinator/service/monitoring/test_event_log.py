@@ -51,4 +51,4 @@ def test_what_another_version_recorded_hides_nothing_else(kind: str, contents: s
         events = EventLog(store, lambda: "2026-01-01T00:00:00")
         store.add_events([EventRecord("a", "2026-01-01T00:00:00", kind, contents)])
         events.record("done", "done", "a")
-        assert [each.text for each in events.read("a", 0, 9)] == ["done"]
+        assert [event.text for event in events.read("a", 0, 9)] == ["done"]

@@ -251,17 +251,17 @@ def test_twenty_thousand_jobs_are_listed_in_pages_and_found_by_the_beginnings_of
             rest = () if answer.before is None else listed(question.model_copy(update={"before": answer.before}))
             return [*rest, *(view.job for view in answer.jobs)]
 
-        def found(prefix: str) -> object:
+        def find(prefix: str) -> object:
             return clients.answer("ann", Request(body=FindJob(prefix=prefix)))
 
         assert listed(Jobs(prefix="job-19")) == [row[0] for row in rows[19_000:]]
         assert listed(Jobs(is_open=True)) == [row[0] for row in rows[::100]]
         assert listed(Jobs(prefix="job-1999")) == [row[0] for row in rows[19_990:]]
-        assert found("job-12345") == found("job-12345") == JobFound(job="job-12345")
+        assert find("job-12345") == find("job-12345") == JobFound(job="job-12345")
         assert isinstance(clients.answer("ann", Request(body=Status(job="job-12344"))), JobStatus)
-        assert "20000 jobs begin with 'job' (job-19995, job-19996" in failure(found("job")).sentence
-        assert "and 19995 more" in failure(found("job")).sentence
-        assert "no job 'other'; the last that came are job-19995" in failure(found("other")).sentence
+        assert "20000 jobs begin with 'job' (job-19995, job-19996" in failure(find("job")).sentence
+        assert "and 19995 more" in failure(find("job")).sentence
+        assert "no job 'other'; the last that came are job-19995" in failure(find("other")).sentence
 
 
 def test_a_page_of_jobs_is_no_larger_than_an_answer_bears(

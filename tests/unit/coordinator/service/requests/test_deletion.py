@@ -52,14 +52,14 @@ def deleted_in_turn(store: Store, retention: Retention) -> list[str]:
     """Return which jobs are deleted, in order."""
     deletes, _ = deletion(store, retention)
     Now.s = 31 * DAY
-    found: list[str] = []
+    names: list[str] = []
     while True:
         before = {job.id for job in store.jobs()}
         deletes.delete_expired(0.0)
         gone = before - {job.id for job in store.jobs()}
         if not gone:
-            return found
-        found += gone
+            return names
+        names += gone
 
 
 def test_an_ended_job_is_deleted_and_its_end_is_noted(store: Store) -> None:

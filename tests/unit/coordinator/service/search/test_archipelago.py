@@ -35,11 +35,13 @@ def report(made: Archipelago, first: int, last: int, term: int = 1) -> None:
     for epoch in range(first, last):
         for island, worker in enumerate(WORKERS):
             tally = SliceCounters(generation=10, evaluations={"offspring": epoch + 1})
-            each = IslandReport(
+            island_report = IslandReport(
                 island=island, generations=10, hit=None, additions=(), counters=(tally,), best_error=None,
                 digest=f"{epoch:08x}{island:08x}",
             )  # fmt: skip
-            made.add_report(worker, EpochReport(job="job", variable="x", term=term, epoch=epoch, islands=(each,)), 1.0)
+            made.add_report(
+                worker, EpochReport(job="job", variable="x", term=term, epoch=epoch, islands=(island_report,)), 1.0
+            )
 
 
 def state(island: int, epoch: int) -> State:

@@ -123,10 +123,11 @@ def test_errors_that_are_not_finite_never_enter_the_front() -> None:
 def test_convergence_has_the_improvements_of_each_island_in_order(collector: Collector) -> None:
     fill(collector, 0, report(0, 1.0, found_at=(4, 4, 9)), report(1, 8.0))
     fill(collector, 1, report(0, 1.0), report(1, 4.0, found_at=(6,)))
-    found = {
-        island: [(each.generation, each.error) for each in its] for island, its in collector.state.convergence.items()
+    generations = {
+        island: [(entry.generation, entry.error) for entry in entries]
+        for island, entries in collector.state.convergence.items()
     }
-    assert found == {0: [(4, 1.0), (4, 0.5), (9, pytest.approx(1 / 3))], 1: [(4, 8.0), (106, 4.0)]}
+    assert generations == {0: [(4, 1.0), (4, 0.5), (9, pytest.approx(1 / 3))], 1: [(4, 8.0), (106, 4.0)]}
 
 
 # ------------------------------------------------------------------------------------------------- ends
@@ -142,11 +143,11 @@ def test_the_target_ends_the_search_with_the_least_generation_and_island(collect
 def test_islands_count_up_to_the_slice_that_met_the_target_and_no_further() -> None:
     """The islands before the hit, and itself, count up to its generation; the one after it, to the slice before."""
     collector = Collector("x", LIMITS_OF_3, best_error)
-    found = (10, 20, 30)
+    generations = (10, 20, 30)
     reports = [
-        report(0, error=3.0, found_at=found),
-        report(1, error=1.5, found_at=found[:2], hit=20),
-        report(2, found_at=found),
+        report(0, error=3.0, found_at=generations),
+        report(1, error=1.5, found_at=generations[:2], hit=20),
+        report(2, found_at=generations),
     ]
     fill(collector, 0, *reports)
     assert collector.cut is not None
@@ -375,8 +376,8 @@ def test_runners_up_of_all_islands_are_merged_whatever_comes_first(order: list[t
 
 def test_a_member_of_the_front_that_is_displaced_becomes_a_runner_up() -> None:
     first, second = runner_up(3, 1.0, 1), runner_up(3, 0.9, 2)
-    better = [report(0, found_at=()).model_copy(update={"additions": (each,)}) for each in (first, second)]
-    epochs = [[each, report(1, found_at=())] for each in better]
+    better = [report(0, found_at=()).model_copy(update={"additions": (addition,)}) for addition in (first, second)]
+    epochs = [[first_report, report(1, found_at=())] for first_report in better]
     pool = collected(epochs, [(0, 0), (0, 1), (1, 0), (1, 1)]).state
     assert [entry.error for entry in pool.front] == [0.9]
     assert [entry.error for entry in pool.runners_up] == [1.0]

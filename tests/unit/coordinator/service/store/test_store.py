@@ -335,10 +335,10 @@ def test_a_closed_store_says_so(tmp_path: Path) -> None:
 
 def test_events_come_in_order_from_where_one_left_off_and_the_oldest_are_forgotten(store: Store) -> None:
     store.add_events(EventRecord(job, "t", "k", str(n)) for n in range(3) for job in ("a", "b", None))
-    assert [each.contents for each in store.events("a", 0, 2)] == ["1", "2"]
-    assert [each.job for each in store.events(None, 0, 4)] == [None, "a", "b", None]
+    assert [event.contents for event in store.events("a", 0, 2)] == ["1", "2"]
+    assert [event.job for event in store.events(None, 0, 4)] == [None, "a", "b", None]
     (first, *_) = store.events("b", 0, 9)
-    assert [each.contents for each in store.events("b", first.number, 1)] == ["1"]
+    assert [event.contents for event in store.events("b", first.number, 1)] == ["1"]
     store.add_events(EventRecord("a", "t", "k", str(n)) for n in range(3, MAX_EVENTS + 2))
     kept = store.events("a", 0, 2 * MAX_EVENTS)
     assert (len(kept), kept[0].contents, kept[-1].contents) == (MAX_EVENTS, "2", str(MAX_EVENTS + 1))
@@ -350,7 +350,7 @@ def test_commits_are_forgotten_before_what_is_rarer(store: Store) -> None:
         store.add_events(EventRecord("a", "t", kind, str(number)) for number in numbers)
 
     def kept(kind: str) -> list[int]:
-        return [int(each.contents) for each in store.events("a", 0, 2 * MAX_EVENTS) if each.kind == kind]
+        return [int(event.contents) for event in store.events("a", 0, 2 * MAX_EVENTS) if event.kind == kind]
 
     add("isolated", range(10))
     add("commit", range(2 * MAX_EVENTS))

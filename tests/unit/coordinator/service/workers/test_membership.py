@@ -97,7 +97,7 @@ def test_a_worker_whose_presence_returns_in_time_is_not_lost() -> None:
 
 def test_a_silent_worker_is_lost_and_comes_back_when_it_is_heard_again() -> None:
     membership = with_worker()
-    lost = [(second, each.hello.name) for second in range(1, 30) for each in membership.expire(float(second))]
+    lost = [(second, member.hello.name) for second in range(1, 30) for member in membership.expire(float(second))]
     assert lost == [(int(LEASE_S), "w0")]
     assert membership.record_heartbeat("w0", status(), 30.0)
     assert membership.ready() == ("w0",)

@@ -91,23 +91,23 @@ def scheduler_of() -> Iterator[Callable[..., Scheduler]]:
 
 def plan_of(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) -> Plan:
     """Return the plan for one running job of these archipelagos."""
-    by_name = {str(number): each for number, each in enumerate(archipelagos)}
+    by_name = {str(number): archipelago for number, archipelago in enumerate(archipelagos)}
     job = SimpleNamespace(state="running", archipelagos=by_name, open_archipelagos=archipelagos)
     return scheduler.plan([cast(Job, job)], now)
 
 
 def running(*archipelagos: Archipelago) -> Job:
-    by_name = {each.variable: each for each in archipelagos}
+    by_name = {archipelago.variable: archipelago for archipelago in archipelagos}
     return cast(Job, SimpleNamespace(state="running", archipelagos=by_name, open_archipelagos=archipelagos))
 
 
 def carry_out(plan: Plan, term: int, now: float) -> None:
-    for each in plan.assignments:
-        each.archipelago.place(each.placement(1, term), now)
+    for assignment in plan.assignments:
+        assignment.archipelago.place(assignment.placement(1, term), now)
 
 
 def placed(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) -> list[tuple[str, ...]]:
-    return [each.workers for each in plan_of(scheduler, *archipelagos, now=now).assignments]
+    return [assignment.workers for assignment in plan_of(scheduler, *archipelagos, now=now).assignments]
 
 
 def test_without_workers_nothing_is_placed(scheduler_of: Callable[..., Scheduler]) -> None:
@@ -161,7 +161,7 @@ def test_a_placement_is_broken_when_one_of_its_workers_is_lost(scheduler_of: Cal
     membership.expire(ABSENCE_S)
     plan = plan_of(scheduler, made, archipelago("a", "a", "a", "a"))
     assert plan.broken == [made.key]
-    assert [each.workers for each in plan.assignments] == [("a", "a", "a", "a")]
+    assert [assignment.workers for assignment in plan.assignments] == [("a", "a", "a", "a")]
     assert plan.released == []
 
 
@@ -173,8 +173,13 @@ def four_jobs() -> list[Job]:
 
 
 def islands_of(jobs: list[Job]) -> Counter[str]:
-    archipelagos = [each for job in jobs for each in job.open_archipelagos]
-    return Counter(name for each in archipelagos if each.placement is not None for name in each.placement.workers)
+    archipelagos = [archipelago for job in jobs for archipelago in job.open_archipelagos]
+    return Counter(
+        name
+        for archipelago in archipelagos
+        if archipelago.placement is not None
+        for name in archipelago.placement.workers
+    )
 
 
 def test_jobs_lie_on_different_workers_as_long_as_there_are_idle_ones(scheduler_of: Callable[..., Scheduler]) -> None:
@@ -196,7 +201,7 @@ def test_what_a_lost_worker_had_goes_to_those_with_the_least_to_do(scheduler_of:
     membership.expire(ABSENCE_S)
     plan = scheduler.plan(jobs, 60.0)
     assert plan.broken == [("p", "x"), ("q", "x")]
-    assert [each.workers for each in plan.assignments] == [("c",), ("b",)]
+    assert [assignment.workers for assignment in plan.assignments] == [("c",), ("b",)]
 
 
 def test_workers_that_come_later_get_islands_where_others_have_several(scheduler_of: Callable[..., Scheduler]) -> None:
@@ -205,11 +210,11 @@ def test_workers_that_come_later_get_islands_where_others_have_several(scheduler
     scheduler = scheduler_of(membership)
     jobs = [running(archipelago("a", "b", islands=2, job=name)) for name in "pq"]
     assert not any(scheduler.plan(jobs, 60.0).assignments)
-    assert not any(each.is_planned for job in jobs for each in job.open_archipelagos)
+    assert not any(archipelago.is_planned for job in jobs for archipelago in job.open_archipelagos)
     join(membership, "c")
     join(membership, "d")
     scheduler.plan(jobs, 60.0)
-    assert any(each.is_planned for job in jobs for each in job.open_archipelagos)
+    assert any(archipelago.is_planned for job in jobs for archipelago in job.open_archipelagos)
     carry_out(scheduler.plan(jobs, REPLACE_WITHIN_S), 2, REPLACE_WITHIN_S)
     assert islands_of(jobs) == Counter("abcd")
     assert scheduler.plan(jobs, REPLACE_WITHIN_S).assignments == []

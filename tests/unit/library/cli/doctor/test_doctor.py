@@ -41,7 +41,7 @@ def options(*words: str) -> Namespace:
 
 
 def grades(findings: Iterable[Finding]) -> list[str]:
-    return [each.grade for each in findings]
+    return [finding.grade for finding in findings]
 
 
 def worker(name: str, **changes: object) -> WorkerView:
@@ -54,7 +54,7 @@ def test_a_machine_in_order_ends_with_0_and_every_finding_is_named(
 ) -> None:
     assert doctor.doctor(options(DATA, "--state", str(tmp_path), "--listen", "tcp/127.0.0.1:0", "--json")) == 0
     tree = json.loads(capsys.readouterr().out)
-    subjects = {each["subject"] for each in tree["findings"]}
+    subjects = {finding["subject"] for finding in tree["findings"]}
     assert {"versions", "cores", "memory", "kernels", "state folder", "port", "coordinator", "data"} <= subjects
     assert tree["fine"] is True
 
@@ -71,10 +71,10 @@ def test_a_check_that_breaks_is_a_finding_and_the_others_are_made() -> None:
     def check_moon(_: Namespace) -> list[Finding]:
         raise ZeroDivisionError("no moon")
 
-    found = doctor.examine(options(), [check_moon, lambda _: [fine("sun", "shines")]])
-    assert grades(found) == ["problem", "fine"]
-    assert found[0].subject == "moon"
-    assert "no moon" in found[0].found
+    findings = doctor.examine(options(), [check_moon, lambda _: [fine("sun", "shines")]])
+    assert grades(findings) == ["problem", "fine"]
+    assert findings[0].subject == "moon"
+    assert "no moon" in findings[0].found
 
 
 def test_text_and_json_say_the_same() -> None:
@@ -200,24 +200,25 @@ def test_a_coordinator_in_order_is_greeted_and_its_workers_are_missed(router: Ze
         loop = threading.Thread(target=service.work, args=(stop,))
         loop.start()
         try:
-            found = {
-                each.subject: each for each in doctor_network.check_coordinator(options("--connect", router.endpoint))
+            findings = {
+                finding.subject: finding
+                for finding in doctor_network.check_coordinator(options("--connect", router.endpoint))
             }
         finally:
             stop.set()
             loop.join()
-    assert {name: each.grade for name, each in found.items()} == {
+    assert {name: finding.grade for name, finding in findings.items()} == {
         "address": "fine", "coordinator": "fine", "clock": "fine", "workers": "warning",
     }  # fmt: skip
-    assert VERSION in found["coordinator"].found
-    assert router.endpoint in found["workers"].advice
+    assert VERSION in findings["coordinator"].found
+    assert router.endpoint in findings["workers"].advice
 
 
 def test_a_router_without_a_coordinator_is_a_problem(router: ZenohBus, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor_network, "LIMIT_S", 0.5)
-    found = list(doctor_network.check_coordinator(options("--connect", router.endpoint)))
-    assert grades(found) == ["fine", "problem"]
-    assert "did not answer" in found[1].found
+    findings = list(doctor_network.check_coordinator(options("--connect", router.endpoint)))
+    assert grades(findings) == ["fine", "problem"]
+    assert "did not answer" in findings[1].found
 
 
 def test_another_version_is_a_problem_for_workers() -> None:
@@ -241,11 +242,11 @@ def test_a_coordinator_that_does_not_tell_its_time_is_not_judged_by_it() -> None
 
 def test_workers_that_hang_or_are_not_ready_are_named() -> None:
     workers = [worker("a"), worker("b", silent=9.0), worker("c", state="compiling", detail="compiling kernels")]
-    found = list(doctor_network.worker_findings([*workers, worker("d", state="lost")], "tcp/a:1"))
-    assert grades(found) == ["fine", "warning", "fine"]
-    assert found[0].found == "3 on 1 machine"
-    assert "b on lab has been silent for 9 s" in found[1].found
-    assert "compiling kernels" in found[2].found
+    findings = list(doctor_network.worker_findings([*workers, worker("d", state="lost")], "tcp/a:1"))
+    assert grades(findings) == ["fine", "warning", "fine"]
+    assert findings[0].found == "3 on 1 machine"
+    assert "b on lab has been silent for 9 s" in findings[1].found
+    assert "compiling kernels" in findings[2].found
 
 
 # ------------------------------------------------------------------------------------------------- data
@@ -296,9 +297,9 @@ def test_a_certificate_that_expires_soon_is_pointed_out(lab: Lab) -> None:
 
 def test_an_address_with_tls_and_no_certificate_is_a_problem(lab: Lab) -> None:
     with open_router(destination("tls/127.0.0.1:0", load(*lab.files("coordinator"), use="serve"))) as bus:
-        found = list(doctor_network.check_coordinator(options("--connect", bus.endpoint)))
-    assert grades(found) == ["fine", "problem"]
-    assert "needs certificates" in found[1].found
+        findings = list(doctor_network.check_coordinator(options("--connect", bus.endpoint)))
+    assert grades(findings) == ["fine", "problem"]
+    assert "needs certificates" in findings[1].found
 
 
 # ------------------------------------------------------------------------------------------------ quick

@@ -21,26 +21,26 @@ def saved(tmp_path: Path) -> Path:
     course = {"x": (2.0 + 2.0 * np.exp(-times)) ** -0.5, "y": np.exp(-times)}
     curves = {name: values.tolist() for name, values in course.items()}
     simulation = {"trajectories": [{"name": "a", "times": times.tolist(), "values": curves}]}
-    found = result({"x": "0.5*x - x**3 + u", "y": "-y"}, ("u",), simulation=simulation)
+    contents = result({"x": "0.5*x - x**3 + u", "y": "-y"}, ("u",), simulation=simulation)
     recorded = {"name": "a", "times": times.tolist(), "measured": curves, "inputs": {"u": [0.0] * 200}}
-    found["data"]["trajectories"] = [recorded]
-    (tmp_path / "result.json").write_text(json.dumps(found))
+    contents["data"]["trajectories"] = [recorded]
+    (tmp_path / "result.json").write_text(json.dumps(contents))
     return tmp_path
 
 
 @pytest.mark.slow
 def test_json_lists_fixed_points_in_the_order_of_the_states(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["analyse", str(saved), *SIDES, "--parameter", "c1", "--range", "-1:1", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["states"] == ["x", "y"]
-    points = [(each["point"], each["kind"]) for each in found["fixed_points"]]
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["states"] == ["x", "y"]
+    points = [(point["point"], point["kind"]) for point in printed["fixed_points"]]
     root = 0.5**0.5
     assert [kind for _, kind in points] == ["stable node", "saddle", "stable node"]
     np.testing.assert_allclose([point for point, _ in points], [[-root, 0.0], [0.0, 0.0], [root, 0.0]], atol=1e-9)
-    special = [each for branch in found["continuation"]["branches"] for each in branch["special"]]
-    assert {each["kind"] for each in special} == {"branch point"}
-    assert set(found["nullclines"]) == {"x", "y"}
-    assert np.shape(found["basins"]["grid"]) == (40, 40)
+    special = [point for branch in printed["continuation"]["branches"] for point in branch["special"]]
+    assert {point["kind"] for point in special} == {"branch point"}
+    assert set(printed["nullclines"]) == {"x", "y"}
+    assert np.shape(printed["basins"]["grid"]) == (40, 40)
 
 
 def test_text_says_what_the_measured_trajectory_reaches(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -55,16 +55,16 @@ def test_text_says_what_the_measured_trajectory_reaches(saved: Path, capsys: pyt
 def test_inputs_are_held_and_files_written(saved: Path) -> None:
     out = saved / "out.json"
     assert main(["analyse", str(saved), *SIDES, "--hold", "u=1.5", "--json", "-o", str(out)]) == 0
-    found = json.loads(out.read_text())
-    assert found["inputs"] == {"u": 1.5}
-    x = found["fixed_points"][0]["point"][0]
+    written = json.loads(out.read_text())
+    assert written["inputs"] == {"u": 1.5}
+    x = written["fixed_points"][0]["point"][0]
     assert 0.5 * x - x**3 + 1.5 == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_model_gives_the_same_and_boxes_follow_the_data(saved: Path) -> None:
-    found = Model.load(saved / "result.json").analyse({"y": (-1.0, 1.0)})
-    assert found.box.lower[0] == pytest.approx(0.5 - 0.5 * (0.5**0.5 - 0.5), abs=1e-3)
-    assert found.as_dict()["box"]["y"] == [-1.0, 1.0]
+    analysis = Model.load(saved / "result.json").analyse({"y": (-1.0, 1.0)})
+    assert analysis.box.lower[0] == pytest.approx(0.5 - 0.5 * (0.5**0.5 - 0.5), abs=1e-3)
+    assert analysis.as_dict()["box"]["y"] == [-1.0, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -109,10 +109,10 @@ def test_identifiability_is_that_of_the_measurements(tmp_path: Path, capsys: pyt
     (tmp_path / "result.json").write_text(json.dumps(measured({"x": "-0.5*x"}, [(times, {"x": decay})], 0.02)))
     asked = ["analyse", str(tmp_path), "--box", "x=0:4"]
     assert main([*asked, "--identifiability", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    (its,) = found["identifiability"]["constants"]
-    assert (its["name"], its["verdict"]) == ("c1", "determined")
-    assert found["fixed_points"]
+    printed = json.loads(capsys.readouterr().out)
+    (constant,) = printed["identifiability"]["constants"]
+    assert (constant["name"], constant["verdict"]) == ("c1", "determined")
+    assert printed["fixed_points"]
     (tmp_path / "a.csv").write_text("t,x\n" + "\n".join(f"{t},{x}" for t, x in zip(times, decay, strict=True)))
     assert main([*asked, "--identifiability", "--data", str(tmp_path / "a.csv")]) == 0
     said = capsys.readouterr().out

@@ -13,13 +13,13 @@ from tests.unit.library.model.results import result
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    found = result({"x": "u*x"}, ("u",))
-    found["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 2.0}, "times": [0.0, 1.0]}]}
-    its = {"expression": "u*x/3.5", "nats": 2.0, "complexity": 7, "origin": "library", "selected": False}
+    contents = result({"x": "u*x"}, ("u",))
+    contents["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 2.0}, "times": [0.0, 1.0]}]}
+    expression = {"expression": "u*x/3.5", "nats": 2.0, "complexity": 7, "origin": "library", "selected": False}
     figures = {"error": 0.5, "normalized_error": 0.5, "r2": 0.5, "constants": [], "holdout_error": None}
     member = {"expression": "-0.75*x", "complexity": 3, "selected": False, **figures}
-    found["equations"][0] |= {"candidates": [its], "front": [member], "why": "target", "target_error": 0.1}
-    (tmp_path / "result.json").write_text(json.dumps(found))
+    contents["equations"][0] |= {"candidates": [expression], "front": [member], "why": "target", "target_error": 0.1}
+    (tmp_path / "result.json").write_text(json.dumps(contents))
     return tmp_path
 
 
@@ -58,8 +58,8 @@ def test_other_equations_may_be_taken(saved: Path, capsys: pytest.CaptureFixture
 
 def test_a_folder_is_written(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (saved / "a.csv").write_text("t,x\n0,3\n1,9\n2,9\n3,1\n4,1\n5,2\n6,1\n7,1\n")
-    found = json.loads((saved / "result.json").read_text())
-    (saved / "result.json").write_text(json.dumps(found | result({"x": "-0.5*x"})))
+    contents = json.loads((saved / "result.json").read_text())
+    (saved / "result.json").write_text(json.dumps(contents | result({"x": "-0.5*x"})))
     words = ("--format", "petab", "-o", str(saved / "problem"), "--data", str(saved / "a.csv"))
     assert exported(capsys, str(saved), *words) == ""
     assert len((saved / "problem" / "measurements.tsv").read_text().splitlines()) == 9
@@ -86,9 +86,9 @@ def test_what_does_not_fit_is_said(
 def test_what_needs_no_model_is_written_of_a_result_without_one(
     saved: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = json.loads((saved / "result.json").read_text())
-    found["equations"][0]["expression"] = None
-    (saved / "result.json").write_text(json.dumps(found))
+    contents = json.loads((saved / "result.json").read_text())
+    contents["equations"][0]["expression"] = None
+    (saved / "result.json").write_text(json.dumps(contents))
     assert Result.load(json.loads(exported(capsys, str(saved), "--format", "json"))) == Result.load(saved)
     assert exported(capsys, str(saved), "--format", "csv").splitlines()[1].endswith("-0.75*x")
     assert main(["export", str(saved), "--format", "c"]) == 2
@@ -98,15 +98,15 @@ def test_what_needs_no_model_is_written_of_a_result_without_one(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["c", "latex", "sympy"])
 def test_the_heading_of_one_group_names_it(saved: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
-    found = result({"x": "-0.9*x"}, groups=[{"group": "a\nb", "trajectories": ["1"], "covariance": None}])
-    found["equations"][0]["groups"] = [{"group": "a\nb", "expression": "-0.6*x"}]
-    (saved / "result.json").write_text(json.dumps(found))
+    contents = result({"x": "-0.9*x"}, groups=[{"group": "a\nb", "trajectories": ["1"], "covariance": None}])
+    contents["equations"][0]["groups"] = [{"group": "a\nb", "expression": "-0.6*x"}]
+    (saved / "result.json").write_text(json.dumps(contents))
     words = (str(saved), "--format", name, "--group", "a\nb")
     start = () if name != "c" else ("--initial", "x=1", "--until", "2")
     text = exported(capsys, *words, *start)
     member = {"expression": "-0.75*x", "complexity": 3, "selected": False, "error": 0.5, "normalized_error": 0.5}
-    found["equations"][0] |= {"front": [member | {"r2": 0.5, "constants": []}], "why": "target", "target_error": 0.1}
-    (saved / "result.json").write_text(json.dumps(found))
+    contents["equations"][0] |= {"front": [member | {"r2": 0.5, "constants": []}], "why": "target", "target_error": 0.1}
+    (saved / "result.json").write_text(json.dumps(contents))
     picked = exported(capsys, *words, *start, "--pick", "x=0")
     assert "those of dx/dt are of all groups together." in picked
     assert "0.75" in picked

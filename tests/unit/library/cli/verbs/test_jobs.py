@@ -15,8 +15,8 @@ from tests.views import VARIABLE, job_view
 
 
 def job(name: str, state: str) -> JobView:
-    found = {"epoch": 2, "normalized_error": 0.1, "complexity": 3, "expression": "2.0*x"}
-    variables = (VARIABLE.model_copy(update=found),)
+    views_of = {"epoch": 2, "normalized_error": 0.1, "complexity": 3, "expression": "2.0*x"}
+    variables = (VARIABLE.model_copy(update=views_of),)
     return job_view(
         job=name, name=f"{name}.csv", state=state, elapsed=61.0, point_evaluations=1000, variables=variables
     )
@@ -30,17 +30,17 @@ class FakeClient:
 
     def jobs(self, prefix: str = "", *, is_open: bool = False, last: int | None = None) -> tuple[JobView, ...]:
         ended = ("done", "failed", "cancelled")
-        found = [view for name, view in self._jobs.items() if name.startswith(prefix)]
-        return tuple([view for view in found if not (is_open and view.state in ended)][-(last or len(found)) :])
+        views_of = [view for name, view in self._jobs.items() if name.startswith(prefix)]
+        return tuple([view for view in views_of if not (is_open and view.state in ended)][-(last or len(views_of)) :])
 
     def status(self, name: str) -> JobView:
         return self._jobs[name]
 
     def resolve(self, prefix: str) -> str:
-        found = [name for name in self._jobs if name.startswith(prefix)]
-        if len(found) != 1:
+        views_of = [name for name in self._jobs if name.startswith(prefix)]
+        if len(views_of) != 1:
             raise RefusedError(f"no job {prefix!r}")
-        return found[0]
+        return views_of[0]
 
     def workers(self) -> tuple[WorkerView, ...]:
         return tuple(

@@ -112,14 +112,14 @@ def test_followed_logs_end_with_the_job_and_miss_nothing(
     assert capsys.readouterr().out.splitlines() == [line(PLACED), line(DONE)]
     client.looks, client.log = 0, []
     assert main(["logs", "al", "--follow", "--json"]) == 0
-    assert [json.loads(each)["event"] for each in capsys.readouterr().out.splitlines()] == ["done"]
+    assert [json.loads(cell)["event"] for cell in capsys.readouterr().out.splitlines()] == ["done"]
 
 
 def test_a_followed_status_ends_with_the_exit_code_of_the_job(
     client: FakeClient, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["status", "al", "--follow", "--json"]) == 0
-    views = [json.loads(each) for each in capsys.readouterr().out.splitlines()]
+    views = [json.loads(cell) for cell in capsys.readouterr().out.splitlines()]
     assert [view["state"] for view in views] == ["running", "running", "done"]
     client.looks = 0
     assert main(["status", "--follow"]) == 0
@@ -131,7 +131,7 @@ def test_a_followed_status_ends_with_the_exit_code_of_the_job(
 def test_workers_show_what_they_do_and_take(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
     del client
     heads, row = worker_table([WORKER]).splitlines()
-    cells = dict(zip(heads.split(), [each for each in row.split("  ") if each], strict=True))
+    cells = dict(zip(heads.split(), [cell for cell in row.split("  ") if cell], strict=True))
     assert {name: cells[name].strip() for name in ("MEMORY", "CPU", "IN", "OUT", "WAITED", "TROUBLE", "DOING")} == {
         "MEMORY": "123 MB", "CPU": "1:01", "IN": "1.5 kB", "OUT": "20 B", "WAITED": "1.5 s",
         "TROUBLE": "2 refused, 1 twice", "DOING": "alpha/x island 3 epoch 17, 40 s without progress",

@@ -46,9 +46,9 @@ def test_several_results_have_a_page_each_and_one_that_is_none_keeps_no_other_fr
 
 
 def test_a_result_whose_texts_no_page_can_hold_has_one(saved: Path) -> None:
-    found = regression()
-    found["equations"][0]["lhs"] = "dy\x01/dt"
-    (saved / "result.json").write_text(json.dumps(found), "utf-8")
+    contents = regression()
+    contents["equations"][0]["lhs"] = "dy\x01/dt"
+    (saved / "result.json").write_text(json.dumps(contents), "utf-8")
     assert main(["report", str(saved)]) == 0
     assert r"dy\x01/dt" in (saved / "report.html").read_text("utf-8")
 

@@ -11,10 +11,10 @@ from atoll_core.config import DataConfig, JobConfig
 
 def test_the_schema_has_every_setting_with_its_description(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["schema"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert set(found["properties"]) == set(JobConfig.model_fields)
-    assert found["additionalProperties"] is False
-    data = found["$defs"]["DataConfig"]["properties"]
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed["properties"]) == set(JobConfig.model_fields)
+    assert printed["additionalProperties"] is False
+    data = printed["$defs"]["DataConfig"]["properties"]
     assert set(data) == set(DataConfig.model_fields)
     assert "time column" in data["time"]["description"]
 

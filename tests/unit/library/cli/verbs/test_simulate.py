@@ -12,9 +12,9 @@ from tests.unit.library.model.results import process_result, result
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    found = result({"x": "u*x"}, ("u",))
-    found["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 2.0}, "times": [0.0, 1.0]}]}
-    (tmp_path / "result.json").write_text(json.dumps(found))
+    contents = result({"x": "u*x"}, ("u",))
+    contents["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 2.0}, "times": [0.0, 1.0]}]}
+    (tmp_path / "result.json").write_text(json.dumps(contents))
     return tmp_path
 
 
@@ -36,9 +36,9 @@ def test_a_file_of_several_trajectories_gives_the_first(
 
 
 def test_dates_in_a_file_are_counted_in_the_unit_of_the_model(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = json.loads((saved / "result.json").read_text())
-    found["system"]["units"] = {"t": "min"}
-    (saved / "result.json").write_text(json.dumps(found))
+    contents = json.loads((saved / "result.json").read_text())
+    contents["system"]["units"] = {"t": "min"}
+    (saved / "result.json").write_text(json.dumps(contents))
     (saved / "a.csv").write_text("t,x,u\n2021-03-01 06:00,2,0\n2021-03-01 07:00,9,0\n")
     assert main(["simulate", str(saved), "--initial", str(saved / "a.csv")]) == 0
     assert capsys.readouterr().out == "t,x\n0.0,2.0\n60.0,2.0\n"
@@ -53,10 +53,10 @@ def test_an_input_that_nothing_gives_is_named(saved: Path, capsys: pytest.Captur
 def test_what_was_recorded_is_simulated_unless_inputs_are_held(
     saved: Path, capsys: pytest.CaptureFixture[str], simulation: dict | None
 ) -> None:
-    found = result({"x": "u*x"}, ("u",)) | {"simulation": simulation}
+    contents = result({"x": "u*x"}, ("u",)) | {"simulation": simulation}
     measured = {"name": "1", "times": [0.0, 1.0], "measured": {"x": [2.0, 2.0]}, "inputs": {"u": [0.0, 0.0]}}
-    found["data"]["trajectories"] = [measured]
-    (saved / "result.json").write_text(json.dumps(found))
+    contents["data"]["trajectories"] = [measured]
+    (saved / "result.json").write_text(json.dumps(contents))
     assert main(["simulate", str(saved)]) == 0
     assert capsys.readouterr().out == "t,x\n0.0,2.0\n1.0,2.0\n"
     assert main(["simulate", str(saved), "--hold", "u=1"]) == 0
@@ -66,19 +66,19 @@ def test_what_was_recorded_is_simulated_unless_inputs_are_held(
 
 
 def test_velocities_that_a_file_lacks_are_estimated(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = result({"x": "0*x"}, ("x_dot",))
-    found["equations"][0]["lhs"] = "d2x/dt2"
-    (saved / "result.json").write_text(json.dumps(found))
+    contents = result({"x": "0*x"}, ("x_dot",))
+    contents["equations"][0]["lhs"] = "d2x/dt2"
+    (saved / "result.json").write_text(json.dumps(contents))
     (saved / "a.csv").write_text("t,x\n0,1\n1,3\n2,5\n")
     assert main(["simulate", str(saved), "--initial", str(saved / "a.csv")]) == 0
     assert [float(cell) for cell in capsys.readouterr().out.splitlines()[-1].split(",")] == pytest.approx([2, 5, 2])
 
 
 def test_a_regression_has_no_time_to_simulate(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = result({}, ("x",))
-    found["equations"] = [result({"y": "2*x"}, ("x",))["equations"][0] | {"lhs": "y"}]
-    found["system"]["kind"] = "regression"
-    (saved / "result.json").write_text(json.dumps(found))
+    contents = result({}, ("x",))
+    contents["equations"] = [result({"y": "2*x"}, ("x",))["equations"][0] | {"lhs": "y"}]
+    contents["system"]["kind"] = "regression"
+    (saved / "result.json").write_text(json.dumps(contents))
     assert main(["simulate", str(saved)]) == 2
     assert "regression without time" in capsys.readouterr().err
 
@@ -86,12 +86,12 @@ def test_a_regression_has_no_time_to_simulate(saved: Path, capsys: pytest.Captur
 def test_the_drift_of_a_process_is_simulated_with_the_band_of_its_own_constants(
     saved: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = result({"x": "0.5 - x"}, process={"step": 0.1})
+    contents = result({"x": "0.5 - x"}, process={"step": 0.1})
     diffusion = result({"x": "0.25"})["equations"][0] | {"variable": "[x]", "lhs": "d[x]/dt"}
-    found["equations"].insert(0, diffusion)
+    contents["equations"].insert(0, diffusion)
     names = [{"variable": "[x]", "constant": 0}, {"variable": "x", "constant": 0}]
-    found["covariance"] = {"constants": names, "matrix": [[9.0, 0.5], [0.5, 0.01]], "freedom": None}
-    (saved / "result.json").write_text(json.dumps(found))
+    contents["covariance"] = {"constants": names, "matrix": [[9.0, 0.5], [0.5, 0.01]], "freedom": None}
+    (saved / "result.json").write_text(json.dumps(contents))
     assert main(["simulate", str(saved), "--initial", "x=0.5", "--until", "40", "--step", "40"]) == 0
     said = capsys.readouterr()
     last = [float(cell) for cell in said.out.splitlines()[-1].split(",")]
@@ -103,9 +103,9 @@ def test_an_early_end_is_said_and_is_no_error(saved: Path, capsys: pytest.Captur
     (saved / "result.json").write_text(json.dumps(result({"x": "x**2"})))
     words = ["simulate", str(saved), "--initial", "x=1", "--until", "2", "--step", "0.5"]
     assert main([*words, "--json", "-o", str(saved / "o.json")]) == 0
-    found = json.loads((saved / "o.json").read_text())
-    assert found["status"] == "blow-up"
-    assert found["columns"]["t"] == [0.0, 0.5]
+    written = json.loads((saved / "o.json").read_text())
+    assert written["status"] == "blow-up"
+    assert written["columns"]["t"] == [0.0, 0.5]
     assert "ended early: a state grows beyond all bounds" in capsys.readouterr().err
 
 
@@ -178,8 +178,10 @@ def test_options_of_paths_that_do_not_fit_are_named(
 def test_advice_is_in_the_words_of_the_command_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: dict, words: list[str], sentence: str
 ) -> None:
-    found = result({"x": "-x"})
-    found |= changes | {"equations": [found["equations"][0] | each for each in changes.get("equations", [{}])]}
-    (tmp_path / "result.json").write_text(json.dumps(found))
+    contents = result({"x": "-x"})
+    contents |= changes | {
+        "equations": [contents["equations"][0] | equation for equation in changes.get("equations", [{}])]
+    }
+    (tmp_path / "result.json").write_text(json.dumps(contents))
     assert main(["simulate", str(tmp_path), *words]) == 2
     assert capsys.readouterr().err.endswith(f"{sentence}\n")

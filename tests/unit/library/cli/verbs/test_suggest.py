@@ -21,9 +21,9 @@ def test_json_is_that_of_the_model_and_goes_into_a_file(saved: Path) -> None:
     out = saved / "out.json"
     words = ["suggest", str(saved), "--box", "x=0.1:20", "--count", "1", "--samples", "6", "--duration", "1.5"]
     assert main([*words, "--seed", "3", "--json", "-o", str(out)]) == 0
-    found = json.loads(out.read_text())
-    assert found == Model(FOUND).suggest(WIDE, count=1, samples=6, duration=1.5, seed=3).as_dict()
-    (first,) = found["experiments"]
+    written = json.loads(out.read_text())
+    assert written == Model(FOUND).suggest(WIDE, count=1, samples=6, duration=1.5, seed=3).as_dict()
+    (first,) = written["experiments"]
     assert len(first["times"]) == 6
     assert first["times"][-1] == 1.5
 

@@ -50,7 +50,8 @@ def test_states_are_those_of_scipy(texts):
 def test_the_error_falls_with_the_tolerance():
     expected = integrate(parsed(SYSTEMS["driven"]), np.array([0.7, 0.4]), TIMES, WAVE, RISE)
     errors = [
-        np.abs(integrated(SYSTEMS["driven"], [0.7, 0.4], tolerance=its)[1] - expected).max() for its in (1e-4, 1e-8)
+        np.abs(integrated(SYSTEMS["driven"], [0.7, 0.4], tolerance=tolerance)[1] - expected).max()
+        for tolerance in (1e-4, 1e-8)
     ]
     assert errors[1] < 0.01 * errors[0] < 1e-4
 

@@ -120,7 +120,9 @@ def differences(programs, start, step=1e-5):
     return np.array(columns).transpose(2, 1, 0)
 
 
-@pytest.mark.parametrize("code", [its.code for its in OPERATORS if its.arity], ids=lambda code: OPERATORS[code].name)
+@pytest.mark.parametrize(
+    "code", [operator.code for operator in OPERATORS if operator.arity], ids=lambda code: OPERATORS[code].name
+)
 def test_sensitivities_are_the_differences_for_every_operator(code):
     """With both signs of the argument where the operator has values there."""
     other = from_infix("0.3*x - 0.5*y + 0.2*u", NAMES)
@@ -288,8 +290,8 @@ def numbers():
 
 def small_fit(precision):
     times = 0.1 * np.arange(12.0)
-    its = MultipleShooting(measurements(DECAY, [[2.0]], times, noise=0.01), precision)
-    fit = its.fit(system_of([DECAY.parsed("-0.4*x")], DECAY.names, DECAY.names), 6, 5)
+    estimator = MultipleShooting(measurements(DECAY, [[2.0]], times, noise=0.01), precision)
+    fit = estimator.fit(system_of([DECAY.parsed("-0.4*x")], DECAY.names, DECAY.names), 6, 5)
     return fit.system.values, fit.starts, fit.normal, fit.simulated
 
 

@@ -156,8 +156,8 @@ def test_the_step_is_that_of_the_damped_dense_equations(case, damping, unit, see
     done, change, moves = solved(made, damping)
     assert done
     expected = np.linalg.solve(unit_matrix, vector / scale)
-    found = np.concatenate([change, moves.ravel()]) * scale
-    assert found == pytest.approx(expected, rel=1e-4, abs=1e-6 * (1.0 + np.abs(expected).max()))
+    step = np.concatenate([change, moves.ravel()]) * scale
+    assert step == pytest.approx(expected, rel=1e-4, abs=1e-6 * (1.0 + np.abs(expected).max()))
 
 
 def test_the_arguments_are_left_as_they_are():

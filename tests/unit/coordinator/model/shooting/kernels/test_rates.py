@@ -35,9 +35,9 @@ def test_every_operator_has_the_value_and_the_slopes_of_its_definition(name, a, 
     operator = BY_NAME[name]
     program = program_of([a, b, (operator.code, *range(operator.arity))])
     values, gradient = values_and_gradient(program, np.zeros((1, 1)), constant_places(program))
-    rate, found = rate_and_slopes(name, a, b)
+    rate, slopes = rate_and_slopes(name, a, b)
     assert rate == pytest.approx(values[0], rel=1e-14)
-    assert found == pytest.approx(gradient[: operator.arity, 0].tolist(), rel=1e-14)
+    assert slopes == pytest.approx(gradient[: operator.arity, 0].tolist(), rel=1e-14)
 
 
 def numpy_slopes(name: str, a: float, b: float) -> list[float]:
@@ -45,14 +45,14 @@ def numpy_slopes(name: str, a: float, b: float) -> list[float]:
     arity = BY_NAME[name].arity
     program = program_of([a, b, (BY_NAME[name].code, *range(arity))])
     _, gradient = values_and_gradient(program, np.zeros((1, 1)), constant_places(program))
-    return [float(each) for each in gradient[:arity, 0]]
+    return [float(slope) for slope in gradient[:arity, 0]]
 
 
 def search_slopes(name: str, a: float, b: float) -> list[float]:
     """Return the same by the kernels of the search."""
     operator = BY_NAME[name]
     program = program_of([a, b, (operator.code, *range(operator.arity))])
-    return [float(each) for each in kernel_gradient(program, [[0.0]])[: operator.arity, 0]]
+    return [float(slope) for slope in kernel_gradient(program, [[0.0]])[: operator.arity, 0]]
 
 
 @pytest.mark.parametrize(
@@ -93,5 +93,9 @@ def test_values_at_singular_points_are_the_same_everywhere(name, a, b, expected)
     """What is infinite in one place and not a number in another may become finite: exp(log(0)) is 0."""
     code = BY_NAME[name].code
     with np.errstate(all="ignore"):
-        found = [rate_and_slopes(name, a, b)[0], value_of(code, a, b), STRICT[code].value(np.float64(a), np.float64(b))]
-    np.testing.assert_array_equal(found, [expected] * 3)
+        slopes = [
+            rate_and_slopes(name, a, b)[0],
+            value_of(code, a, b),
+            STRICT[code].value(np.float64(a), np.float64(b)),
+        ]
+    np.testing.assert_array_equal(slopes, [expected] * 3)

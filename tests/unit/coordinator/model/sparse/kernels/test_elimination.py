@@ -9,9 +9,9 @@ from atoll_coordinator.model.sparse.kernels.elimination import eliminate, window
 def run(columns, side):
     count = len(columns)
     order, squares = np.zeros(count, np.int64), np.zeros(count + 1)
-    found = np.zeros((count, count))
-    eliminate(columns, side, order, squares, found)
-    return order.tolist(), squares, found
+    squares_found = np.zeros((count, count))
+    eliminate(columns, side, order, squares, squares_found)
+    return order.tolist(), squares, squares_found
 
 
 def by_numpy(columns, side):
@@ -29,10 +29,10 @@ def test_steps_are_those_of_least_squares():
     generator = np.random.default_rng(1)
     columns = generator.normal(size=(5, 40)) * np.array([1.0, 1e3, 1e-3, 1.0, 10.0])[:, None]
     side = 2.0 * columns[0] - 0.3 * columns[3] + 0.1 * generator.normal(size=40)
-    order, squares, found = run(columns, side)
+    order, squares, solved_side = run(columns, side)
     for step, (kept, solution, left) in enumerate(by_numpy(columns, side)):
         assert sorted(order[step:]) == kept
-        assert found[step, kept] == pytest.approx(solution, rel=1e-9)
+        assert solved_side[step, kept] == pytest.approx(solution, rel=1e-9)
         assert squares[step] == pytest.approx(left, rel=1e-9)
     assert squares[-1] == pytest.approx(float(side @ side))
     assert set(order[-2:]) == {0, 3}

@@ -31,27 +31,38 @@ def loss_of(coefficients, columns, side, products, cross, least, typical):
 
 
 def test_errors_of_columns_do_not_make_coefficients_small():
-    its = measured()
-    found = np.zeros(2)
+    rows = measured()
+    coefficients = np.zeros(2)
     fit_errors_in_variables(
-        np.arange(2), *its, 1e6, 40, 0.0, found, np.zeros(its[1].size), np.zeros((2, 2))
+        np.arange(2), *rows, 1e6, 40, 0.0, coefficients, np.zeros(rows[1].size), np.zeros((2, 2))
     )  # fmt: skip
-    assert found == pytest.approx([2.0, -1.0], rel=0.1)
-    by_least_squares = np.linalg.lstsq(its[0].T, its[1], rcond=None)[0]
+    assert coefficients == pytest.approx([2.0, -1.0], rel=0.1)
+    by_least_squares = np.linalg.lstsq(rows[0].T, rows[1], rcond=None)[0]
     assert abs(by_least_squares[0]) < 1.75
 
 
 def test_the_fit_is_the_least_loss():
     columns, side, products, cross, least = measured()
     cross = cross + np.array([0.02, -0.01])
-    found = np.ones(2)
+    coefficients = np.ones(2)
     loss = fit_errors_in_variables(
-        np.arange(2), columns, side, products, cross, least, 3.0, 60, 0.0, found, np.zeros(side.size), np.zeros((2, 2))
+        np.arange(2),
+        columns,
+        side,
+        products,
+        cross,
+        least,
+        3.0,
+        60,
+        0.0,
+        coefficients,
+        np.zeros(side.size),
+        np.zeros((2, 2)),
     )
     oracle = minimize(loss_of, np.ones(2), (columns, side, products, cross, least, 3.0), "Nelder-Mead", tol=1e-10)
     assert loss == pytest.approx(oracle.fun, rel=1e-4)
-    assert found == pytest.approx(oracle.x, rel=2e-2)
-    assert loss == pytest.approx(loss_of(found, columns, side, products, cross, least, 3.0))
+    assert coefficients == pytest.approx(oracle.x, rel=2e-2)
+    assert loss == pytest.approx(loss_of(coefficients, columns, side, products, cross, least, 3.0))
 
 
 @pytest.mark.slow

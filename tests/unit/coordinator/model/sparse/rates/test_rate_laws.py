@@ -34,26 +34,26 @@ def rows_of(law, names=NAMES, count=600):
 )
 def test_the_law_is_found(law, variables, constants):
     rows, exact = rows_of(law, NAMES[:variables])
-    (found,) = find_rate_laws(rows, range(variables), OPERATORS)
-    assert len(constant_places(found.program)) == constants
-    assert np.abs(values_of(found.program, rows.inputs) - exact).max() < 1e-3 * exact.std()
-    assert found.is_tested
-    assert found.excess <= 1.0
+    (rate_law,) = find_rate_laws(rows, range(variables), OPERATORS)
+    assert len(constant_places(rate_law.program)) == constants
+    assert np.abs(values_of(rate_law.program, rows.inputs) - exact).max() < 1e-3 * exact.std()
+    assert rate_law.is_tested
+    assert rate_law.excess <= 1.0
 
 
 def test_what_is_left_of_a_conserved_amount_saturates():
     rows, exact = rows_of("2*x1*(3 - x2)/(3.1 - x2) - 0.7*x2", NAMES[:2])
-    (found,) = find_rate_laws(rows, range(2), OPERATORS)
-    assert len(constant_places(found.program)) <= 4
-    assert np.abs(values_of(found.program, rows.inputs) - exact).max() < 1e-3 * exact.std()
+    (law,) = find_rate_laws(rows, range(2), OPERATORS)
+    assert len(constant_places(law.program)) <= 4
+    assert np.abs(values_of(law.program, rows.inputs) - exact).max() < 1e-3 * exact.std()
 
 
 def test_the_law_of_a_node_has_its_weights_and_no_others():
     rows, exact = rows_of("0.3 - 0.4*x1 - 0.5*tanh(3*x2 + 1.2*x3 - 6)", NAMES[:4])
-    (found,) = find_rate_laws(rows, range(4), {*OPERATORS, BY_NAME["tanh"].code})
-    sizes = np.sort(np.abs(found.program.constants[constant_places(found.program)]))
+    (law,) = find_rate_laws(rows, range(4), {*OPERATORS, BY_NAME["tanh"].code})
+    sizes = np.sort(np.abs(law.program.constants[constant_places(law.program)]))
     assert sizes == pytest.approx([0.3, 0.4, 0.5, 1.2, 3.0, 6.0], rel=1e-3)
-    assert np.abs(values_of(found.program, rows.inputs) - exact).max() < 1e-3 * exact.std()
+    assert np.abs(values_of(law.program, rows.inputs) - exact).max() < 1e-3 * exact.std()
 
 
 def test_what_no_short_sum_describes_has_no_law():

@@ -37,11 +37,11 @@ def test_what_the_user_allows_stays():
     preparation = prepared(config)
     space = config.space.model_copy(update={"variables_of": {"x3": ("x3", "x15")}})
     resolved = resolve(config.model_copy(update={"space": space}), preparation.dataset)
-    its = with_screened_variables(preparation, resolved).space
-    assert its.variables_of["x3"] == ("x3", "x15")
-    assert set(its.variables_of) == set(STATES)
-    assert all(1 <= len(names) <= 8 for names in its.variables_of.values())
-    assert its.terminals == 13
+    search_space = with_screened_variables(preparation, resolved).space
+    assert search_space.variables_of["x3"] == ("x3", "x15")
+    assert set(search_space.variables_of) == set(STATES)
+    assert all(1 <= len(names) <= 8 for names in search_space.variables_of.values())
+    assert search_space.terminals == 13
 
 
 def test_a_few_variables_are_all_taken():

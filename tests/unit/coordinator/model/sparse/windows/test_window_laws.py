@@ -20,8 +20,8 @@ def equations(operators=OPERATORS):
 
 @pytest.mark.slow
 def test_laws_with_a_flux_in_common_are_found_at_one_percent_of_noise():
-    its = equations()
-    laws = find_window_laws(its)
+    known_laws = equations()
+    laws = find_window_laws(known_laws)
     states = np.random.default_rng(1).uniform(0.1, 3.0, (2, 50))
     for place, (name, constants) in enumerate(zip(NAMES, (3, 4), strict=True)):
         (law,) = laws[name]
@@ -33,4 +33,6 @@ def test_laws_with_a_flux_in_common_are_found_at_one_percent_of_noise():
 
 def test_where_no_function_is_allowed_there_is_no_law_with_one():
     laws = find_window_laws(equations(OPERATORS - {BY_NAME["/"].code}))
-    assert all(BY_NAME["/"].code not in law.program.operators.tolist() for its in laws.values() for law in its)
+    assert all(
+        BY_NAME["/"].code not in law.program.operators.tolist() for laws_found in laws.values() for law in laws_found
+    )

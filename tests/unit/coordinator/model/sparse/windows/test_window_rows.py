@@ -64,11 +64,11 @@ def many_windows(runs, rows):
 
 
 def test_so_many_windows_stand_for_all_and_begin_early_and_late():
-    found, rows = many_windows(5000, 20), 20
-    assert SETTINGS.windows.most <= len(found.first) < 2 * SETTINGS.windows.most
-    begins = found.inputs[0, found.first].astype(int)
+    windows, rows = many_windows(5000, 20), 20
+    assert SETTINGS.windows.most <= len(windows.first) < 2 * SETTINGS.windows.most
+    begins = windows.inputs[0, windows.first].astype(int)
     assert set((begins % rows).tolist()) == set(range(0, 16, 2))
-    assert (begins // rows == found.owners).all()
+    assert (begins // rows == windows.owners).all()
 
 
 def test_terms_are_computed_on_no_more_rows_than_windows_have_however_long_the_table_is():

@@ -15,7 +15,7 @@ from atoll_core.expression.program import constant_places, structure
 from atoll_core.expression.writing.shortest import shortest
 from tests.unit.coordinator.model.fitting import parsed, shown
 
-ALL = [its.code for its in BY_NAME.values()]
+ALL = [operator.code for operator in BY_NAME.values()]
 TEXTS = ("x", "1.5", "3.0*x - 2.0*x*y", "sin(x)/y", "0.5*x/(1.2 + x*x)", "exp(-0.3*x) + y")
 DRAW = np.random.default_rng(4)
 INPUTS = np.stack([DRAW.uniform(0.5, 2.0, 40), DRAW.uniform(-2.0, -0.5, 40)])
@@ -57,14 +57,14 @@ def names(program):
 def test_each_structure_comes_once_and_has_one_constant_more(text):
     program = parsed(text)
     made = list(extensions(program, [1.0, 1.0], ALL))
-    assert len({structure(each) for each in made} | {structure(program)}) == len(made) + 1
-    counts = {len(constant_places(each)) - len(constant_places(program)) for each in made}
+    assert len({structure(program) for program in made} | {structure(program)}) == len(made) + 1
+    counts = {len(constant_places(text)) - len(constant_places(program)) for text in made}
     assert counts <= {0, 1, 2}  # functions alone bring none, 1 + c v brings two
     assert 1 in counts
 
 
 def test_every_kind_of_part_is_tried():
-    made = {shown(each) for each in extensions(parsed("x"), [1.0, 1.0], ALL)}
+    made = {shown(extension) for extension in extensions(parsed("x"), [1.0, 1.0], ALL)}
     wanted = (
         "x + 0.001", "x + 0.001*y", "x + 0.001*x*x", "x + 0.001*y*x", "x + 0.001*y*y", "x + 0.001/y",
         "x + 0.001*sin(y)", "x + 0.001*cos(x)", "x*(1.001 + 0.001*y)", "x/(1.001 + 0.001*y)",
@@ -75,7 +75,7 @@ def test_every_kind_of_part_is_tried():
 
 
 def _is_near(text, other):
-    values = [values_of(parsed(each), INPUTS) for each in (text, other)]
+    values = [values_of(parsed(program), INPUTS) for program in (text, other)]
     return bool(np.abs(values[0] - values[1]).max() < 1e-12)
 
 
@@ -87,20 +87,20 @@ def test_only_allowed_operators_are_brought_in(operators):
     """Squares are products, and signs differences."""
     program = parsed("0.5*x")
     allowed = {*operators, MULTIPLY, *((SQUARE,) if MULTIPLY in operators else ()), NEGATE}
-    for each in extensions(program, [1.0, 1.0], operators):
-        assert names(each) <= allowed
+    for extension in extensions(program, [1.0, 1.0], operators):
+        assert names(extension) <= allowed
 
 
 def test_a_variable_of_size_0_is_not_used():
-    assert all("y" not in shown(each) for each in extensions(parsed("0.5*x"), [1.0, 0.0], ALL))
-    assert any("y" in shown(each) for each in extensions(parsed("0.5*x"), [1.0, 1.0], ALL))
-    assert {shown(each) for each in extensions(parsed("x"), [0.0, 0.0], ALL)} == {"0.001 + x"}
+    assert all("y" not in shown(extension) for extension in extensions(parsed("0.5*x"), [1.0, 0.0], ALL))
+    assert any("y" in shown(extension) for extension in extensions(parsed("0.5*x"), [1.0, 1.0], ALL))
+    assert {shown(extension) for extension in extensions(parsed("x"), [0.0, 0.0], ALL)} == {"0.001 + x"}
 
 
 def test_a_single_use_of_a_variable_is_extended_by_itself():
     program = parsed("20.0 - x - 2.0*y/x")
-    found = [shown(each) for each in extensions(program, [1.0, 1.0], [ADD, SUBTRACT, MULTIPLY, DIVIDE])]
-    assert any(text.count("0.001/x") == 1 and "- x" in text and "/(" in text for text in found), found
+    texts = [shown(extension) for extension in extensions(program, [1.0, 1.0], [ADD, SUBTRACT, MULTIPLY, DIVIDE])]
+    assert any(text.count("0.001/x") == 1 and "- x" in text and "/(" in text for text in texts), texts
 
 
 @pytest.mark.parametrize(("text", "inner", "outer"), [("cos(sin(x))", SIN, COS), ("sin(cos(x))", COS, SIN)])
@@ -108,16 +108,16 @@ def test_functions_open_into_the_beginning_of_their_series(text, inner, outer):
     """It has nearly the values of the function, and no function of a function."""
     program = parsed(text)
     differences = [
-        values_of(each, INPUTS) - values_of(program, INPUTS)
-        for each in leaps(program, ALL)
-        if inner in each.operators.tolist() and outer not in each.operators.tolist()
+        values_of(leap, INPUTS) - values_of(program, INPUTS)
+        for leap in leaps(program, ALL)
+        if inner in leap.operators.tolist() and outer not in leap.operators.tolist()
     ]
-    assert min(np.abs(its).max() for its in differences) < 0.05
+    assert min(np.abs(difference).max() for difference in differences) < 0.05
 
 
 def test_a_variable_leaps_into_its_sine_and_cosine():
-    assert {shown(each) for each in leaps(parsed("0.5*x"), ALL)} == {"0.5*sin(x)", "0.5*cos(x)"}
-    assert {shown(each) for each in leaps(parsed("0.5*x"), [ADD, SIN])} == {"0.5*sin(x)"}
+    assert {shown(leap) for leap in leaps(parsed("0.5*x"), ALL)} == {"0.5*sin(x)", "0.5*cos(x)"}
+    assert {shown(leap) for leap in leaps(parsed("0.5*x"), [ADD, SIN])} == {"0.5*sin(x)"}
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])

@@ -31,6 +31,6 @@ def test_phases_and_double_angles_are_tried_away():
 
 def test_reductions_are_smaller_and_told_once():
     program = parsed("0.45*cos(2.0*y)*sin(x) + 0.55*sin(x) - x/(1.0 + y)")
-    found = list(reductions(program))
-    assert len({structure(each) for each in found}) == len(found) > 20
-    assert all(len(each) <= len(program) for each in found)
+    reduced = list(reductions(program))
+    assert len({structure(shorter) for shorter in reduced}) == len(reduced) > 20
+    assert all(len(shorter) <= len(program) for shorter in reduced)
