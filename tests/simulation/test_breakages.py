@@ -5,6 +5,7 @@ An exception is injected, once, into every handler that an event of any kind rea
 
 import contextlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, get_args
 
 import msgpack
@@ -29,13 +30,13 @@ from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.service.workers.scheduling import Assignment, Scheduler
 from atoll_coordinator.service.workers.worker_controller import WorkerController
-from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.errors import AtollError, RefusedError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Event, Link, Reply
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.epochs import EpochReport, IslandReport, Pull, PullStates
 from tests.simulation.harness.schedule_run import hurried
+from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World
 
 HANDLERS: list[tuple[type, str]] = [
@@ -123,13 +124,7 @@ OF_ONE_JOB: list[tuple[type, str]] = [
 """What is called with one job, or with a part of it."""
 
 
-def config(seed: int = 1) -> JobConfig:
-    return JobConfig(
-        seed=seed,
-        evolution=EvolutionConfig(islands=3),
-        migration=MigrationConfig(generations=20),
-        budget=BudgetConfig(max_epochs=8, stagnation=1000),
-    )
+config = partial(short_job, islands=3, max_epochs=8, stagnation=1000)
 
 
 @pytest.fixture(autouse=True)

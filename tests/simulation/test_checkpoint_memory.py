@@ -1,11 +1,13 @@
 """The states of checkpoints take no more memory at the coordinator than they are given, and nobody waits for ever."""
 
+from functools import partial
+
 import pytest
 
 from atoll_coordinator.service.search import pull_budget
-from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.fault_schedule import schedule_of
+from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.soak import play
 
@@ -14,13 +16,7 @@ STATE_BYTES = 40
 JOBS = 2
 
 
-def config(seed: int) -> JobConfig:
-    return JobConfig(
-        seed=seed,
-        evolution=EvolutionConfig(islands=ISLANDS),
-        migration=MigrationConfig(generations=20),
-        budget=BudgetConfig(max_epochs=18, stagnation=1000),
-    )
+config = partial(short_job, islands=ISLANDS, max_epochs=18, stagnation=1000)
 
 
 def run(monkeypatch: pytest.MonkeyPatch) -> tuple[list[str], list[int]]:

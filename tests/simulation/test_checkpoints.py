@@ -3,19 +3,19 @@
 import contextlib
 import sqlite3
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
 
 from atoll_coordinator.service.store.store import Store
-from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.errors import RemoteProtocolError, StoreError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Event, Message, Query
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.workers import Close, Control, Placements, WorkerStatus
 from tests.simulation.bus.faults import Partition, Plan
+from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 from tests.simulation.harness.stub_islands import StubIsland
 
@@ -33,14 +33,7 @@ def no_hits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.simulation.harness.stub_islands.HIT_EPOCHS", 10**9)
 
 
-def config(seed: int = 1, **budget: object) -> JobConfig:
-    budget = {"max_epochs": EPOCHS, "stagnation": 1000, **budget}
-    return JobConfig(
-        seed=seed,
-        evolution=EvolutionConfig(islands=ISLANDS),
-        migration=MigrationConfig(generations=20),
-        budget=BudgetConfig(**budget),
-    )
+config = partial(short_job, islands=ISLANDS, max_epochs=EPOCHS, stagnation=1000)
 
 
 def world_of(workers: int, seed: int = 1, plan: Plan | None = None) -> World:

@@ -8,11 +8,11 @@ import pytest
 
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.crash_loops import FAIL_AFTER
-from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Reply
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.epochs import Pull, PullAnswer, PullStates, States
+from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, bus_of
 
 POISON = ("job", "x", 12)
@@ -24,13 +24,7 @@ def no_hits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.simulation.harness.stub_islands.HIT_EPOCHS", 10**9)
 
 
-def config(epochs: int = 40) -> JobConfig:
-    return JobConfig(
-        seed=1,
-        evolution=EvolutionConfig(islands=3),
-        migration=MigrationConfig(generations=20),
-        budget=BudgetConfig(max_epochs=epochs, stagnation=1000),
-    )
+config = partial(short_job, islands=3, max_epochs=40, stagnation=1000)
 
 
 class Ward:
@@ -86,7 +80,7 @@ def test_a_coordinator_that_is_started_again_at_each_death_finds_the_poison_all_
 
 
 def test_a_commit_makes_deaths_be_forgotten(ward: Ward) -> None:
-    ward.world.submit(config(10_000), "y")
+    ward.world.submit(config(max_epochs=10_000), "y")
     ward.world.client.pause(1.0)
     ward.world.crash(next(iter(ward.world.workers)))
     ward.until(1, "y")
@@ -97,7 +91,7 @@ def test_a_commit_makes_deaths_be_forgotten(ward: Ward) -> None:
 
 
 def test_a_worker_that_was_only_cut_off_is_pardoned_by_the_next_coordinator_too(ward: Ward) -> None:
-    ward.world.submit(config(10_000), "y")
+    ward.world.submit(config(max_epochs=10_000), "y")
     ward.world.client.pause(1.0)
     (name, *_) = ward.world.workers
     ward.world.network.disconnect(name)

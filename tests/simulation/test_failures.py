@@ -1,12 +1,12 @@
 """What cannot go well: it ends with a sentence, never in silence."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from atoll_coordinator.service.store.store import Store
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.errors import DataError, RefusedError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Reply
@@ -24,16 +24,14 @@ from atoll_core.wire.messages.workers import (
 )
 from tests.placements import placements_in
 from tests.simulation.bus.faults import Plan
+from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 from tests.simulation.harness.stub_islands import OURS
 
 BLOB = "0" * 64
 
 
-def config(seed: int = 1, **budget: object) -> JobConfig:
-    return JobConfig(
-        seed=seed, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(**{"max_epochs": 14, **budget})
-    )
+config = partial(short_job, islands=4, generations=100, max_epochs=14)
 
 
 def undisturbed(seed: int = 1) -> str:

@@ -2,24 +2,19 @@
 
 import gc
 import weakref
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll_core.config import JobConfig
 from atoll_island_worker.session import worker_session
+from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, prepare
 
-
-def config(seed: int, **budget: object) -> JobConfig:
-    return JobConfig(
-        seed=seed,
-        evolution=EvolutionConfig(islands=3),
-        migration=MigrationConfig(generations=20),
-        budget=BudgetConfig(**{"max_epochs": 12, "stagnation": 1000, **budget}),
-    )
+config = partial(short_job, islands=3, max_epochs=12, stagnation=1000)
 
 
 class Watched:

@@ -4,15 +4,15 @@ import json
 import os
 import subprocess
 import sys
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
 
 from atoll_coordinator.model.sparse import product_laws
-from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from tests.placements import placements_in
 from tests.simulation.bus.faults import Partition, Plan
+from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, comparable
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,10 +21,7 @@ FEW_SEEDS = range(4)
 """Where the number of workers or a moment varies as well; ``make soak`` plays thousands of seeds with all of it."""
 
 
-def config(seed: int, islands: int = 4, **budget: object) -> JobConfig:
-    return JobConfig(
-        seed=seed, evolution=EvolutionConfig(islands=islands), budget=BudgetConfig(**{"max_epochs": 14, **budget})
-    )
+config = partial(short_job, islands=4, generations=100, max_epochs=14)
 
 
 @cache

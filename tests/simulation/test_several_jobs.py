@@ -5,17 +5,14 @@ from functools import cache, partial
 import pytest
 
 from atoll_coordinator.service.workers.membership import STANDING_S
-from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll_core.config import EvolutionConfig, MigrationConfig
 from atoll_core.wire.messages.views import EventView
 from atoll_core.wire.messages.workers import AssignmentStatus, WorkerStatus
+from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import hits_of
 
-
-def config(seed: int, **budget: object) -> JobConfig:
-    return JobConfig(
-        seed=seed, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(**{"max_epochs": 5, **budget})
-    )
+config = partial(short_job, islands=4, generations=100, max_epochs=5)
 
 
 ENDLESS = next(name for name in "abcdefghijklmnop" if not hits_of(config(1), name))

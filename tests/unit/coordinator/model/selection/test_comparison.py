@@ -95,12 +95,12 @@ def test_halving_keeps_the_best_and_notes_them():
 
 def test_beyond_the_work_that_is_allowed_no_more_programs_are_taken_in(monkeypatch):
     monkeypatch.setattr(comparison, "SETTINGS", settings("effort", kept=2))
-    lotkas = lotka()
-    near = lotkas.fit_model([RIVALS[2], OTHER])
+    lotka_comparison = lotka()
+    near = lotka_comparison.fit_model([RIVALS[2], OTHER])
     programs = [RIVALS[0], RIVALS[3], TRUTH]
-    models = lotkas.narrow_down(near, 0, programs, ((4, 3),), until=lotkas.estimator.work)
+    models = lotka_comparison.narrow_down(near, 0, programs, ((4, 3),), until=lotka_comparison.estimator.work)
     assert {structure(model.programs[0]) for model in models} == {structure(program) for program in programs[:2]}
-    assert len(lotkas.narrow_down(near, 0, programs, ((4, 3),))) == 3
+    assert len(lotka_comparison.narrow_down(near, 0, programs, ((4, 3),))) == 3
 
 
 def test_of_programs_that_say_the_same_the_shortest_stays():

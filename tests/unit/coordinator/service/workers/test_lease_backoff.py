@@ -1,27 +1,10 @@
 """Longer leases for workers whose work is slow."""
 
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_coordinator.service.workers.lease_backoff import MAX_FACTOR, LeaseBackoff
-from atoll_core.search.commit_order import CommitOrder
-from atoll_core.wire.messages.workers import Placement
+from tests.unit.coordinator.service.workers.archipelagos import archipelago
 
-COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
-
-
-def archipelago(variable: str, *workers: str) -> Archipelago:
-    """Return an archipelago with one island on each of these workers."""
-    limits = Limits(islands=len(workers), epochs=10, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
-    made = Archipelago("job", variable, limits, lambda front: 0.0, lambda program: None)
-    placement = Placement(
-        incarnation=1, term=1, job="job", variable=variable, workers=workers, epochs=10, interval=16,
-        commit_order=COMMIT_ORDER,
-    )  # fmt: skip
-    made.place(placement, 0.0)
-    return made
-
-
-X, Y = archipelago("x", "a", "b"), archipelago("y", "b", "c")
+X, Y = archipelago("a", "b", islands=2), archipelago("b", "c", islands=2, variable="y")
 
 
 def factor(leases: LeaseBackoff, of: Archipelago) -> float:

@@ -1,5 +1,6 @@
 """What a worker is sent after a heartbeat, so that it holds what is placed on it and nothing else."""
 
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -7,34 +8,21 @@ import pytest
 
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_coordinator.service.workers.reconciliation import Correction, corrections
-from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import PullReports
 from atoll_core.wire.messages.workers import (
     AssignmentStatus,
     Close,
     CloseJob,
-    Placement,
     Placements,
     WorkerStatus,
 )
+from tests.unit.coordinator.service.workers import archipelagos
 
-COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 TERM = 2
 
 
-def archipelago(*workers: str) -> Archipelago:
-    """Return an archipelago with two islands, placed on these workers if there are any."""
-    limits = Limits(islands=2, epochs=10, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
-    made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
-    if workers:
-        placement = Placement(
-            incarnation=1, term=TERM, job="job", variable="x", workers=workers, epochs=10, interval=16,
-            commit_order=COMMIT_ORDER,
-        )  # fmt: skip
-        made.place(placement, 0.0)
-    return made
+archipelago = partial(archipelagos.archipelago, islands=2, term=TERM)
 
 
 def job(made: Archipelago, state: str = "running") -> Job:

@@ -12,18 +12,15 @@ from hypothesis import strategies as st
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.ending import Limits, Stagnation
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import ABSENCE_S, Membership
 from atoll_coordinator.service.workers.quarantine import Quarantine
 from atoll_coordinator.service.workers.scheduling import EXPECT_S, REPLACE_WITHIN_S, Plan, Scheduler, spread
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.messages.workers import Placement, WorkerStatus
-
-COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
+from atoll_core.wire.messages.workers import WorkerStatus
+from tests.unit.coordinator.service.workers.archipelagos import archipelago
 
 NAMES = st.lists(st.text("abc", min_size=1), min_size=1, unique=True)
 
@@ -61,24 +58,6 @@ def join(membership: Membership, name: str) -> None:
     )
     assert membership.register(hello, 0.0) is None
     membership.record_heartbeat(name, WorkerStatus(instance="i", incarnation=1, state="ready", progress=0), 0.0)
-
-
-def archipelago(*workers: str, islands: int = 4, job: str = "job", variable: str = "x") -> Archipelago:
-    limits = Limits(islands=islands, epochs=10, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
-    made = Archipelago(job, variable, limits, lambda front: 0.0, lambda program: None)
-    if workers:
-        placement = Placement(
-            incarnation=1,
-            term=1,
-            job="job",
-            variable="x",
-            workers=workers,
-            epochs=10,
-            interval=16,
-            commit_order=COMMIT_ORDER,
-        )
-        made.place(placement, 0.0)
-    return made
 
 
 @pytest.fixture
