@@ -4,7 +4,6 @@
 figure is not what it should be.
 """
 
-import argparse
 import sys
 from argparse import Namespace
 from collections.abc import Iterator
@@ -20,7 +19,7 @@ from benchmarks.harness.record import Record, load
 PARTS: Final = ("dynamics", "branches", "programs")
 
 
-def _checks(options: argparse.Namespace) -> Iterator[Check]:
+def _checks(options: Namespace) -> Iterator[Check]:
     if "dynamics" in options.parts:
         yield from dynamics.checks()
     if "branches" in options.parts:

@@ -68,7 +68,7 @@ def by_grade(outcomes: Sequence[Outcome]) -> str:
     """Return the reliability table: for each verdict, how many equations are right, and how many foretell."""
     rows = []
     equations = [equation for outcome in outcomes for equation in outcome.equations]
-    for grade, graded in tables.by_grade(equations).items():
+    for grade, graded in tables.by_grade(equations, lambda equation: equation.grade).items():
         judged = [equation for equation in graded if equation.is_foretold is not None]
         right = sum(equation.is_right for equation in graded)
         foretold = sum(bool(equation.is_foretold) for equation in judged)

@@ -72,16 +72,6 @@ def xppaut(model: Model) -> FloatArray:
         return np.loadtxt(Path(folder) / "output.dat")[:, 1:]
 
 
-def xppaut_text(model: Model) -> FloatArray:
-    """Read the .ode file and integrate it here."""
-    return readers.read_xppaut(model.to_xppaut()).simulate(times_of(model, None))
-
-
-def modelica_text(model: Model) -> FloatArray:
-    """Read the Modelica model and integrate it here."""
-    return readers.read_modelica(model.to_modelica()).simulate(times_of(model, None))
-
-
 def julia_text(model: Model) -> FloatArray:
     """Parse the Julia script by its grammar without an error, read the system and integrate it here."""
     text = model.to_julia()
@@ -167,15 +157,15 @@ def lint_petab(folder: Path) -> None:
     assert not petab.lint_problem(problem)
 
 
-PROGRAMS: Final = {
+PROGRAMS: Final[dict[str, Callable[[Model], FloatArray]]] = {
     "Python": python,
     "C (cc)": c,
     "MATLAB (Octave)": octave,
     "Julia (Julia)": julia,
     "Julia (grammar, read)": julia_text,
     "Modelica (pymoca)": pymoca,
-    "Modelica (read)": modelica_text,
-    "XPPAUT (read)": xppaut_text,
+    "Modelica (read)": lambda model: readers.read_modelica(model.to_modelica()).simulate(times_of(model, None)),
+    "XPPAUT (read)": lambda model: readers.read_xppaut(model.to_xppaut()).simulate(times_of(model, None)),
     "XPPAUT (XPPAUT)": xppaut,
     "SBML (libroadrunner)": roadrunner,
 }

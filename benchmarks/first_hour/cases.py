@@ -61,11 +61,6 @@ class Case:
     tolerance: float = 0.01
     is_long: bool = False
 
-    @property
-    def has_law(self) -> bool:
-        """Whether any state obeys a law."""
-        return any(self.laws.values())
-
 
 TURNING: Final[Laws] = {"x": "v", "v": "-x"}
 DECAY: Final[Laws] = {"y": "-0.5*y"}

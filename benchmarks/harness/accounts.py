@@ -10,9 +10,9 @@ PROCESSES: Final = Path("/proc")
 _KILOBYTE: Final = 1024
 
 
-def processor_seconds(pid: int, thread: int | None = None, processes: Path = PROCESSES) -> float:
+def processor_seconds(pid: int, thread: int | None = None) -> float:
     """Return the processor time that a process, or one thread of it, has taken so far, in seconds."""
-    folder = processes / str(pid) if thread is None else processes / str(pid) / "task" / str(thread)
+    folder = PROCESSES / str(pid) if thread is None else PROCESSES / str(pid) / "task" / str(thread)
     words = (folder / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 

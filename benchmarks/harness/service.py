@@ -285,7 +285,7 @@ class Machines:
     def _command(self, name: str) -> Sequence[str]:
         if name in self._networks:
             network = self._networks[name]
-            return [*network.prefix(), *worker_command(f"tcp/{network.outside}:{self._port}", name)]
+            return ["ip", "netns", "exec", network.space, *worker_command(f"tcp/{network.outside}:{self._port}", name)]
         if name in (*self.workers, *self.guests):
             if self.programs is not None:
                 return [str(self.programs / "island-worker"), "--connect", self.address, "--processes", "1"]
@@ -321,33 +321,29 @@ class _Network:
         mark = f"{os.getpid() % 10**6}"
         self.outside: Final = f"10.{100 + os.getpid() % 100}.{number}.1"
         self._inside = f"10.{100 + os.getpid() % 100}.{number}.2"
-        self._space = f"atoll-{mark}-{number}"
+        self.space: Final = f"atoll-{mark}-{number}"
         self._line = f"at{mark}v{number}"
 
     def make(self) -> None:
         """Make it; raises UsageError where that is not allowed."""
         self.remove()
-        _ip("netns", "add", self._space)
-        _ip("link", "add", self._line, "type", "veth", "peer", "name", "eth0", "netns", self._space)
+        _ip("netns", "add", self.space)
+        _ip("link", "add", self._line, "type", "veth", "peer", "name", "eth0", "netns", self.space)
         _ip("addr", "add", f"{self.outside}/24", "dev", self._line)
         _ip("link", "set", self._line, "up")
-        _ip("-n", self._space, "addr", "add", f"{self._inside}/24", "dev", "eth0")
-        _ip("-n", self._space, "link", "set", "eth0", "up")
-        _ip("-n", self._space, "link", "set", "lo", "up")
+        _ip("-n", self.space, "addr", "add", f"{self._inside}/24", "dev", "eth0")
+        _ip("-n", self.space, "link", "set", "eth0", "up")
+        _ip("-n", self.space, "link", "set", "lo", "up")
 
     def remove(self) -> None:
         """Remove it, if it is there."""
-        for words in (("link", "del", self._line), ("netns", "del", self._space)):
+        for words in (("link", "del", self._line), ("netns", "del", self.space)):
             with suppress(UsageError):
                 _ip(*words)
 
     def set_up(self, up: bool) -> None:
         """Mend or cut the line."""
         _ip("link", "set", self._line, "up" if up else "down")
-
-    def prefix(self) -> Sequence[str]:
-        """Return what a command begins with to run there."""
-        return ["ip", "netns", "exec", self._space]
 
 
 def can_have_networks() -> bool:

@@ -3,7 +3,7 @@
 import statistics
 import string
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 from atoll.terminal.output import count, error_text, table
 
@@ -35,22 +35,12 @@ def grouped(things: Iterable[Thing], key: Callable[[Thing], Key]) -> dict[Key, l
     return groups
 
 
-class Graded(Protocol):
-    """What a verdict was given on."""
-
-    @property
-    def grade(self) -> str | None:
-        """The verdict."""
-        ...
-
-
-Verdict = TypeVar("Verdict", bound=Graded)
 GRADES: Final = ("exact", "good", "doubtful", "no model", "-")
 
 
-def by_grade(equations: Iterable[Verdict]) -> dict[str, list[Verdict]]:
+def by_grade(equations: Iterable[Thing], grade_of: Callable[[Thing], str | None]) -> dict[str, list[Thing]]:
     """Return equations by their verdicts, the best verdict first, ``-`` for none."""
-    graded = grouped(equations, lambda equation: equation.grade or "-")
+    graded = grouped(equations, lambda equation: grade_of(equation) or "-")
     return {grade: graded[grade] for grade in GRADES if grade in graded}
 
 

@@ -128,7 +128,7 @@ def by_grade(outcomes: Sequence[Outcome]) -> str:
     """Return a table that sets the verdicts of the results beside what is true."""
     rows = []
     equations = [equation for outcome in outcomes for equation in outcome.equations]
-    for grade, graded in tables.by_grade(equations).items():
+    for grade, graded in tables.by_grade(equations, lambda equation: equation.grade).items():
         right = sum(equation.found for equation in graded)
         foretold = sum(equation.is_foretold for equation in graded)
         rows.append((grade, str(len(graded)), str(right), str(foretold)))

@@ -15,7 +15,7 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
@@ -38,6 +38,9 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "example pendulum": ("examples/pendulum.csv", "--order", "2"),
 }
 """Whole jobs, beside the label jobs: they are prepared, searched and refined."""
+
+TIMES: Final = ("search", "command", "processor")
+"""Those of `Took`."""
 
 _LEAST_S: Final = 1e-3
 """Times below this count as this: clocks say no more."""
@@ -192,11 +195,8 @@ def in_turn(
 
 def median(runs: Sequence[Took]) -> Took:
     """Return the medians of the times; all else is the first's, and the digest says so where it was not the same."""
-    times = {what: statistics.median(getattr(run, what) for run in runs) for what in ("search", "command", "processor")}
-    digests = dict.fromkeys(run.digest for run in runs)
-    return Took(
-        **times, digest=" ".join(digests), equations=runs[0].equations, point_evaluations=runs[0].point_evaluations
-    )
+    times = {what: statistics.median(getattr(run, what) for run in runs) for what in TIMES}
+    return replace(runs[0], **times, digest=" ".join(dict.fromkeys(run.digest for run in runs)))
 
 
 def shown(jobs_run: Sequence[Beside]) -> str:
@@ -204,16 +204,13 @@ def shown(jobs_run: Sequence[Beside]) -> str:
     rows = [
         (
             job.job,
-            *(cell for what in ("search", "command", "processor") for cell in _cells(job, what)),
+            *(cell for what in TIMES for cell in _cells(job, what)),
             "same" if job.is_same else "DIFFERS",
             "same" if job.ours.equations == job.theirs.equations else "DIFFER",
         )
         for job in jobs_run
     ]
-    means = (
-        "geometric mean",
-        *(cell for what in ("search", "command", "processor") for cell in _means(jobs_run, what)),
-    )
+    means = ("geometric mean", *(cell for what in TIMES for cell in _means(jobs_run, what)))
     heads = ("job", "search s", "theirs", "ratio", "command s", "theirs", "ratio", "cpu s", "theirs", "ratio")
     return table((*heads, "digest", "equations"), [*rows, (*means, "", "")])
 

@@ -94,14 +94,9 @@ class Standing:
     @classmethod
     def of(cls, view: JobView) -> "Standing":
         """Return that of a job's view."""
-        return cls(
-            {variable.variable: variable.epoch for variable in view.variables},
-            {
-                variable.variable
-                for variable in view.variables
-                if variable.finished or view.state not in ("running", "preparing")
-            },
-        )
+        is_over = view.state not in ("running", "preparing")
+        over = {variable.variable for variable in view.variables if variable.finished or is_over}
+        return cls({variable.variable: variable.epoch for variable in view.variables}, over)
 
     def is_passed_by(self, later: "Standing") -> bool:
         """Tell whether every search that was under way has got further since, or is over."""

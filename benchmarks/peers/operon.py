@@ -143,7 +143,10 @@ class _Parts:
         optimizer = op.LMOptimizer(self.table, self.problem, FIT_STEPS, 0)
         fit = op.CoefficientOptimizer(optimizer)
         generator = op.BasicOffspringGenerator(self.evaluator, crossover, mutations, *selectors, fit)
-        config = _config(op, seed, generations)
+        config = op.GeneticAlgorithmConfig(
+            generations=generations, max_evaluations=_NEVER, local_iterations=FIT_STEPS, population_size=POPULATION,
+            pool_size=POPULATION, p_crossover=CROSSOVER, p_mutation=MUTATION, epsilon=0.0, seed=seed,
+        )  # fmt: skip
         self.search = op.GeneticProgrammingAlgorithm(
             config, self.problem, initializer, coefficients, generator, reinserter
         )
@@ -172,28 +175,10 @@ class _Parts:
         """Return the values (R,) of the best model."""
         return np.asarray(self.op.Evaluate(self.table, self.search.BestModel.Genotype, self.dataset, self.rows), float)
 
-    def stop(self) -> None:
-        """End the search after this generation."""
-        self.evaluator.Budget = 0
-
     def expression(self) -> str:
         """Return the best model as text, before scaling."""
         names = {hash_: f"v{index}" for index, hash_ in enumerate(self.hashes)}
         return str(self.op.InfixFormatter.Format(self.search.BestModel.Genotype, names, 6))
-
-
-def _config(op: Any, seed: int, generations: int) -> Any:
-    return op.GeneticAlgorithmConfig(
-        generations=generations,
-        max_evaluations=_NEVER,
-        local_iterations=FIT_STEPS,
-        population_size=POPULATION,
-        pool_size=POPULATION,
-        p_crossover=CROSSOVER,
-        p_mutation=MUTATION,
-        epsilon=0.0,
-        seed=seed,
-    )
 
 
 def search(inputs: FloatArray, label: FloatArray, seed: int, target_error: float, limit: float) -> Run:
@@ -205,7 +190,7 @@ def search(inputs: FloatArray, label: FloatArray, seed: int, target_error: float
 
     def look() -> None:
         if watch.look(parts.values()):
-            parts.stop()
+            parts.evaluator.Budget = 0  # ends the search after this generation
 
     parts.search.Run(parts.random, look, THREADS, False)
     return Run(

@@ -4,7 +4,6 @@
 constants with 95 % intervals, their verdicts, R2 of the simulated trajectories, and seconds.
 """
 
-import argparse
 import os
 import sys
 from argparse import Namespace
@@ -24,7 +23,7 @@ from benchmarks.real.cases import CASES, Case
 FOLDER: Final = os.environ.get("ATOLL_REAL_DATA")
 
 
-def run(searches: Searches, case: Case, options: argparse.Namespace) -> dict[str, Any]:
+def run(searches: Searches, case: Case, options: Namespace) -> dict[str, Any]:
     """Search one case and return what came of it."""
     stopwatch = Stopwatch()
     try:
