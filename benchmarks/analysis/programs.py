@@ -30,7 +30,7 @@ import atoll
 
 def left():
     tasks = [len(os.listdir("/proc/self/task")), threading.active_count()]
-    children = [each for each in os.listdir("/proc") if each.isdigit() and _parent(each) == os.getpid()]
+    children = [pid for pid in os.listdir("/proc") if pid.isdigit() and _parent(pid) == os.getpid()]
     return [*tasks, len(os.listdir("/proc/self/fd")), len(children), len(os.listdir("."))]
 
 def _parent(number):

@@ -74,10 +74,7 @@ _APPROXIMATE: Final = "it only approximates the truth"
 def compare(text: str | None, truth: str, columns: Mapping[str, FloatArray], tolerance: float = 0.01) -> Form:
     """Tell whether `found` is exact in form: the truth with constants that differ by at most a relative `tolerance`.
 
-    Both are infix text over the names of `columns`, (R,) values without errors.
-
-    Raises:
-        UsageError: one of the texts is no expression over these names.
+    Both are infix text over the names of `columns`, (R,) values without errors; raises UsageError where one is none.
     """
     if text is None:
         return NO_EQUATION

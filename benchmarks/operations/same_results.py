@@ -116,7 +116,7 @@ def serving(program: Path) -> Iterator[str]:
 
 def side_of(program: Path, files: Path) -> Side:
     """Return the side of a program; raises AtollError where its packages are not found."""
-    code = f"import {', '.join(PACKAGES)}\nfor each in ({', '.join(PACKAGES)}): print(each.__path__[0])"
+    code = f"import {', '.join(PACKAGES)}\nfor package in ({', '.join(PACKAGES)}): print(package.__path__[0])"
     asked = subprocess.run(
         [str(program.parent / "python"), "-c", code], cwd=files, capture_output=True, text=True
     )  # elsewhere: folders of this tree are not the packages of another revision

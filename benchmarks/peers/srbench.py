@@ -94,15 +94,9 @@ def assess(
 ) -> Form:
     """Judge `expression` by SRBench's rule: right or other, and why or by which of its two ways.
 
-    Args:
-        expression: the model, infix text over the names of `columns`; None where there is none.
-        truth: the true expression, likewise.
-        columns: the test rows: by name, R values each.
-        labels: the true values on them (R,), without noise.
-        by: who asks sympy; by default the one that this process shares.
-
-    Raises:
-        UsageError: `expression` is no expression over the names of `columns`.
+    `expression`, the model, and `truth` are infix text over the names of `columns`, the test rows (R,); `labels` (R,)
+    are the true values on them without noise. `by` asks sympy, by default the one that this process shares. Raises
+    UsageError where `expression` is none over these names.
     """
     if expression is None:
         return NO_EQUATION

@@ -43,12 +43,7 @@ def judge(
 ) -> list[Judged]:
     """Return what is to be said of each component of the truth, and of each one that it does not have.
 
-    Args:
-        case: name of the process.
-        process: the truth.
-        seed: of the paths.
-        states: (S, R), where errors are measured.
-        equations: those of a result.
+    Errors are measured at `states` (S, R); `equations` are those of a result, by paths of this `seed`.
     """
     shown = {equation["variable"]: equation for equation in equations}
     columns = dict(zip(process.names, states, strict=True))

@@ -22,25 +22,25 @@ import atoll
 from atoll.api import session
 
 def workers(host):
-    for each in Path("/proc").glob("[0-9]*"):
+    for process in Path("/proc").glob("[0-9]*"):
         try:
-            words = (each / "cmdline").read_bytes().split(b"\\0")
-            parent = (each / "stat").read_text().rpartition(")")[2]
+            words = (process / "cmdline").read_bytes().split(b"\\0")
+            parent = (process / "stat").read_text().rpartition(")")[2]
         except OSError:
             continue
         if b"--supervise" in words and str(host).encode() in words and int(parent.split()[1]) != host:
-            yield int(each.name)
+            yield int(process.name)
 
-found = [atoll.discover(sys.argv[1], workers=2)]
+models = [atoll.discover(sys.argv[1], workers=2)]
 host = session._services[2]._process.pid
 killed = [*workers(host)] if sys.argv[2] == "alone" else []
 for pid in killed:
     os.kill(pid, signal.SIGKILL)
 if killed:
-    found.append(atoll.discover(sys.argv[1], workers=2))
+    models.append(atoll.discover(sys.argv[1], workers=2))
 print(json.dumps({
-    "digests": [model.provenance["digest"] for model in found],
-    "equations": [str(each) for each in found[0].equations],
+    "digests": [model.provenance["digest"] for model in models],
+    "equations": [str(equation) for equation in models[0].equations],
     "threads": threading.active_count(),
     "host": host,
     "endpoint": session._services[2].endpoint,

@@ -35,8 +35,9 @@ import importlib, sys
 from atoll_coordinator.warmup import warm_up
 warm_up(lambda sentence: None)
 for name in sys.argv[1:]:
-    kernels = {name: its for name, its in vars(importlib.import_module(name)).items() if hasattr(its, "signatures")}
-    print(*(f"{name}.{kernel}" for kernel, its in kernels.items() if its.signatures))
+    members = vars(importlib.import_module(name)).items()
+    kernels = {member: kernel for member, kernel in members if hasattr(kernel, "signatures")}
+    print(*(f"{name}.{member}" for member, kernel in kernels.items() if kernel.signatures))
 """
 
 

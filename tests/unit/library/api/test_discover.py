@@ -91,7 +91,7 @@ class Client:
     """Stands for a connection to a coordinator with one job, which has found `found` when it is cancelled."""
 
     def __init__(self, contents: dict[str, Any] | None) -> None:
-        self.found = contents
+        self.contents = contents
         self.is_cancelled = False
 
     def hand_in(self, *given: object) -> None:
@@ -114,9 +114,9 @@ class Client:
         raise KeyboardInterrupt  # whenever the progress is looked at
 
     def result(self, _: str) -> dict[str, Any]:
-        if self.found is None:
+        if self.contents is None:
             raise RefusedError("nothing was found yet")
-        return self.found
+        return self.contents
 
 
 @pytest.mark.parametrize("has_found", [True, False])
