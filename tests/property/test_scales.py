@@ -131,7 +131,7 @@ def laws(powers: Sequence[int]) -> Any:
 @pytest.mark.parametrize("facts", [fixed, cycles, folds, hopf, laws])
 def test_what_an_analysis_finds_has_no_unit(facts: Any) -> None:
     expected = facts(SAME)
-    assert all(len(values_there) for values_there in expected)
+    assert all(len(kinds) for kinds in expected)
     for powers in UNITS if facts in (fixed, laws) else UNITS[:1]:
         assert facts(powers) == expected, powers
 

@@ -144,13 +144,13 @@ def test_levels_and_methods_are_told_apart():
         dataclasses.replace(outcome, key=dataclasses.replace(outcome.key, method="pysindy")) for outcome in outcomes()
     ]
     clean = [dataclasses.replace(outcome, key=dataclasses.replace(outcome.key, level=0.0)) for outcome in outcomes()]
-    summed = summarized([*outcomes(), *other, *clean])
-    assert [(equation.level, equation.method) for equation in summed] == [
+    summaries = summarized([*outcomes(), *other, *clean])
+    assert [(row.level, row.method) for row in summaries] == [
         (0.0, "atoll"),
         (0.05, "atoll"),
         (0.05, "pysindy"),
     ]
-    assert "1 of 2" in by_level(summed).splitlines()[1]
+    assert "1 of 2" in by_level(summaries).splitlines()[1]
 
 
 def test_tables_show_equations_and_verdicts():

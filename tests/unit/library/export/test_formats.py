@@ -38,17 +38,17 @@ def systems() -> dict[str, Model]:
 @pytest.mark.slow
 @pytest.mark.parametrize("system", TABLE_III)
 def test_texts_agree_with_simulations_of_published_systems(systems: dict[str, Model], system: str) -> None:
-    exported_model = systems[system]
-    assert difference(run_python(exported_model.to_python())["simulate"](), exported_model) < 1e-8
+    exported = systems[system]
+    assert difference(run_python(exported.to_python())["simulate"](), exported) < 1e-8
     for name, read in READERS.items():
-        reading = read(exported_model.export(name))
-        assert difference(reading.simulate(times_of(exported_model, None)), exported_model) < 1e-8
+        reading = read(exported.export(name))
+        assert difference(reading.simulate(times_of(exported, None)), exported) < 1e-8
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_c_compiles_without_warnings_and_agrees(systems: dict[str, Model]) -> None:
-    for exported_model in (systems["glider"], everything()):
-        assert difference(programs.c(exported_model), exported_model) < 1e-8
+    for exported in (systems["glider"], everything()):
+        assert difference(programs.c(exported), exported) < 1e-8
 
 
 @pytest.mark.parametrize("program", [programs.julia_text, programs.pymoca, programs.roadrunner])
@@ -60,12 +60,12 @@ def test_other_programs_agree(systems: dict[str, Model], program: object) -> Non
 
 
 def test_every_operator_and_hostile_names_keep_their_meaning() -> None:
-    exported_model = everything()
-    used = {code for program in exported_model.field.programs for code in program.operators.tolist()}
+    exported = everything()
+    used = {code for program in exported.field.programs for code in program.operators.tolist()}
     assert used | {1, 14} >= {operator.code for operator in OPERATORS}  # inverse is written as a quotient
-    assert difference(run_python(exported_model.to_python())["simulate"](), exported_model) < 1e-8
+    assert difference(run_python(exported.to_python())["simulate"](), exported) < 1e-8
     for name, read in READERS.items():
-        assert difference(read(exported_model.export(name)).simulate(TIMES), exported_model) < 1e-8
+        assert difference(read(exported.export(name)).simulate(TIMES), exported) < 1e-8
 
 
 @pytest.mark.parametrize("format", LANGUAGES)
@@ -78,12 +78,12 @@ def test_names_are_plain_and_said(format: str) -> None:
 
 
 def test_a_state_may_have_the_name_of_a_constant_or_of_a_helper() -> None:
-    exported_model = model({"c1": "-0.5*c1 + 0.25*w1", "w1": "0.75*c1"})
+    exported = model({"c1": "-0.5*c1 + 0.25*w1", "w1": "0.75*c1"})
     for name, read in READERS.items():
-        text = exported_model.export(name)
+        text = exported.export(name)
         assert "c1_2 is the constant c1" in text
-        assert difference(read(text).simulate(TIMES), exported_model) < 1e-8
-    assert difference(run_python(exported_model.to_python())["simulate"](), exported_model) < 1e-8
+        assert difference(read(text).simulate(TIMES), exported) < 1e-8
+    assert difference(run_python(exported.to_python())["simulate"](), exported) < 1e-8
     noisy = process().result.as_dict()
     noisy["symbols"] = {"w1": "w1", "g1_1": "g1_1"}
     for equation in noisy["equations"]:
@@ -108,21 +108,19 @@ def test_whole_numbers_without_errors_are_no_parameters(format: str) -> None:
 
 
 def test_an_input_is_a_number_a_table_or_the_time() -> None:
-    exported_model, values = decay(), np.array([0.0, 1.0, 4.0, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
+    exported, values = decay(), np.array([0.0, 1.0, 4.0, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
     for u in ({"u": 1.5}, {"u": values}):
-        text = exported_model.to_python(t=TIMES, u=u)
-        assert difference(run_python(text)["simulate"](), exported_model, t=TIMES, u=u) < 1e-8
+        text = exported.to_python(t=TIMES, u=u)
+        assert difference(run_python(text)["simulate"](), exported, t=TIMES, u=u) < 1e-8
     assert (
         difference(
-            readers.read_modelica(exported_model.to_modelica(u={"u": 1.5})).simulate(TIMES),
-            exported_model,
+            readers.read_modelica(exported.to_modelica(u={"u": 1.5})).simulate(TIMES),
+            exported,
             u={"u": 1.5},
         )
         < 1e-8
     )
-    assert (
-        "PARAMETERS = {\n    'c1': -0.3,  # standard error 0.1\n    'u': 0.0,  # input\n}" in exported_model.to_python()
-    )
+    assert "PARAMETERS = {\n    'c1': -0.3,  # standard error 0.1\n    'u': 0.0,  # input\n}" in exported.to_python()
     clock = model({"x": "cos(t)*x"}, inputs=("t",))
     assert difference(run_python(clock.to_python())["simulate"](), clock) < 1e-8
     for name, read in READERS.items():
@@ -137,15 +135,13 @@ def recorded(values: list[float | None]) -> Model:
 
 
 def test_recorded_inputs_are_held_as_simulations_have_them() -> None:
-    exported_model = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
-    assert difference(run_python(exported_model.to_python())["simulate"](), exported_model) < 1e-8
+    exported = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
+    assert difference(run_python(exported.to_python())["simulate"](), exported) < 1e-8
     late = np.linspace(0.0, 3.0, 9)
-    assert (
-        difference(run_python(exported_model.to_python(t=3.0))["simulate"](times=late), exported_model, t=late) < 1e-8
-    )
+    assert difference(run_python(exported.to_python(t=3.0))["simulate"](times=late), exported, t=late) < 1e-8
     for name in ("c", "julia", "matlab", "modelica", "sbml"):
-        assert "held at 0" not in exported_model.export(name)
-    assert "held at 0, since nothing is given of them: u" in exported_model.to_python({"x": 1.0})
+        assert "held at 0" not in exported.export(name)
+    assert "held at 0, since nothing is given of them: u" in exported.to_python({"x": 1.0})
     assert (
         difference(readers.read_modelica(recorded([2.0] * 9).to_modelica()).simulate(TIMES), recorded([2.0] * 9)) < 1e-8
     )
@@ -168,8 +164,8 @@ def test_c_goes_along_tables() -> None:
             return self.export("c", None, TIMES, {"u": values})
 
     assert difference(programs.c(Given(decay().result.as_dict())), decay(), t=TIMES, u={"u": values}) < 1e-8
-    exported_model = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
-    assert difference(programs.c(exported_model), exported_model) < 1e-8
+    exported = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5])
+    assert difference(programs.c(exported), exported) < 1e-8
 
 
 SIZES_APART = {"x": "-0.0001*x", "y": "1.3*y"}
@@ -186,19 +182,19 @@ def test_each_state_has_errors_of_its_own_size(
 ) -> None:
     contents = model(equations, start).result.as_dict()
     contents["simulation"]["trajectories"][0]["times"] = np.linspace(0.0, until, 9).tolist()
-    exported_model = Model(contents)
-    expected = exported_model.simulate(has_bands=False).x
-    np.testing.assert_allclose(run_python(exported_model.to_python())["simulate"](), expected, rtol=1e-6)
+    exported = Model(contents)
+    expected = exported.simulate(has_bands=False).x
+    np.testing.assert_allclose(run_python(exported.to_python())["simulate"](), expected, rtol=1e-6)
     if shutil.which("cc") is not None:
-        np.testing.assert_allclose(programs.c(exported_model), expected, rtol=1e-6)
+        np.testing.assert_allclose(programs.c(exported), expected, rtol=1e-6)
 
 
 def test_tolerances_that_other_solvers_are_given_have_the_units_of_the_states() -> None:
-    exported_model = model(SIZES_APART, {"x": 300.0, "y": 1e-12})
-    assert f"'AbsTol', [{1e-12 * 300.0!r}, {1e-12 * 1e-12!r}]" in exported_model.to_matlab()
-    assert f"Dict(string(x) => {1e-12 * 300.0!r}, string(y) => {1e-12 * 1e-12!r})" in exported_model.to_julia()
-    assert f"tol=1e-12, atol={1e-12 * 1e-12!r}" in exported_model.to_xppaut()
-    assert "Real y(start = 1e-12, fixed = true, nominal = 1e-12)" in exported_model.to_modelica()
+    exported = model(SIZES_APART, {"x": 300.0, "y": 1e-12})
+    assert f"'AbsTol', [{1e-12 * 300.0!r}, {1e-12 * 1e-12!r}]" in exported.to_matlab()
+    assert f"Dict(string(x) => {1e-12 * 300.0!r}, string(y) => {1e-12 * 1e-12!r})" in exported.to_julia()
+    assert f"tol=1e-12, atol={1e-12 * 1e-12!r}" in exported.to_xppaut()
+    assert "Real y(start = 1e-12, fixed = true, nominal = 1e-12)" in exported.to_modelica()
 
 
 def test_second_order_becomes_first_order() -> None:
@@ -207,25 +203,25 @@ def test_second_order_becomes_first_order() -> None:
     contents["simulation"] = {
         "trajectories": [{"name": "1", "start": {"x": 1.0, "x_dot": 0.5}, "times": TIMES.tolist()}]
     }
-    exported_model = Model(contents)
-    assert difference(run_python(exported_model.to_python())["simulate"](), exported_model) < 1e-8
-    assert readers.read_xppaut(exported_model.to_xppaut()).rates["x"] == "x_dot"
+    exported = Model(contents)
+    assert difference(run_python(exported.to_python())["simulate"](), exported) < 1e-8
+    assert readers.read_xppaut(exported.to_xppaut()).rates["x"] == "x_dot"
 
 
 def test_a_process_keeps_its_noise_or_is_refused() -> None:
-    exported_model = process()
-    names = run_python(exported_model.to_python())
+    exported = process()
+    names = run_python(exported.to_python())
     x = np.array([0.7, -0.4])
     g = names["noise"](0.0, x)
     assert g @ g.T == pytest.approx(np.array([[0.04, 0.03 * x[1]], [0.03 * x[1], 0.09 + 0.01 * x[0] ** 2]]))
     path = names["simulate"](seed=3, substeps=5)
     assert path.shape == (9, 2)
     assert np.isfinite(path).all()
-    assert "wiener w1\nwiener w2\n" in exported_model.to_xppaut()
-    assert "@brownians w1 w2" in exported_model.to_julia()
+    assert "wiener w1\nwiener w2\n" in exported.to_xppaut()
+    assert "@brownians w1 w2" in exported.to_julia()
     for name in ("c", "matlab", "modelica", "sbml"):
         with pytest.raises(UsageError, match="cannot hold the noise of a process; python, julia and xppaut can"):
-            exported_model.export(name)
+            exported.export(name)
 
 
 def test_paths_of_a_process_have_its_variance() -> None:
@@ -245,14 +241,14 @@ def test_a_regression_is_a_function_or_is_refused() -> None:
     contents = result({"y": "2.5*a - sqrt(b)"}, ("a", "b"))
     contents["equations"][0]["lhs"] = "y"
     del contents["symbols"]["y"]
-    exported_model = Model(contents | {"symbols": {"a": "a", "b": "b"}})
-    assert run_python(exported_model.to_python())["value"](np.array([2.0, 4.0]), 9.0).tolist() == [2.0, 7.0]
-    assert "double value(double a, double b)" in exported_model.to_c()
-    assert "function value(a, b)" in exported_model.to_julia()
-    assert "function value = atoll_model(a, b)" in exported_model.to_matlab()
+    exported = Model(contents | {"symbols": {"a": "a", "b": "b"}})
+    assert run_python(exported.to_python())["value"](np.array([2.0, 4.0]), 9.0).tolist() == [2.0, 7.0]
+    assert "double value(double a, double b)" in exported.to_c()
+    assert "function value(a, b)" in exported.to_julia()
+    assert "function value = atoll_model(a, b)" in exported.to_matlab()
     for name in ("modelica", "xppaut", "sbml"):
         with pytest.raises(UsageError, match="holds what moves in time"):
-            exported_model.export(name)
+            exported.export(name)
 
 
 def test_where_a_solution_ends_the_module_says_so() -> None:

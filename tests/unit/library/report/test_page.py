@@ -284,11 +284,9 @@ KEPT = {"expression", "program", "kind", "discretisation", "group", "variable"}
 def hostile(value: Any, key: str = "") -> Any:
     """Return a part of a result with that text in every text that it may be in, and in names of columns."""
     if isinstance(value, dict):
-        return {
-            HOSTILE + name if name in {"x", "y"} else name: hostile(constant, name) for name, constant in value.items()
-        }
+        return {HOSTILE + name if name in {"x", "y"} else name: hostile(item, name) for name, item in value.items()}
     if isinstance(value, list):
-        return [hostile(section, key) for section in value]
+        return [hostile(item, key) for item in value]
     if key in {"variable", "lhs", "states", "time", "inputs", "target"} and isinstance(value, str):
         return value.replace("x", HOSTILE + "x").replace("y", HOSTILE + "y") if key != "time" else HOSTILE
     return HOSTILE if isinstance(value, str) and key not in KEPT | {"x", "y"} else value
@@ -300,11 +298,11 @@ def dangers(text: str) -> list[str]:
 
     class Watch(HTMLParser):
         def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-            constant = [
+            scripts = [
                 name for name, value in attrs if name.startswith("on") or "javascript:" in str(value).split("=")[0]
             ]
-            if tag in {"script", "img", "iframe", "object", "embed"} or constant:
-                texts.append(f"{tag} {constant}")
+            if tag in {"script", "img", "iframe", "object", "embed"} or scripts:
+                texts.append(f"{tag} {scripts}")
 
     Watch().feed(text)
     return texts

@@ -138,7 +138,7 @@ def test_the_deviation_is_that_of_what_was_measured_and_counts():
 
 def test_an_elaboration_of_the_equation_is_no_rival():
     programs = [DECAY.parsed(text) for text in ("-0.5*x", "-0.5*x + 0.1", "-0.4*sin(x)", "-0.5*x")]
-    shown, *others = (Alternative(equation, 1.0, 0.9, is_shown=not rank) for rank, equation in enumerate(programs))
+    shown, *others = (Alternative(program, 1.0, 0.9, is_shown=not rank) for rank, program in enumerate(programs))
     assert _no_elaborations(shown.program, [shown, *others]) == others[1:]
 
 
@@ -170,16 +170,16 @@ def test_held_out_trajectories_are_simulated_and_judged(noisy):
         for equation in noisy.equations.values()
         for alternative in equation.alternatives
     )
-    for index, refinement in enumerate(noisy.equations.values()):
-        assert refinement.alternatives[0].held_out_r2 == noisy.simulation.trajectories[-1].r2[index]
+    for index, equation in enumerate(noisy.equations.values()):
+        assert equation.alternatives[0].held_out_r2 == noisy.simulation.trajectories[-1].r2[index]
 
 
 def test_simulations_have_bands_that_hold_the_true_curve(noisy):
     assert noisy.simulation.states == ("x", "y")
-    for start, refinement in zip(LOTKA_STARTS, noisy.simulation.trajectories, strict=True):
-        assert refinement.errors.shape == refinement.values.shape == (2, 40)
+    for start, course in zip(LOTKA_STARTS, noisy.simulation.trajectories, strict=True):
+        assert course.errors.shape == course.values.shape == (2, 40)
         truth = LOTKA.values(start, TIMES)
-        assert (np.abs(refinement.values - truth) <= 4.5 * refinement.errors).mean() > 0.95
+        assert (np.abs(course.values - truth) <= 4.5 * course.errors).mean() > 0.95
 
 
 def test_bands_and_intervals_have_the_same_quantile(noisy):
@@ -224,9 +224,9 @@ def test_what_was_fitted_to_fewer_rows_is_simulated_along_all(monkeypatch, noise
     refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, config=config, noise=noise, seed=108)
     assert refinement.warnings == ()
     assert [trajectory.values.shape for trajectory in refinement.simulation.trajectories] == [(1, 40), (1, 40)]
-    for start, equation in zip(([1.0], [-2.0]), refinement.simulation.trajectories, strict=True):
-        assert equation.errors.shape == (1, 40)
-        assert (np.abs(equation.values - DECAY.values(start, TIMES)) <= 4.5 * equation.errors + 1e-9).all()
+    for start, course in zip(([1.0], [-2.0]), refinement.simulation.trajectories, strict=True):
+        assert course.errors.shape == (1, 40)
+        assert (np.abs(course.values - DECAY.values(start, TIMES)) <= 4.5 * course.errors + 1e-9).all()
 
 
 def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypatch):

@@ -125,7 +125,7 @@ def test_a_process_that_leaves_the_measured_range_as_it_was_measured_to_is_follo
 @pytest.mark.parametrize(
     ("known", "model"),
     [("growth", "-60"), ("decay", "0.5*x"), ("both", "0.3*x*x*x")],
-    ids=lambda prediction: str(prediction),
+    ids=lambda text: str(text),
 )
 def test_a_process_that_leaves_on_another_side_runs_away(known, model):
     """Growth and decay end at one end of the range; of both together the one begins where the other ends."""
@@ -160,8 +160,8 @@ def test_what_a_rival_foretells_where_it_has_enough_steps_counts(lotka, truth):
     assert (x.probability, x.is_disputed) == (0.5, True)
 
 
-def spread_of(fitted):
-    return _Elsewhere(fitted, 1e-6, is_near=False).starts
+def spread_of(rows):
+    return _Elsewhere(rows, 1e-6, is_near=False).starts
 
 
 def test_initial_states_keep_what_all_measured_ones_have_in_common():
