@@ -2,7 +2,6 @@
 
 from typing import Final
 
-from atoll.export import integrators
 from atoll.export.language import Language
 from atoll.export.naming import Naming
 from atoll_core.expression.operators import ABS
@@ -104,6 +103,97 @@ $for tables:    const double $name = along(table_$name, $cubics, $until, t);
 $for states:    (void)($name);
 $for states:    rate[$place] = $rate;
 }
-"""
-    + integrators.C,
+
+// The pair of orders 5 and 4 of Dormand and Prince (1980).
+static const double nodes[7] = {0, 1.0 / 5, 3.0 / 10, 4.0 / 5, 8.0 / 9, 1, 1};
+static const double weights[7][6] = {
+    {0},
+    {1.0 / 5},
+    {3.0 / 40, 9.0 / 40},
+    {44.0 / 45, -56.0 / 15, 32.0 / 9},
+    {19372.0 / 6561, -25360.0 / 2187, 64448.0 / 6561, -212.0 / 729},
+    {9017.0 / 3168, -355.0 / 33, 46732.0 / 5247, 49.0 / 176, -5103.0 / 18656},
+    {35.0 / 384, 0, 500.0 / 1113, 125.0 / 192, -2187.0 / 6784, 11.0 / 84},
+};
+static const double errors[7] = {71.0 / 57600,      0,         -71.0 / 16695, 71.0 / 1920,
+                                 -17253.0 / 339200, 22.0 / 525, -1.0 / 40};
+static const double tolerance = 1e-12; // relative error of a step, about
+
+// Go from time *t to time end with steps of about *step, stages[0] being the rates there; 0 where that is not possible.
+static int advance(double *t, double end, double x[SIZE], double stages[7][SIZE], double *step,
+                   const double least[SIZE])
+{
+    static long count = 0;
+    double moved[SIZE];
+    while (*t < end) {
+        int is_finite = *t + *step != *t && ++count <= 10000000;
+        for (int i = 0; i < SIZE; i++)
+            is_finite = is_finite && isfinite(stages[0][i]);
+        if (!is_finite)
+            return 0;
+        const double h = fmin(*step, end - *t);
+        for (int k = 1; k < 7; k++) {
+            for (int i = 0; i < SIZE; i++) {
+                double sum = 0;
+                for (int j = 0; j < k; j++)
+                    sum += weights[k][j] * stages[j][i];
+                moved[i] = x[i] + h * sum;
+            }
+            rates(*t + nodes[k] * h, moved, stages[k]);
+        }
+        double size = 0;
+        for (int i = 0; i < SIZE; i++) {
+            double sum = 0;
+            for (int k = 0; k < 7; k++)
+                sum += errors[k] * stages[k][i];
+            const double its = fabs(h * sum / (least[i] + tolerance * fmax(fabs(x[i]), fabs(moved[i]))));
+            size = its <= size ? size : its; // also where it is not a number
+        }
+        if (!(size <= 1)) {
+            *step = isfinite(size) ? h * fmax(0.2, 0.9 * pow(size, -0.2)) : 0.2 * h;
+            continue;
+        }
+        *t = h == end - *t ? end : *t + h;
+        for (int i = 0; i < SIZE; i++) {
+            x[i] = moved[i];
+            stages[0][i] = stages[6][i];
+        }
+        const double grown = h * fmin(5, 0.9 * pow(fmax(size, 1e-10), -0.2));
+        *step = h < *step ? fmax(*step, grown) : grown;
+    }
+    return 1;
+}
+
+static void print_row(double t, const double x[SIZE])
+{
+    printf("%.17g", t);
+    for (int i = 0; i < SIZE; i++)
+        printf(",%.17g", x[i]);
+    printf("\\n");
+}
+
+int main(int count, char **words)
+{
+    const double until = count > 1 ? strtod(words[1], NULL) : end_time;
+    const long steps = count > 2 ? strtol(words[2], NULL, 10) : step_count;
+    double x[SIZE], stages[7][SIZE], least[SIZE], t = begin_time;
+    rates(t, start, stages[0]);
+    for (int i = 0; i < SIZE; i++) {
+        x[i] = start[i];
+        least[i] = tolerance * (x[i] == 0 ? sizes[i] : fmin(fabs(x[i]), sizes[i]));
+    }
+    double step = 1e-4 * (until - t);
+    printf("$header\\n");
+    print_row(t, x);
+    for (long k = 1; k <= steps; k++) {
+        const double end = k == steps ? until : begin_time + (until - begin_time) / steps * k;
+        if (!advance(&t, end, x, stages, &step, least)) {
+            fprintf(stderr, "the solution does not go on beyond time %.17g\\n", t);
+            return 1;
+        }
+        print_row(t, x);
+    }
+    return 0;
+}
+""",
 )

@@ -2,11 +2,32 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Final, Literal
 
+import numpy as np
+import numpy.typing as npt
+
+from atoll.model.beginnings import Given, recorded_inputs, start_of, times_of
+from atoll.model.driving import inputs_along, require_inputs
 from atoll.model.parameters import Parameter
+from atoll.model.simulation import followed_sizes
+from atoll_core import VERSION
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.program import Program
+from atoll_core.errors import UsageError
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.text.parsing import from_infix
+
+if TYPE_CHECKING:
+    from atoll.model.model import Model
+
+Times = npt.ArrayLike | None
+"""Times that ascend, the last one alone, or those that were measured."""
+HeldInputs = Mapping[str, npt.ArrayLike] | None
+"""By name numbers, or arrays at the times."""
+
+_MOST_EVALUATIONS: Final = 20_000
+"""Of the rates, to see how small states become: a part of a second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,3 +116,164 @@ class Description:
     def depends_on_time(self) -> bool:
         """Whether the time itself is an input."""
         return any(variable.kind == "time" for variable in self.inputs)
+
+
+def describe(
+    model: "Model", x0: Given | None = None, t: Times = None, u: HeldInputs = None, without_tables: str = ""
+) -> Description:
+    """Return what `model` is, with an initial state, times and inputs as `Model.simulate` takes them.
+
+    Inputs of which nothing is given and nothing was recorded are held at 0, and so are those recorded as they change
+    where a format has no tables, `without_tables` being its name. Times are written as their first, their last and
+    their number.
+
+    Raises:
+        UsageError: nothing tells the initial state or the times, what is given does not fit, or constants differ
+            between groups of trajectories.
+    """
+    model.require_one_group()
+    given = u or {}
+    require_inputs(model, given)
+    formulas = _formulas(model)
+    components = {} if model.is_regression else model.components
+    times = np.zeros(1) if model.is_regression else times_of(model, t)
+    recorded = {} if model.is_regression or x0 is not None else recorded_inputs(model)
+    inputs = tuple(
+        _input(model, name, given, times, recorded.get(name), has_tables=not without_tables) for name in model.inputs
+    )
+    states: tuple[State, ...] = ()
+    if not model.is_regression:
+        start = start_of(model, x0)
+        sizes = np.zeros(len(start)) if components else _sizes(model, start, times, given, inputs, recorded)
+        states = _states(model, formulas, start, sizes)
+    return Description(
+        symbols=model.result.names,
+        states=states,
+        inputs=inputs,
+        constants=tuple(parameter for parameter in model.params.values() if _is_named(parameter)),
+        value=next(iter(formulas.values())) if model.is_regression else None,
+        covariance={pair: formulas[name] for name, pair in components.items()},
+        begin=float(times[0]),
+        end=float(times[-1]),
+        steps=max(len(times) - 1, 1),
+        time=model.time,
+        time_unit=model.result.units.get(model.time, ""),
+        target=model.equations[0].variable if model.is_regression else "",
+        origin=_origin(model),
+        zeros=() if model.is_regression else _zeros(inputs, without_tables),
+    )
+
+
+def _is_named(constant: Parameter) -> bool:
+    """Tell whether a constant gets a name: not a whole number that no fit has given an error, as the 2 of 2*x."""
+    return constant.stderr is not None or constant.bounds is not None or not constant.value.is_integer()
+
+
+def _formulas(model: "Model") -> dict[str, Formula]:
+    """Return the right-hand sides by variable; constants are counted as `Model.params` counts them."""
+    formulas, count = {}, 0
+    for equation in model.equations:
+        program = from_infix(equation.exact, model.result.names)
+        names = {place: f"c{count + number}" for number, place in enumerate(constant_places(program), start=1)}
+        named = {place: name for place, name in names.items() if _is_named(model.params[name])}
+        formulas[equation.variable] = Formula(program, named)
+        count += len(names)
+    return formulas
+
+
+def _states(model: "Model", formulas: Mapping[str, Formula], start: FloatArray, sizes: FloatArray) -> tuple[State, ...]:
+    """Return the states; for order 2 the rates of positions are the velocities."""
+    symbols, names = model.result.symbols, model.result.names
+    rates = {symbols[variable]: formula for variable, formula in formulas.items() if variable in symbols}
+    if len(rates) < len(model.states):
+        half = len(model.states) // 2
+        for position, velocity in zip(model.states[:half], model.states[half:], strict=True):
+            rates[velocity] = rates[position]
+            rates[position] = Formula(Program.of([(VARIABLE, names.index(velocity), 0, 0.0)]), {})
+    return tuple(
+        State(name, _column(model, name), _unit(model, name), rates[name], first, size)
+        for name, first, size in zip(model.states, start.tolist(), sizes.tolist(), strict=True)
+    )
+
+
+def _sizes(
+    model: "Model",
+    start: FloatArray,
+    times: FloatArray,
+    given: Mapping[str, npt.ArrayLike],
+    inputs: tuple[Input, ...],
+    recorded: Mapping[str, tuple[FloatArray, FloatArray]],
+) -> FloatArray:
+    """Return how large simulations take the states to be, inputs of which nothing is known held at 0 as here."""
+    zeros = {variable.name: 0.0 for variable in inputs if variable.status == "unknown"}
+    course = inputs_along(model, {**zeros, **given}, times, recorded)
+    return followed_sizes(model.field, start, times, course, _MOST_EVALUATIONS)
+
+
+def _column(model: "Model", symbol: str) -> str:
+    return model.result.columns_by_symbol[symbol]
+
+
+def _unit(model: "Model", symbol: str) -> str:
+    return model.result.units.get(_column(model, symbol), "")
+
+
+def _input(
+    model: "Model",
+    name: str,
+    given: Mapping[str, npt.ArrayLike],
+    times: FloatArray,
+    recorded: tuple[FloatArray, FloatArray] | None,
+    *,
+    has_tables: bool,
+) -> Input:
+    column, unit = _column(model, name), _unit(model, name)
+    value = next((given[key] for key in (name, column) if key in given), None)
+    if value is None and column == model.time and not model.is_regression:
+        return Input(name, column, unit, "time")
+    if value is None:
+        if recorded is None:
+            return Input(name, column, unit, "value", status="unknown")
+        times, course = recorded
+        is_constant = bool((course == course[0]).all())
+        if not is_constant and not has_tables:
+            return Input(name, column, unit, "value", status="dropped")
+        value = course[0] if is_constant else course
+    if callable(value):
+        raise UsageError(f"the input {name!r} is a function, which no export can hold; give its values at the times t")
+    values = np.asarray(value, dtype=np.float64)
+    if values.ndim == 0:
+        return Input(name, column, unit, "value", float(values))
+    if values.shape != times.shape or len(times) < 2:
+        raise UsageError(f"the input {name!r} has {values.size} values for {times.size} times; give one for each")
+    from scipy.interpolate import PchipInterpolator
+
+    curve = PchipInterpolator(times, values)  # that of simulations: `atoll.model.simulation.interpolated`
+    pieces = np.column_stack([curve.x[:-1], curve.c[::-1].T])
+    return Input(name, column, unit, "table", 0.0, pieces, float(times[-1]))
+
+
+def _zeros(inputs: tuple[Input, ...], without_tables: str) -> tuple[str, ...]:
+    """Return sentences on the inputs that are held at 0 for want of a value."""
+    dropped, unknown = (
+        ", ".join(variable.column for variable in inputs if variable.status == status)
+        for status in ("dropped", "unknown")
+    )
+    return (
+        *((f"inputs held at 0, not as recorded, since {without_tables} has no tables: {dropped}",) if dropped else ()),
+        *((f"inputs held at 0, since nothing is given of them: {unknown}",) if unknown else ()),
+    )
+
+
+def _origin(model: "Model") -> tuple[str, ...]:
+    """Return lines on where the model comes from and what is known of it."""
+    result, data = model.result, model.result.data
+    lines = [f"Written by Atoll {VERSION}. Result: job {result.job}, seed {result.seed}, digest {result.digest}."]
+    if data and data.digest:
+        lines.append(f"Data: {', '.join(data.files or ())}, {data.rows} rows, sha256 {data.digest}.")
+    lines += ["", "Equations, with rounded constants:", *([f"  {model.remark}"] if model.remark else [])]
+    for equation in model.equations:
+        lines.append(f"  {equation}")
+        if equation.verdict is not None:
+            lines.append(f"    {equation.verdict}: {equation.reason}")
+    return tuple(lines)

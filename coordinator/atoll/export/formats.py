@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Final
 
 from atoll.export import c, julia, matlab, modelica, python, sbml, text, xppaut
-from atoll.export.describing import HeldInputs, Times, describe
-from atoll.export.description import Description
+from atoll.export.description import Description, HeldInputs, Times, describe
 from atoll.export.language import Language
 from atoll.model.beginnings import Given
 from atoll_coordinator.result.result import Result
@@ -60,11 +59,7 @@ def require_holds(model: Description, language: Language) -> None:
         raise UsageError(
             f"{language.name} holds what moves in time, and this model does not; {able}, latex and sympy can"
         )
-    if language.without_tables:
-        refuse_tables(model, language.name)
-
-
-def refuse_tables(model: Description, name: str) -> None:
-    """Raise UsageError where an input goes along a table."""
-    if model.tables:
-        raise UsageError(f"{name} cannot hold the table of the input '{model.tables[0].name}'; give one number for it")
+    if model.tables and not language.has_tables:
+        raise UsageError(
+            f"{language.name} cannot hold the table of the input '{model.tables[0].name}'; give one number for it"
+        )

@@ -24,6 +24,7 @@ _UNDEFINED: Final = (
     "Arithmetic is that of doubles. Where the mathematics has no value (a division by zero, the logarithm or a broken "
     "power of a negative number)"
 )
+_NOISE: Final = "Noise: dx = f dt + g dW in the sense of Ito; g is the root of the covariance per time."
 _LARGE_ANGLES: Final = "sin and cos of more than 1e5, which Atoll's search takes for undefined, have values here."
 
 
@@ -78,9 +79,13 @@ class Wording:
     def __init__(self, model: Description, language: Language) -> None:
         self.model = model
         self.language = language
+        places = range(len(model.states) if model.covariance else 0)
+        noise = [f"{kind}{i + 1}_{j + 1}" for kind in ("b", "g") for i in places for j in range(i + 1)]
+        noise += [f"w{place + 1}" for place in places]
+        # Keys with a blank are no names of variables.
         wanted = {variable.name: variable.name for variable in model.variables}
-        wanted |= {_key("constant", constant.name): constant.name for constant in model.constants}
-        wanted |= {_key("noise", name): name for name in self._helpers}
+        wanted |= {f"constant {constant.name}": constant.name for constant in model.constants}
+        wanted |= {f"noise {name}": name for name in noise}
         self._names = language.naming.assign(wanted)
         self._names |= {variable.name: language.time for variable in model.inputs if variable.kind == "time"}
 
@@ -90,7 +95,7 @@ class Wording:
 
     def constant(self, name: str) -> str:
         """Return what a constant is called, by its name in the model."""
-        return self._names[_key("constant", name)]
+        return self._names[f"constant {name}"]
 
     def expression(self, formula: Formula) -> str:
         """Return an expression."""
@@ -116,30 +121,21 @@ class Wording:
     @property
     def heading(self) -> list[str]:
         """What stands above: where the model comes from, what is called how, how the file is used."""
-        model, usage = self.model, self.language.usage
-        lines = [*model.origin, *([""] if model.zeros else []), *model.zeros]
-        lines += [
-            *self._renamed,
-            *(_NOISE if model.covariance else []),
-            "",
-            *(fill(usage, self.values) if usage else []),
-        ]
-        lines += [f"{_UNDEFINED} {self.language.where_undefined}. {_LARGE_ANGLES}"]
-        return [part for line in lines for part in _wrapped(line)]
-
-    @property
-    def _renamed(self) -> list[str]:
+        model, language = self.model, self.language
+        named = [(self[each], each.column, f"column '{each.column}'") for each in model.variables]
+        named += [(self[each], each.name, f"constant {each.name}") for each in model.constants]
+        renamed = [f"  {name} is the {text}" for name, wanted, text in named if name != wanted]
         lines = [
-            f"  {self[variable]} is the column '{variable.column}'"
-            for variable in self.model.variables
-            if self[variable] != variable.column
+            *model.origin,
+            *([""] if model.zeros else []),
+            *model.zeros,
+            *(["", "Names:", *renamed] if renamed else []),
+            *(["", _NOISE] if model.covariance else []),
+            "",
+            *fill(language.usage, self.values),
+            f"{_UNDEFINED} {language.where_undefined}. {_LARGE_ANGLES}",
         ]
-        lines += [
-            f"  {self[constant]} is the constant {constant.name}"
-            for constant in self.model.constants
-            if self[constant] != constant.name
-        ]
-        return ["", "Names:", *lines] if lines else []
+        return [part for line in lines for part in _wrapped(line)]
 
     # ------------------------------------------------------------------------------------------- what templates name
 
@@ -147,10 +143,11 @@ class Wording:
     def values(self) -> Values:
         """What templates can name."""
         model = self.model
-        constants: list[Values] = [
-            {"name": self[constant], "value": constant.value, "remark": self._remark(constant)}
-            for constant in model.constants
-        ]
+        constants: list[Values] = []
+        for constant in model.constants:
+            note = self.note(constant)
+            remark = self.language.remark.format(note) if note else ""
+            constants.append({"name": self[constant], "value": constant.value, "remark": remark})
         held: list[Values] = [
             {"name": self[held], "value": held.value, "about": self.about(held)} for held in model.held
         ]
@@ -183,8 +180,9 @@ class Wording:
 
     @property
     def _states(self) -> list[Values]:
-        normals = self._normals or [""] * len(self.model.states)
-        rows = self._noise[1] or [[]] * len(self.model.states)
+        size, rows = len(self.model.states), self._noise[1]
+        normals = [self._names[f"noise w{place + 1}"] if rows else "" for place in range(size)]
+        rows = rows or [[]] * size
         return [
             {
                 "name": self[state],
@@ -203,32 +201,12 @@ class Wording:
             for place, (state, row) in enumerate(zip(self.model.states, rows, strict=True))
         ]
 
-    def _remark(self, constant: Parameter) -> str:
-        note = self.note(constant)
-        return self.language.remark.format(note) if note else ""
-
     def _table(self, variable: Input) -> Values:
         assert variable.table is not None
         names = ("since", "c0", "c1", "c2", "c3")
         cubics = [dict(zip(names, row, strict=True)) for row in variable.table.tolist()]
         first = {"name": self[variable], "about": self.about(variable), "since": cubics[0]["since"]}
         return {**first, "until": variable.until, "cubics": cubics}
-
-    # ------------------------------------------------------------------------------------------- the noise of a process
-
-    @property
-    def _helpers(self) -> list[str]:
-        size = len(self.model.states) if self.model.covariance else 0
-        lower = [f"{kind}{i + 1}_{j + 1}" for kind in ("b", "g") for i in range(size) for j in range(i + 1)]
-        return lower + [f"w{place + 1}" for place in range(size)]
-
-    def _helper(self, name: str) -> str:
-        return self._names[_key("noise", name)]
-
-    @property
-    def _normals(self) -> list[str]:
-        """What the components of dW are called."""
-        return [self._helper(name) for name in self._helpers if name.startswith("w")]
 
     @cached_property
     def _noise(self) -> tuple[list[tuple[str, str]], list[list[str]]]:
@@ -239,7 +217,7 @@ class Wording:
         root = self.language.notation.call(SQRT)
         size = len(self.model.states) if self.model.covariance else 0
         assignments = [
-            (self._helper(f"b{max(pair) + 1}_{min(pair) + 1}"), self.expression(formula))
+            (self._names[f"noise b{max(pair) + 1}_{min(pair) + 1}"], self.expression(formula))
             for pair, formula in self.model.covariance.items()
         ]
         rows = [[""] * size for _ in range(size)]
@@ -249,19 +227,11 @@ class Wording:
                 has_own = (min(i, j), max(i, j)) in self.model.covariance
                 if not has_own and (not products or i == j):
                     continue
-                difference = " - ".join([self._helper(f"b{i + 1}_{j + 1}") if has_own else "0.0", *products])
-                rows[i][j] = self._helper(f"g{i + 1}_{j + 1}")
+                difference = " - ".join([self._names[f"noise b{i + 1}_{j + 1}"] if has_own else "0.0", *products])
+                rows[i][j] = self._names[f"noise g{i + 1}_{j + 1}"]
                 text = f"{root}({difference})" if i == j else f"({difference})/{rows[j][j]}"
                 assignments.append((rows[i][j], text))
         return assignments, rows
-
-
-_NOISE: Final = ["", "Noise: dx = f dt + g dW in the sense of Ito; g is the root of the covariance per time."]
-
-
-def _key(kind: str, name: str) -> str:
-    """Return a key that is no name of a variable."""
-    return f"{kind} {name}"
 
 
 def _wrapped(line: str) -> list[str]:

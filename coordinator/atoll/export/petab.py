@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from atoll.export import sbml
-from atoll.export.describing import describe, inputs_beside_time
-from atoll.export.description import Description, State
-from atoll.export.formats import refuse_tables, require_holds
+from atoll.export.description import Description, State, describe
+from atoll.export.formats import require_holds
 from atoll.export.language import Wording
 from atoll.model.arguments import Columns, inputs_of, rows_of
 from atoll.model.beginnings import measured_beginning, values_of_curve
@@ -57,9 +56,9 @@ Row = tuple[str | float, ...]
 def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | None = None) -> None:
     """Write a PEtab problem into a folder; see `atoll.Model.to_petab`."""
     start, times = (None, None) if data is None else _beginning(model, data)
-    placeholders = dict.fromkeys(inputs_beside_time(model), 0.0)
+    columns = model.result.columns_by_symbol
+    placeholders = {name: 0.0 for name in model.inputs if columns[name] != model.time}
     description = describe(model, start, times, placeholders)
-    refuse_tables(description, "PEtab")
     require_holds(description, sbml.LANGUAGE)
     document = sbml.write(description, has_start_parameters=True)
     trajectories = _recorded(model) if data is None else _given(model, data)

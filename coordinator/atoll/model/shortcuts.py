@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from atoll.analysis.analysis import Analysis
     from atoll.experiments.determination import Identifiability, ProfiledConstant
     from atoll.experiments.suggestion import Cost, Suggestions
-    from atoll.export.describing import HeldInputs, Times
+    from atoll.export.description import HeldInputs, Times
     from atoll.model.arguments import Columns
     from atoll.model.beginnings import Given
     from atoll.model.model import Model

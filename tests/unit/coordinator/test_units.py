@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.export.sbml_units import factors_of
+from atoll.export.sbml import factors_of
 from atoll_coordinator.units import NO_UNIT, expanded, parse_unit
 from atoll_core.errors import UsageError
 

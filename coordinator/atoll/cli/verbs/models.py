@@ -112,7 +112,7 @@ def _rival(text: str) -> dict[str, str]:
 
 def export(options: argparse.Namespace) -> int:
     """Write the model of ``options.result`` in ``options.format``. Return the exit code."""
-    from atoll.export.describing import describe
+    from atoll.export.description import describe
     from atoll.export.formats import LANGUAGES, OF_RESULTS, PETAB, write
 
     if options.format == PETAB:

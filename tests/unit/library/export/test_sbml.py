@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import pytest
 
-from atoll.export.sbml_units import factors_of
+from atoll.export.sbml import factors_of
 from atoll.model.model import Model
 from benchmarks.exports.readers import integrated
 from tests.unit.library.export.exported import TIMES, decay, difference, everything
