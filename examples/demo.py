@@ -4,6 +4,7 @@ What runs is the ordinary command, as anybody would type it; this script only sh
 """
 
 import ast
+import contextlib
 import functools
 import json
 import subprocess
@@ -37,9 +38,10 @@ class Term(NamedTuple):
 def main() -> int:
     """Run the search, show the comparison; return 0 when every constant is right to three digits."""
     started = time.monotonic()
-    program = Path(sys.executable).parent / "coordinator"
+    program, here = Path(sys.executable).parent / "coordinator", Path.cwd()
+    typed = program.relative_to(here) if program.is_relative_to(here) else program
     job = time.strftime("demo-%Y%m%d-%H%M%S")
-    command = [_short(program), "run", DATA, "--workers", "2", "--id", job]
+    command = [str(typed), "run", DATA, "--workers", "2", "--id", job]
     say(f"$ {' '.join(command)}")
     code = run(command)
     if code != 0:
@@ -54,10 +56,9 @@ def main() -> int:
 def run(command: Sequence[str]) -> int:
     """Run a command to its end, also when Ctrl-C tells both of us to stop; return its exit code."""
     process = subprocess.Popen(command)
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         return process.wait()
-    except KeyboardInterrupt:
-        return process.wait()
+    return process.wait()
 
 
 def compare(result: dict[str, Any]) -> bool:
@@ -108,21 +109,18 @@ def _polynomial(node: ast.expr) -> Polynomial:
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
             return functools.reduce(_product, [_polynomial(left)] * power, {(0, 0): 1.0})
         case ast.BinOp(left=left, op=operator, right=right):
-            return _combined(_polynomial(left), operator, _polynomial(right))
+            first, second = _polynomial(left), _polynomial(right)
+            match operator:
+                case ast.Add():
+                    return _sum(first, second)
+                case ast.Sub():
+                    return _sum(first, _product({(0, 0): -1.0}, second))
+                case ast.Mult():
+                    return _product(first, second)
+                case ast.Div() if set(second) == {(0, 0)}:
+                    return _product(first, {(0, 0): 1.0 / second[0, 0]})
+            raise ValueError("only polynomials in x and y are compared here")
     raise ValueError(f"{ast.unparse(node)} is no polynomial in x and y")
-
-
-def _combined(left: Polynomial, operator: ast.operator, right: Polynomial) -> Polynomial:
-    match operator:
-        case ast.Add():
-            return _sum(left, right)
-        case ast.Sub():
-            return _sum(left, _product({(0, 0): -1.0}, right))
-        case ast.Mult():
-            return _product(left, right)
-        case ast.Div() if set(right) == {(0, 0)}:
-            return _product(left, {(0, 0): 1.0 / right[0, 0]})
-    raise ValueError("only polynomials in x and y are compared here")
 
 
 def _sum(left: Polynomial, right: Polynomial) -> Polynomial:
@@ -144,14 +142,6 @@ def say(text: str) -> None:
     """Print a line at once."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
-
-
-def _short(program: Path) -> str:
-    """Return the program's path as one would type it."""
-    try:
-        return str(program.relative_to(Path.cwd()))
-    except ValueError:
-        return str(program)
 
 
 if __name__ == "__main__":

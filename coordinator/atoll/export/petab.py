@@ -22,7 +22,7 @@ from atoll.model.arguments import Columns, inputs_of, rows_of
 from atoll.model.beginnings import measured_beginning, values_of_curve
 from atoll.model.parameters import Parameter
 from atoll_coordinator.result.findings import Errors, Noise
-from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
+from atoll_coordinator.result.listed_trajectories import Recorded
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
@@ -41,43 +41,32 @@ problems:
     measurement_files: [measurements.tsv]
 """
 
-_CONDITIONS: Final = ("conditionId", "conditionName")
-_OBSERVABLES: Final = (
-    "observableId", "observableFormula", "observableTransformation", "noiseFormula", "noiseDistribution",
-)  # fmt: skip
-_MEASUREMENTS: Final = ("observableId", "simulationConditionId", "measurement", "time")
-_PARAMETERS: Final = (
-    "parameterId", "parameterName", "parameterScale", "lowerBound", "upperBound", "nominalValue", "estimate",
-)  # fmt: skip
-
 Row = tuple[str | float, ...]
 
 
 def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | None = None) -> None:
     """Write a PEtab problem into a folder; see `atoll.Model.to_petab`."""
-    start, times = (None, None) if data is None else _beginning(model, data)
+    trajectories = [] if data is None else _given(model, data)
+    start, times = (trajectories[0].start, trajectories[0].times) if trajectories else (None, None)
     columns = model.result.columns_by_symbol
     placeholders = {name: 0.0 for name in model.inputs if columns[name] != model.time}
     description = describe(model, start, times, placeholders)
     require_holds(description, sbml.LANGUAGE)
     document = sbml.write(description, has_start_parameters=True)
-    trajectories = _recorded(model) if data is None else _given(model, data)
+    trajectories = trajectories or _recorded(model)
     if not trajectories:
         raise UsageError(
             "the result holds no measurements of trajectories", python="give them as data", command="give --data FILE"
         )
     tables = _Tables(model, description, trajectories)
     files = {
-        "conditions.tsv": _text((*_CONDITIONS, *tables.given), tables.conditions()),
-        "observables.tsv": _text(_OBSERVABLES, tables.observables()),
-        "measurements.tsv": _text(_MEASUREMENTS, tables.measurements()),
-        "parameters.tsv": _text(_PARAMETERS, tables.parameters()),
+        "problem.yaml": _PROBLEM,
+        "model.xml": document,
+        "conditions.tsv": _text(tables.conditions()),
+        "observables.tsv": _text(tables.observables()),
+        "measurements.tsv": _text(tables.measurements()),
+        "parameters.tsv": _text(tables.parameters()),
     }
-    save({"problem.yaml": _PROBLEM, "model.xml": document, **files}, folder)
-
-
-def save(files: Mapping[str, str], folder: str | Path) -> None:
-    """Write files into a folder, which is made; raises UsageError."""
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
@@ -106,38 +95,35 @@ class Trajectory:
 def _recorded(model: "Model") -> list[Trajectory]:
     """Return the measurements that a result holds, without held-out trajectories, from their fitted initial states.
 
-    A trajectory without a fitted one begins at its first row that has every state.
+    A trajectory without a fitted one begins at its first row that has every state, and is left out where none has.
     """
-    starts = {part.name: part.start for part in model.result.simulated if part.start}
-    parts = model.result.recorded or model.result.simulated
-    trajectories = (_trajectory(model, part, starts.get(part.name)) for part in parts if not part.held_out)
-    return [trajectory for trajectory in trajectories if trajectory is not None]
-
-
-def _trajectory(
-    model: "Model", part: Recorded | Simulated, fitted: Mapping[str, float | None] | None
-) -> Trajectory | None:
-    """Return the measured rows of a trajectory from its initial state on; None where it has none."""
-    if not part.measured:
-        return None
-    times, start, first = values_of_curve(part.times), fitted, 0
-    if start is None:
-        beginning = measured_beginning(model, part)
-        if beginning is None:
-            return None
-        start, first = beginning.start, int(np.searchsorted(times, beginning.times[0]))
     symbols = model.result.symbols
-    recorded = part.inputs if isinstance(part, Recorded) else {}
-    values, inputs = (
-        {symbols[name]: values_of_curve(curve)[first:] for name, curve in curves.items()}
-        for curves in (part.measured, recorded)
-    )
-    named = {symbols[name]: np.nan if value is None else value for name, value in start.items()}
-    return Trajectory(part.name, times[first:], values, tuple(named[name] for name in model.states), inputs)
+    starts = {part.name: part.start for part in model.result.simulated if part.start}
+    trajectories = []
+    for part in model.result.recorded or model.result.simulated:
+        if part.held_out or not part.measured:
+            continue
+        times, start, first = values_of_curve(part.times), starts.get(part.name), 0
+        if start is None:
+            beginning = measured_beginning(model, part)
+            if beginning is None:
+                continue
+            start, first = beginning.start, int(np.searchsorted(times, beginning.times[0]))
+        recorded = part.inputs if isinstance(part, Recorded) else {}
+        values, inputs = (
+            {symbols[name]: values_of_curve(curve)[first:] for name, curve in curves.items()}
+            for curves in (part.measured, recorded)
+        )
+        named = {symbols[name]: np.nan if value is None else value for name, value in start.items()}
+        begin = tuple(named[name] for name in model.states)
+        trajectories.append(Trajectory(part.name, times[first:], values, begin, inputs))
+    return trajectories
 
 
 def _given(model: "Model", data: Sequence[Columns]) -> list[Trajectory]:
     """Return measurements that are given, each with the initial state of its first row."""
+    if not data:
+        raise UsageError("no trajectory of measurements was given; give at least one")
     trajectories = []
     for number, part in enumerate(data, start=1):
         times, values, start = rows_of(model, part)
@@ -146,84 +132,48 @@ def _given(model: "Model", data: Sequence[Columns]) -> list[Trajectory]:
     return trajectories
 
 
-def _beginning(model: "Model", data: Sequence[Columns]) -> tuple[dict[str, float], FloatArray]:
-    """Return the initial state and the times of the first trajectory of measurements that are given."""
-    if not data:
-        raise UsageError("no trajectory of measurements was given; give at least one")
-    times, _, start = rows_of(model, data[0])
-    return start, times
-
-
-# ------------------------------------------------------------------------------------------------------------- noise
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """The errors of a state: standard deviation `sd`; `proportional` is the share of the variance that grows with the
-    square of the state, `size` its root mean square.
-    """
-
-    sd: float
-    proportional: float
-    size: float
-
-    @classmethod
-    def of(cls, model: "Model", state: State, values: FloatArray) -> "_Noise":
-        """Return those of the measured values of a state."""
-        noise = model.result.noise.get(state.column) or Noise()
-        errors = noise.errors or Errors()
-        size = float(np.sqrt(np.nanmean(values**2))) or 1.0
-        rounding = float(np.spacing(size))
-        sd = next((sd for sd in (errors.sd, noise.sd) if sd and sd > rounding), rounding)
-        return cls(sd, errors.proportional or 0.0, size)
-
-    def formula(self, state: str) -> str:
-        """Return the standard deviation as a formula of the model."""
-        if not self.proportional:
-            return f"sd_{state}"
-        return f"sd_{state} * sqrt({1.0 - self.proportional!r} + {self.proportional!r} * ({state} / {self.size!r})^2)"
-
-
 # ------------------------------------------------------------------------------------------------------------ tables
 
 
 class _Tables:
-    """The tables of a problem, row by row."""
+    """The tables of a problem, row by row, the header first."""
 
     def __init__(self, model: "Model", description: Description, trajectories: Sequence[Trajectory]) -> None:
         self._description = description
         self._words = Wording(description, sbml.LANGUAGE)
         self._trajectories = trajectories
+        self._starts = [sbml.start_name(self._words, state) for state in description.states]
         self._measured = {
             state: np.concatenate([part.values[state.name] for part in trajectories if state.name in part.values])
             for state in description.states
             if any(state.name in part.values for part in trajectories)
         }
-        self._noise = {state: _Noise.of(model, state, values) for state, values in self._measured.items()}
-
-    @property
-    def given(self) -> list[str]:
-        """What conditions give the model: initial states, inputs, the time at which it begins."""
-        starts = [sbml.start_name(self._words, state) for state in self._description.states]
-        inputs = [self._words[held] for held in self._description.held]
-        return [*starts, *inputs, *(["begin_time"] if self._description.depends_on_time else [])]
+        self._errors = {
+            self._words[state]: _errors(model, state, self._words[state], values)
+            for state, values in self._measured.items()
+        }
 
     def conditions(self) -> Iterator[Row]:
-        """Yield the initial state and the inputs of each trajectory."""
+        """Yield the initial state, the inputs and, where it is one, the beginning time of each trajectory."""
+        description = self._description
+        inputs = [self._words[held] for held in description.held]
+        clock = ["begin_time"] if description.depends_on_time else []
+        yield "conditionId", "conditionName", *self._starts, *inputs, *clock
         for number, part in enumerate(self._trajectories, start=1):
-            starts = [f"{sbml.start_name(self._words, state)}_{number}" for state in self._description.states]
-            inputs = [_constant_input(part, held.name) for held in self._description.held]
-            begin = [float(part.times[0])] if self._description.depends_on_time else []
-            yield f"trajectory_{number}", part.name, *starts, *inputs, *begin
+            starts = [f"{name}_{number}" for name in self._starts]
+            values = [_constant_input(part, held.name) for held in description.held]
+            begin = [float(part.times[0]) for _ in clock]
+            yield f"trajectory_{number}", part.name, *starts, *values, *begin
 
     def observables(self) -> Iterator[Row]:
         """Yield the measured states with their errors."""
-        for state, noise in self._noise.items():
-            name = self._words[state]
-            yield f"observable_{name}", name, "lin", noise.formula(name), "normal"
+        yield "observableId", "observableFormula", "observableTransformation", "noiseFormula", "noiseDistribution"
+        for name, (_, formula) in self._errors.items():
+            yield f"observable_{name}", name, "lin", formula, "normal"
 
     def measurements(self) -> Iterator[Row]:
         """Yield the measured values, those that are missing left out."""
+        yield "observableId", "simulationConditionId", "measurement", "time"
         for number, part in enumerate(self._trajectories, start=1):
             times = (part.times - part.times[0]).tolist()
             for state in self._measured:
@@ -234,18 +184,22 @@ class _Tables:
 
     def parameters(self) -> Iterator[Row]:
         """Yield what is estimated: constants, initial states, standard deviations of errors."""
+        yield (
+            *("parameterId", "parameterName", "parameterScale"),
+            *("lowerBound", "upperBound", "nominalValue", "estimate"),
+        )
         for constant in self._description.constants:
             low, high = _bounds(constant)
             yield self._words[constant], f"constant {constant.name}", "lin", low, high, constant.value, 1
         for number, part in enumerate(self._trajectories, start=1):
-            for state, value in zip(self._description.states, part.start, strict=True):
-                name = f"{sbml.start_name(self._words, state)}_{number}"
+            for state, start, value in zip(self._description.states, self._starts, part.start, strict=True):
                 reach = self._width(state)
                 title = f"{state.column} at the beginning of {part.name}"
-                yield name, title, "lin", value - reach, value + reach, value, 1
-        for state, noise in self._noise.items():
-            name, title = f"sd_{self._words[state]}", f"errors of {state.name}"
-            yield name, title, "log10", noise.sd / _REACH, noise.sd * _REACH, noise.sd, 1
+                yield f"{start}_{number}", title, "lin", value - reach, value + reach, value, 1
+        for state in self._measured:
+            name = self._words[state]
+            sd, _ = self._errors[name]
+            yield f"sd_{name}", f"errors of {state.name}", "log10", sd / _REACH, sd * _REACH, sd, 1
 
     def _width(self, state: State) -> float:
         """Return how far a state has moved in all; of one that was not measured, how fast those that were have."""
@@ -254,6 +208,21 @@ class _Tables:
             parts = [(part.times, curve) for part in self._trajectories for curve in part.values.values()]
             values = np.concatenate([np.gradient(curve, times) for times, curve in parts])
         return float(np.nanmax(values) - np.nanmin(values)) or 1.0
+
+
+def _errors(model: "Model", state: State, name: str, values: FloatArray) -> tuple[float, str]:
+    """Return the standard deviation of a state's errors, and that of an error as a formula of the model.
+
+    A share of the variance may grow with the square of the state, over the root mean square of its measured values.
+    """
+    noise = model.result.noise.get(state.column) or Noise()
+    errors = noise.errors or Errors()
+    size = float(np.sqrt(np.nanmean(values**2))) or 1.0
+    rounding = float(np.spacing(size))
+    sd = next((sd for sd in (errors.sd, noise.sd) if sd and sd > rounding), rounding)
+    share = errors.proportional or 0.0
+    growth = f" * sqrt({1.0 - share!r} + {share!r} * ({name} / {size!r})^2)" if share else ""
+    return sd, f"sd_{name}{growth}"
 
 
 def _constant_input(part: Trajectory, name: str) -> float:
@@ -274,9 +243,7 @@ def _bounds(constant: Parameter) -> tuple[float, float]:
     return constant.value - reach if low is None else low, constant.value + reach if high is None else high
 
 
-def _text(header: Sequence[str], rows: Iterator[Row]) -> str:
+def _text(rows: Iterator[Row]) -> str:
     stream = io.StringIO()
-    writer = csv.writer(stream, delimiter="\t", lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows([repr(value) if isinstance(value, float) else value for value in row] for row in rows)
+    csv.writer(stream, delimiter="\t", lineterminator="\n").writerows(rows)
     return stream.getvalue()

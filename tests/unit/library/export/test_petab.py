@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.export import petab
 from atoll.model.model import Model
 from atoll_core.errors import UsageError
 from benchmarks.exports import programs
@@ -124,4 +123,4 @@ def test_what_petab_cannot_hold_is_refused(tmp_path: Path) -> None:
         decay().to_petab(tmp_path, [])
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="cannot be written"):
-        petab.save({"a": ""}, tmp_path / "file")
+        alone().to_petab(tmp_path / "file", [{"t": TIMES, "x": TIMES}])
