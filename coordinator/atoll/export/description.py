@@ -144,7 +144,11 @@ def describe(
     states: tuple[State, ...] = ()
     if not model.is_regression:
         start = start_of(model, x0)
-        sizes = np.zeros(len(start)) if components else _sizes(model, start, times, given, inputs, recorded)
+        sizes = np.zeros(len(start))
+        if not components:  # how large simulations take the states to be, what is not known held at 0 as here
+            zeros = {variable.name: 0.0 for variable in inputs if variable.status == "unknown"}
+            course = inputs_along(model, {**zeros, **given}, times, recorded)
+            sizes = followed_sizes(model.field, start, times, course, _MOST_EVALUATIONS)
         states = _states(model, formulas, start, sizes)
     return Description(
         symbols=model.result.names,
@@ -196,20 +200,6 @@ def _states(model: "Model", formulas: Mapping[str, Formula], start: FloatArray, 
     )
 
 
-def _sizes(
-    model: "Model",
-    start: FloatArray,
-    times: FloatArray,
-    given: Mapping[str, npt.ArrayLike],
-    inputs: tuple[Input, ...],
-    recorded: Mapping[str, tuple[FloatArray, FloatArray]],
-) -> FloatArray:
-    """Return how large simulations take the states to be, inputs of which nothing is known held at 0 as here."""
-    zeros = {variable.name: 0.0 for variable in inputs if variable.status == "unknown"}
-    course = inputs_along(model, {**zeros, **given}, times, recorded)
-    return followed_sizes(model.field, start, times, course, _MOST_EVALUATIONS)
-
-
 def _column(model: "Model", symbol: str) -> str:
     return model.result.columns_by_symbol[symbol]
 
@@ -255,13 +245,13 @@ def _input(
 
 def _zeros(inputs: tuple[Input, ...], without_tables: str) -> tuple[str, ...]:
     """Return sentences on the inputs that are held at 0 for want of a value."""
-    dropped, unknown = (
-        ", ".join(variable.column for variable in inputs if variable.status == status)
-        for status in ("dropped", "unknown")
-    )
-    return (
-        *((f"inputs held at 0, not as recorded, since {without_tables} has no tables: {dropped}",) if dropped else ()),
-        *((f"inputs held at 0, since nothing is given of them: {unknown}",) if unknown else ()),
+    reasons = {
+        "dropped": f"not as recorded, since {without_tables} has no tables",
+        "unknown": "since nothing is given of them",
+    }
+    columns = {status: [variable.column for variable in inputs if variable.status == status] for status in reasons}
+    return tuple(
+        f"inputs held at 0, {reasons[status]}: {', '.join(names)}" for status, names in columns.items() if names
     )
 
 

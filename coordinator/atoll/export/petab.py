@@ -52,7 +52,7 @@ def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | N
     placeholders = {name: 0.0 for name in model.inputs if columns[name] != model.time}
     description = describe(model, start, times, placeholders)
     require_holds(description, sbml.LANGUAGE)
-    document = sbml.write(description, has_start_parameters=True)
+    document = sbml.LANGUAGE.write(description, has_start_parameters=True)
     trajectories = trajectories or _recorded(model)
     if not trajectories:
         raise UsageError(

@@ -31,8 +31,28 @@ _TIME: Final = '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml
 
 
 class _Sbml(Language):
-    def write(self, model: Description) -> str:
-        return write(model)
+    def write(self, model: Description, *, has_start_parameters: bool = False) -> str:
+        """Return a document.
+
+        With `has_start_parameters` the initial state is that of constants named after the states, which others can set,
+        and the time of the equations is that of the simulation plus the constant ``begin_time``.
+
+        Raises:
+            UsageError: libsbml finds an error.
+        """
+        words, units = Wording(model, self), Units()
+        starts = [{"id": words[state], "math": _math(_name(start_name(words, state)))} for state in model.states]
+        values: Values = {
+            "time_unit": _attributes(timeUnits=units.of(model.time_unit)),
+            "heading": _lines(words.heading),
+            "parameters": [*_parameters(words, units, has_start_parameters)],
+            "starts": starts if has_start_parameters else [],
+            "rules": [*_rules(words, has_start_parameters)],
+            "units": units.definitions(),
+        }
+        text = "\n".join(fill(self.motion, values)) + "\n"
+        check(text)
+        return text
 
 
 LANGUAGE: Final = _Sbml(
@@ -139,30 +159,6 @@ def factors_of(text: str) -> tuple[Factor, ...]:
     return (first, *((kind, exponent, 1.0) for kind, exponent in kinds[1:]))
 
 
-def write(model: Description, *, has_start_parameters: bool = False) -> str:
-    """Return a document.
-
-    With `has_start_parameters` the initial state is that of constants named after the states, which others can set, and
-    the time of the equations is that of the simulation plus the constant ``begin_time``.
-
-    Raises:
-        UsageError: libsbml finds an error.
-    """
-    words, units = Wording(model, LANGUAGE), Units()
-    starts = [{"id": words[state], "math": _math(_name(start_name(words, state)))} for state in model.states]
-    values: Values = {
-        "time_unit": _attributes(timeUnits=units.of(model.time_unit)),
-        "heading": _lines(words.heading),
-        "parameters": [*_parameters(words, units, has_start_parameters)],
-        "starts": starts if has_start_parameters else [],
-        "rules": [*_rules(words, has_start_parameters)],
-        "units": units.definitions(),
-    }
-    text = "\n".join(fill(LANGUAGE.motion, values)) + "\n"
-    check(text)
-    return text
-
-
 def start_name(words: Wording, state: State) -> str:
     """Return the name of the constant that a state begins with."""
     return f"start_{words[state]}"
@@ -194,18 +190,15 @@ def _parameters(words: Wording, units: Units, has_start_parameters: bool) -> Ite
             yield _parameter(start_name(words, state), f"{state.column} at the beginning", start, unit)
     if has_start_parameters and model.depends_on_time:
         yield _parameter("begin_time", "time at which the simulation begins", "0.0", units.of(model.time_unit))
-    for constant in model.constants:
-        notes = [words.note(constant)] if constant.stderr is not None else []
-        if constant.interval is not None:
-            notes.append(f"95 % interval {constant.interval[0]!r} to {constant.interval[1]!r}")
-        unit = units.of(constant.unit)
-        yield _parameter(words[constant], f"constant {constant.name}", repr(constant.value), unit, *notes)
-    for held in model.held:
-        note = f"input, {words.about(held)}"
-        yield _parameter(words[held], held.column, repr(held.value), units.of(held.unit), note)
-    for table in model.tables:
-        note = f"input, {words.about(table)}"
-        yield _parameter(words[table], table.column, "", units.of(table.unit), note, constant="false")
+    for each in model.constants:
+        notes = [words.note(each)] if each.stderr is not None else []
+        if each.interval is not None:
+            notes.append(f"95 % interval {each.interval[0]!r} to {each.interval[1]!r}")
+        yield _parameter(words[each], f"constant {each.name}", repr(each.value), units.of(each.unit), *notes)
+    for variable in (*model.held, *model.tables):
+        value, constant = (repr(variable.value), "true") if variable.kind == "value" else ("", "false")
+        note, unit = f"input, {words.about(variable)}", units.of(variable.unit)
+        yield _parameter(words[variable], variable.column, value, unit, note, constant=constant)
 
 
 def _parameter(name: str, title: str, value: str, unit: str, *notes: str, constant: str = "true") -> Values:
