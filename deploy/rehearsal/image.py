@@ -136,15 +136,15 @@ class Container:
         run = (*_buildah(self._machine), "run", "--isolation=chroot", "--cap-drop=ALL")
         return [*run, *options, self._full_name, "--", *command]
 
-    def _inside(self) -> list[int]:
-        """Return the container's own processes, without those of buildah."""
-        pids = self._machine.processes(self._name)
-        return [pid for pid in pids if (words := command_line(pid)) and not words[0].startswith("buildah")]
+    def _inside(self) -> dict[int, str]:
+        """Return the container's own processes with their programs, without those of buildah."""
+        programs = {pid: command_line(pid)[:1] for pid in self._machine.processes(self._name)}
+        return {pid: words[0] for pid, words in programs.items() if words and not words[0].startswith("buildah")}
 
     def stop(self) -> None:
         """Send SIGTERM to the first process, as ``docker stop`` does; raises FailedError unless it ends with 0."""
-        for pid in self._inside():
-            if "tini" in command_line(pid)[0]:
+        for pid, program in self._inside().items():
+            if "tini" in program:
                 os.kill(pid, signal.SIGTERM)
         wait_until(f"{self._name} ended after SIGTERM", lambda: self._process.poll() is not None, 60)
         if code := self._process.returncode:

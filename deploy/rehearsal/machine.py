@@ -66,14 +66,9 @@ class Machine:
 
     def run(self, *words: str, timeout: float = 120, check: bool = True) -> subprocess.CompletedProcess[str]:
         """Run a program to its end; raises FailedError for an exit code other than 0 unless `check` is off."""
+        environment, nothing = os.environ | {MARK: self.mark("run")}, subprocess.DEVNULL
         done = subprocess.run(
-            words,
-            env=os.environ | {MARK: self.mark("run")},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-            cwd=self.work,
+            words, env=environment, cwd=self.work, stdin=nothing, capture_output=True, text=True, timeout=timeout
         )
         if check and done.returncode != 0:
             said = (done.stderr.strip() or done.stdout.strip()).splitlines()[-12:]
@@ -87,15 +82,10 @@ class Machine:
     def start(self, name: str, *words: str) -> subprocess.Popen[bytes]:
         """Start a program in a session of its own; what it says goes to ``logs/name.log``."""
         self.logs.mkdir(exist_ok=True)
+        environment, nothing = os.environ | {MARK: self.mark(name)}, subprocess.DEVNULL
         with (self.logs / f"{name}.log").open("ab") as log:
             started = subprocess.Popen(
-                words,
-                env=os.environ | {MARK: self.mark(name)},
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-                cwd=self.work,
+                words, env=environment, cwd=self.work, stdin=nothing, stdout=log, stderr=log, start_new_session=True
             )
         self._started.append(started)
         return started

@@ -64,12 +64,10 @@ class Language:
         heading = [f"{self.comment} {line}".rstrip() for line in words.heading]
         template = self.motion if model.states else self.regression
         lines = [*heading, "", *fill(template, words.values)]
-        long = next((line for line in lines if self.longest and len(line) > self.longest), None)
-        if long is not None:
-            name, count = re.split("[='(]", long)[0], len(long)
-            raise UsageError(
-                f"the equation of {name} has {count} characters, {self.name} reads {self.longest}; use another format"
-            )
+        for line in lines:
+            if self.longest and len(line) > self.longest:
+                name, fault = re.split("[='(]", line)[0], f"{len(line)} characters, {self.name} reads {self.longest}"
+                raise UsageError(f"the equation of {name} has {fault}; use another format")
         return "\n".join(lines) + "\n"
 
 

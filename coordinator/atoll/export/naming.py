@@ -70,10 +70,9 @@ def _spelled(character: str) -> str:
     plain = unicodedata.normalize("NFKD", character)[0]
     if plain.isascii():
         return plain if plain.isalnum() else "_"
-    letter = _LETTER.match(unicodedata.name(plain, ""))
-    if letter is None:
-        return "_"
-    return letter[2].lower() if letter[1] == "SMALL" else letter[2].capitalize()
+    if letter := _LETTER.match(unicodedata.name(plain, "")):
+        return letter[2].lower() if letter[1] == "SMALL" else letter[2].capitalize()
+    return "_"
 
 
 def harmless(text: str) -> str:
