@@ -98,6 +98,7 @@ def _recorded(model: "Model") -> list[Trajectory]:
     A trajectory without a fitted one begins at its first row that has every state, and is left out where none has.
     """
     symbols = model.result.symbols
+    starts: Mapping[str, Mapping[str, float | None]]
     starts = {part.name: part.start for part in model.result.simulated if part.start}
     trajectories = []
     for part in model.result.recorded or model.result.simulated:
