@@ -67,7 +67,7 @@ def pick(result: Result, picks: Mapping[str, int]) -> Result:
         _picked(equation, picks[equation.variable], is_of_group) if equation.variable in picks else equation
         for equation in result.equations
     ]
-    unknown = {"correlations": (), "shared_terms": (), "simulation": None}
+    unknown = {"correlations": (), "covariance": None, "shared_terms": (), "simulation": None, "chaos": None}
     return result.model_copy(update={"equations": tuple(equations), **unknown})
 
 
@@ -118,7 +118,8 @@ def _picked(equation: Equation, number: int, is_of_group: bool) -> Equation:
             "converged": error is not None and most is not None and error <= most,
             "front": tuple(candidate.model_copy(update={"selected": candidate is member}) for candidate in front),
             "is_of_all_groups": is_of_group or bool(equation.groups) or equation.is_of_all_groups,
-            **{"verdict": None, "reason": None, "candidates": (), "groups": ()},
+            **dict.fromkeys(("program", "simple_together", "units", "verdict", "reason", "prediction", "nats")),
+            **dict.fromkeys(("groups", "implied", "bounds", "candidates"), ()),
         }
     )
 

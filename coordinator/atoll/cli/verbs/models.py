@@ -155,9 +155,8 @@ def _chosen(model: Model, options: argparse.Namespace) -> Model:
     if options.pick:
         from atoll.text.render import parse_picks, pick
 
-        kept = {"simulation": model.result.simulation}  # where a simulation begins belongs to the data
-        picked = pick(model.result, parse_picks(options.pick))
-        return Model(picked.model_copy(update={**kept, "covariance": None}))
+        begun = {"simulation": model.result.simulation}  # where a simulation begins belongs to the data
+        return Model(pick(model.result, parse_picks(options.pick)).model_copy(update=begun))
     return model
 
 

@@ -318,7 +318,8 @@ def test_picking_takes_another_member():
 
 def test_what_refining_found_out_does_not_belong_to_a_picked_member():
     picked = pick(refined_result(), {"x": 1})
-    assert (picked["simulation"], picked["correlations"]) == (None, [])
+    assert (picked["simulation"], picked["correlations"], picked["covariance"]) == (None, [], None)
+    assert (picked["equations"][0]["program"], picked["equations"][0]["prediction"]) == (None, None)
     text = render_text(picked, fronts=True)
     assert "doubtful" not in text
     assert "±" not in text
