@@ -10,7 +10,7 @@ DOCS := $(VENV)/atoll-docs-installed
 BROWSER := $(VENV)/atoll-browser-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-wheel kernels check soak bench compare figures docs browser lock release-rehearsal deploy-rehearsal clean
+.PHONY: help demo test test-all test-wheel kernels check pyright soak bench compare figures docs browser lock release-rehearsal deploy-rehearsal clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
@@ -18,6 +18,7 @@ help:
 	@echo "make test-all   these, too: whole pages of the documentation, machines that fail, statistics over seeds"
 	@echo "make test-wheel  all tests against the wheel, in an environment of its own"
 	@echo "make check   style, formatting, types, import contracts"
+	@echo "make pyright types by a second checker, two minutes; needs Node.js"
 	@echo "make soak    schedules of faults, simulated, on all cores, and drawn tables with drawn options:"
 	@echo "             make soak SCHEDULES=10000 CASES=10000"
 	@echo "make bench   the short benchmarks; benchmarks/RESULTS.md has the long ones"
@@ -74,6 +75,10 @@ check: $(STAMP)
 	@$(BIN)/ruff format --check --quiet . || { echo "formatting differs; run: $(BIN)/ruff format ."; exit 1; }
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+# Beside mypy, which every change must pass: it takes longer, and is fetched from npm.
+pyright: $(STAMP)
+	@npx --yes pyright@1.1.414 --pythonpath $(BIN)/python
 
 SCHEDULES ?= 1000
 CASES ?= 10000

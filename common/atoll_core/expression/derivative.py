@@ -105,7 +105,7 @@ class _Part:
 
     def under(self, code: int, *others: "_Part | float") -> "_Part":
         """Return an operator on this part and others."""
-        places = [self.draft.constant(part) if isinstance(part, float) else part.place for part in others]
+        places = [part.place if isinstance(part, _Part) else self.draft.constant(part) for part in others]
         return _Part(self.draft, self.draft.operate(code, self.place, *places))
 
     def __add__(self, other: "_Part") -> "_Part":

@@ -67,6 +67,7 @@ class Curve(Protocol[PointT]):
 
     def adapt(self, point: PointT) -> PointT:
         """Return a point in the coordinates in which the curve is followed from there."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -99,8 +99,10 @@ def _columns_of(
 def _named_arrays(part: _Columns) -> dict[str, AnyArray]:
     """Return the columns of a mapping, a frame or an xarray data set, and the index of a pandas frame if it says more
     than which row it is."""
-    if hasattr(part, "data_vars") and hasattr(part, "coords"):  # xarray
-        sources = {**part.coords, **part.data_vars}
+    kinds = [getattr(part, kind, None) for kind in ("coords", "data_vars")]
+    variables = [kind for kind in kinds if isinstance(kind, Mapping)]
+    if len(variables) == len(kinds):  # xarray
+        sources = {name: values for named in variables for name, values in named.items()}
     else:
         sources = {name: part[name] for name in ([*part] if isinstance(part, Mapping) else part.columns)}
     named = {str(name): _array(values, str(name)) for name, values in sources.items()}

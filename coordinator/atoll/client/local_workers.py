@@ -31,7 +31,7 @@ def start_apart(command: Sequence[str], **streams: Any) -> "subprocess.Popen[byt
     """
     certificates = {variable for variable, _ in TLS_OPTIONS.values()}
     environment = {name: value for name, value in os.environ.items() if name not in certificates}
-    return subprocess.Popen(command, env=environment, start_new_session=True, **streams)
+    return subprocess.Popen[bytes](command, env=environment, start_new_session=True, **streams)
 
 
 class NoWorkerLeftError(AtollError):

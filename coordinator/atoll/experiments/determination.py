@@ -128,5 +128,5 @@ class Identifiability:
 
 
 def _constant_data(constant: ProfiledConstant) -> dict[str, object]:
-    data = vars(constant) | {"sentence": constant.sentence}
+    data: dict[str, object] = {**vars(constant), "sentence": constant.sentence}
     return data | {"profile": {name: data.pop(name) for name in ("values", "deviances")}}

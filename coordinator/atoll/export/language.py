@@ -201,7 +201,7 @@ class Wording:
 
     def _table(self, variable: Input) -> Values:
         assert variable.table is not None
-        names = ("since", "c0", "c1", "c2", "c3")
+        names: list[str] = ["since", "c0", "c1", "c2", "c3"]
         cubics = [dict(zip(names, row, strict=True)) for row in variable.table.tolist()]
         first = {"name": self[variable], "about": self.about(variable), "since": cubics[0]["since"]}
         return {**first, "until": variable.until, "cubics": cubics}

@@ -12,7 +12,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core.expression.text.export import left_side_to_latex, to_latex
 from atoll_core.expression.text.parsing import from_infix
 
-_COLUMNS: Final = (
+_COLUMNS: Final[tuple[str, ...]] = (
     "variable", "lhs", "pick", "selected", "shown", "origin", "complexity", "error", "normalized_error", "r2",
     "holdout_error", "expression",
 )  # fmt: skip
@@ -21,7 +21,7 @@ _COLUMNS: Final = (
 def as_csv(result: Result) -> str:
     """Return the equations as CSV with a header: for each the one that is shown, then all members of its front."""
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer: csv.DictWriter[str] = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     for equation in result.equations:
         sides = {"variable": equation.variable, "lhs": equation.lhs}

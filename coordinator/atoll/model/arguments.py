@@ -111,7 +111,7 @@ def has_columns(given: object) -> TypeGuard[Columns]:
 
 def has(given: Mapping[str, object], name: str) -> bool:
     """Tell whether there is a column of this name."""
-    return name in (given.columns if hasattr(given, "columns") else given) or _is_index(given, name)
+    return name in getattr(given, "columns", given) or _is_index(given, name)
 
 
 def column(given: Columns, *names: str) -> FloatArray:

@@ -47,7 +47,9 @@ def start_of_file(model: Model, path: Path) -> Start:
     from atoll_coordinator.data.reading.files import read_table
 
     config, symbols = model.result.data_settings, model.result.symbols
-    table = read_table([path], DataConfig(time=config.get("time")), model.result.units)  # dates in the model's unit
+    table = read_table(
+        [path], DataConfig.model_validate({"time": config.get("time")}), model.result.units
+    )  # dates in the model's unit
     rows = _rows_of_first(table, str(config.get("trajectory") or TRAJECTORY_NAME))
     columns = {name: table.column(name)[:rows] for name in table.names}
     driving = [name for name in columns if symbols.get(name) in model.inputs and name != model.time]

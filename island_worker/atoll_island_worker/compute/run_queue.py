@@ -21,6 +21,7 @@ class Work(Protocol):
     @property
     def generation(self) -> int:
         """Generations of the epoch that have passed."""
+        ...
 
     @property
     def snapshot(self) -> bytes | None:
@@ -31,9 +32,11 @@ class Work(Protocol):
 
         Nothing was met before the end of a slice.
         """
+        ...
 
     def computed(self) -> Computed:
         """Return what came of it so far."""
+        ...
 
 
 Begin = Callable[[Task], Work]

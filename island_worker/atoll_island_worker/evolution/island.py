@@ -80,7 +80,7 @@ class Island:
             self.generation += step
             if self.generation % interval == 0 or self.generation == last:
                 self._offer()
-                evaluations = dict(zip(PARTS, self._counters.tolist(), strict=True))
+                evaluations: dict[str, int] = dict(zip(PARTS, self._counters.tolist(), strict=True))
                 self._counters_by_slice.append(SliceCounters(generation=self.generation, evaluations=evaluations))
         return self._hit is not None or self.generation == last
 

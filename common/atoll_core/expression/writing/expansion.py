@@ -79,15 +79,15 @@ def terms_of(program: Program) -> Sum:
 def expand_sum(terms: Sum) -> Sum:
     """Return a sum whose terms have no bracket above the line; raises UndefinedError beyond `MOST_TERMS` terms."""
     while True:
-        bracket = next((place for place, (monomial, _) in enumerate(terms) if _bracket(monomial) is not None), None)
+        brackets = ((place, _bracket(monomial)) for place, (monomial, _) in enumerate(terms))
+        place, bracket = next((found for found in brackets if found[1] is not None), (0, None))
         if bracket is None:
             return terms
-        monomial, coefficient = terms[bracket]
-        atom, exponent = _bracket(monomial) or ((), 0)
+        (monomial, coefficient), (atom, exponent) = terms[place], bracket
         rest = [(other, count) for other, count in monomial if other != atom]
         rest += [(atom, exponent - 1)] * (exponent > 1)
         product = distribute(((tuple(sorted(rest)), coefficient),), atom[1])
-        terms = add((1.0, (*terms[:bracket], *terms[bracket + 1 :])), (1.0, product))
+        terms = add((1.0, (*terms[:place], *terms[place + 1 :])), (1.0, product))
         if len(terms) > MOST_TERMS:
             raise UndefinedError
 

@@ -271,9 +271,11 @@ def _lone_atom(terms: Sum) -> Atom:
 
 def bracket_or_term(terms: Sum) -> tuple[float, Monomial]:
     """Return a sum as a number times a monomial; raises UndefinedError of zero."""
+    if len(terms) == 1:
+        return terms[0][1], terms[0][0]
     if not terms:
         raise UndefinedError
-    return bracket(terms) if len(terms) > 1 else (terms[0][1], terms[0][0])
+    return bracket(terms)
 
 
 # ------------------------------------------------------------------------------------------------------- functions
@@ -373,7 +375,7 @@ def _hyperbolic_tangent(argument: Sum) -> Sum:
 
 
 def _magnitude(argument: Sum) -> Sum:
-    if len(argument) > 1:
+    if len(argument) != 1:
         return atom_sum((ABS, unsigned(argument)[1]))
     ((monomial, coefficient),) = argument
     positive = [(atom, exponent) for atom, exponent in monomial if atom[0] in (EXP, SQRT, ABS) or exponent % 2 == 0]

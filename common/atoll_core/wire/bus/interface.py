@@ -99,6 +99,7 @@ class Bus(Protocol):
     @property
     def dropped(self) -> int:
         """How many messages and queries were lost because they came faster than they were received."""
+        ...
 
     def put(self, key: str, payload: bytes) -> None:
         """Publish `payload` on `key` to whoever subscribes now. Never raises for an unreachable peer."""
@@ -111,6 +112,7 @@ class Bus(Protocol):
 
     def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int:
         """Ask for `key`; return a token, unique for this bus, under which the one Reply event will come."""
+        ...
 
     def reply(self, query: Query, payload: bytes | None) -> None:
         """Answer `query`; None means refused (the asker gets a Reply with None at once)."""
@@ -123,6 +125,7 @@ class Bus(Protocol):
 
     def now(self) -> float:
         """Return monotonic seconds."""
+        ...
 
     def call_later(self, delay_s: float, name: str) -> None:
         """Have a Timer event with `name` delivered after `delay_s`; a later call with the same name replaces it."""

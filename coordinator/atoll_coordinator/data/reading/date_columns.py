@@ -40,7 +40,7 @@ def read_date_columns(
     columns; `starts` are rows at which trajectories begin; `file` and `where`, which says where a row stands, are for
     messages. Raises DataError where a date cannot be read, or may be two.
     """
-    kinds = {name: kind for name, cells in texts.items() if (kind := _kind(cells)) is not None}
+    kinds: dict[str, _Kind] = {name: kind for name, cells in texts.items() if (kind := _kind(cells)) is not None}
     needed = named_columns(config)
     free = [name for name in kinds if name not in needed]
     time_column = config.time if config.time in kinds else _candidate(kinds, free, names, texts, config)

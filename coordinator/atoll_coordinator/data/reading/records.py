@@ -54,7 +54,9 @@ def _columns(name: str, document: Any) -> tuple[list[str], list[Sequence[Any]]]:
     elif isinstance(document, Mapping) and {"schema", "data"} <= set(document):  # pandas: orient="table"
         document = document["data"]
     if isinstance(document, Mapping):
-        columns = [[*values.values()] if isinstance(values, Mapping) else values for values in document.values()]
+        columns: list[Sequence[Any]] = [
+            [*values.values()] if isinstance(values, Mapping) else values for values in document.values()
+        ]
         lengths = {len(column) if isinstance(column, list) else 0 for column in columns}
         if len(lengths) != 1 or lengths == {0}:
             raise DataError(f"{name} holds an object whose values are no columns of one length; {_EXPECTED}")

@@ -32,7 +32,7 @@ def simulated(
 ) -> list[Simulated]:
     """Return the simulations of all trajectories of `states`; `errors` are (O, N)."""
     offsets, measured = _offsets(measurements, fit), _measured(measurements)
-    with_offset = [states[state] for state in measurements.offset.tolist()]
+    with_offset = [states[int(state)] for state in measurements.offset.tolist()]
     values = fit.simulated[measurements.observed]
     for state, offset in zip(measurements.offset.tolist(), offsets, strict=True):
         values[state] += offset
