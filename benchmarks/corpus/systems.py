@@ -150,7 +150,7 @@ def _plausible(name: str, family: Family, rng: np.random.Generator) -> CorpusSys
 def _constant(rng: np.random.Generator, low: float, high: float, is_simple: bool) -> float:
     value = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     if is_simple:
-        allowed = [value for value in SIMPLE if low <= value <= high]
+        allowed = [simple for simple in SIMPLE if low <= simple <= high]
         if allowed:
             return min(allowed, key=lambda simple: abs(np.log(simple / value)))
     return float(f"{value:.3g}")

@@ -19,8 +19,11 @@ def solve(
 ) -> FloatArray:  # fmt: skip
     """Return the states (n, S) at `times` (n,) of what is at `start` (S,) at the time `begin`.
 
-    States beyond `limit` have run away; `options` are those of `solve_ivp`. Raises DivergedError.
+    States beyond `limit` have run away; `options` are those of `solve_ivp`. Raises DivergedError, and ValueError for
+    times that do not rise from `begin`.
     """
+    if times[0] < begin or not (np.diff(times) > 0.0).all():
+        raise ValueError(f"times must rise from {begin}")
     evaluations = 0
 
     def slope(_time: float, state: FloatArray) -> Sequence[float]:

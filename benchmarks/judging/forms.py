@@ -72,7 +72,7 @@ _APPROXIMATE: Final = "it only approximates the truth"
 
 
 def compare(text: str | None, truth: str, columns: Mapping[str, FloatArray], tolerance: float = 0.01) -> Form:
-    """Tell whether `found` is exact in form: the truth with constants that differ by at most a relative `tolerance`.
+    """Tell whether `text` is exact in form: the truth with constants that differ by at most a relative `tolerance`.
 
     Both are infix text over the names of `columns`, (R,) values without errors; raises UsageError where one is none.
     """
@@ -99,7 +99,7 @@ def compare(text: str | None, truth: str, columns: Mapping[str, FloatArray], tol
 
 
 def judge_form(text: str | None, truth: str, columns: Mapping[str, FloatArray], *, with_extra: bool = True) -> Form:
-    """Compare the form of `found` with that of `truth`, both over the names of `columns`, (R,) values without errors.
+    """Compare the form of `text` with that of `truth`, both over the names of `columns`, (R,) values without errors.
 
     Without `with_extra`, extra terms are not looked for.
     """

@@ -1,6 +1,7 @@
 """The command line of the rehearsal: ``python -m deploy.rehearsal [STEP...]``."""
 
 import argparse
+import contextlib
 import os
 import signal
 import subprocess
@@ -15,6 +16,8 @@ from deploy.rehearsal.machine import FailedError, Machine, NotPossibleError
 from deploy.rehearsal.manifests import check_compose, check_kubernetes
 from deploy.rehearsal.services import rehearse_containers, rehearse_slurm, rehearse_systemd
 
+SERVICES = ("containers", "slurm", "systemd")
+"""Steps whose services are ended with them."""
 STEPS: dict[str, Callable[[Machine], str]] = {
     "compose": check_compose,
     "kubernetes": check_kubernetes,
@@ -66,8 +69,11 @@ def _run_step(machine: Machine, name: str) -> str:
     except (FailedError, OSError, subprocess.SubprocessError) as problem:
         verdict, text = "failed", str(problem)
     finally:
-        machine.end_all()
-        remove_containers(machine)
+        left = machine.end_all()
+        with contextlib.suppress(OSError, subprocess.SubprocessError):
+            remove_containers(machine)
+    if verdict == "passed" and left and name not in SERVICES:
+        verdict, text = "failed", f"{left} processes were left behind"
     print(f"{name:10} {verdict}: {text} ({time.monotonic() - begin:.0f} s)", flush=True)
     return verdict
 

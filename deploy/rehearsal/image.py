@@ -17,7 +17,7 @@ COPIED = "pyproject.toml README.md LICENSE common coordinator island_worker depl
 BASE = "localhost/debian-python"
 SUITE = "bookworm"
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
-PIP_SETTINGS = re.compile(r"^[^.\n]*\.(index-url|extra-index-url|trusted-host|proxy|timeout)='((?!.*file:).*)'$", re.M)
+PIP_SETTINGS = re.compile(r"^[^.\n]*\.(index-url|extra-index-url|trusted-host|proxy|timeout)='(.*)'$", re.M)
 
 
 def build_image(machine: Machine) -> str:
@@ -63,10 +63,12 @@ def buildah(
 
 
 def remove_containers(machine: Machine) -> None:
-    """Remove the containers of that store, whose processes have ended."""
+    """Remove the containers of this rehearsal, whose processes have ended."""
     if (machine.work / "images").exists():
-        buildah(machine, "umount", "--all", check=False)
-        buildah(machine, "rm", "--all", check=False)
+        listed = buildah(machine, "containers", "--format", "{{.ContainerName}}", check=False).stdout.split()
+        for name in [name for name in listed if name.startswith(f"{machine.id}-")]:
+            buildah(machine, "umount", name, check=False)
+            buildah(machine, "rm", name, check=False)
 
 
 def _buildah(machine: Machine) -> tuple[str, ...]:
@@ -101,7 +103,8 @@ def _pip_settings(machine: Machine) -> list[str]:
 
     None of it becomes part of the image.
     """
-    settings = dict(PIP_SETTINGS.findall(machine.run(sys.executable, "-m", "pip", "config", "list").stdout))
+    listed = PIP_SETTINGS.findall(machine.run(sys.executable, "-m", "pip", "config", "list").stdout)
+    settings = {name: value for name, value in dict(listed).items() if "file:" not in value}
     file = machine.work / "pip.conf"
     mounts = [f"--volume={file}:/etc/pip.conf:ro"]
     if Path(CERTIFICATES).exists():

@@ -25,6 +25,8 @@ def check_digest(machine: Machine, out: Path) -> None:
     if not reference.exists():
         words = (PROGRAM, "run", str(DATA), *OPTIONS, "--workers", "2", "--out", str(reference))
         machine.run(*words, timeout=LIMIT_S)
+    if not (out / "result.json").exists():
+        raise FailedError(f"{out / 'result.json'} was expected and is not there")
     found, expected = (json.loads((each / "result.json").read_text("utf-8"))["digest"] for each in (out, reference))
     if found != expected:
         raise FailedError(f"the result has digest {found[:16]}, but {expected[:16]} was expected")

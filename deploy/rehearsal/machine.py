@@ -102,8 +102,9 @@ class Machine:
                     marked.append(int(folder.name))
         return marked
 
-    def end_all(self, grace: float = 10.0) -> None:
-        """End every process that was started, after `grace` seconds by SIGKILL."""
+    def end_all(self, grace: float = 10.0) -> int:
+        """End every process that was started, after `grace` seconds by SIGKILL; return how many were still there."""
+        left = len(self.processes())
         for number in (signal.SIGTERM, signal.SIGKILL):
             for pid in self.processes():
                 with contextlib.suppress(ProcessLookupError):
@@ -113,6 +114,7 @@ class Machine:
                 time.sleep(0.2)
         for each in self._started:
             each.wait(10)
+        return left
 
 
 def command_line(pid: int) -> list[str]:

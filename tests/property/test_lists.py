@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll_core.expression.operators import BY_NAME, CONSTANT
+from atoll_core.expression.program import check_program_bytes
 from atoll_core.search.seeding import Stream
 from atoll_island_worker.evolution.formula import from_tape, to_program
 from atoll_island_worker.evolution.kernels.random import below, next_bits, normal, uniform
@@ -54,7 +55,7 @@ def assert_sound(lists, space):
         tape = empty_tape(space.nodes)
         count = compile_tape(lists, p, tape)
         program = to_program(from_tape(tape, count))
-        program.validate(space.variables)
+        check_program_bytes(program.to_bytes(), space.variables)
         assert node_values(program, np.ones((space.variables, 1))).shape == (count, 1)
 
 

@@ -271,7 +271,7 @@ def test_what_reads_the_store_needs_no_room(name: str) -> None:
         if parameter.default is parameter.empty
     ]
     with contextlib.suppress(KeyError):  # there is no such blob and no such state
-        getattr(store, name)(**{sentence: known.get(sentence, 1) for sentence in needed})
+        getattr(store, name)(**{argument: known.get(argument, 1) for argument in needed})
     connection.close()
 
 

@@ -1,4 +1,4 @@
-"""What this process takes of its machine: memory, and time to look for garbage."""
+"""What this process takes of its machine: memory, and how often it looks for garbage."""
 
 import gc
 import os

@@ -200,4 +200,5 @@ def box_of(
         low, high = known[name]
         if not (np.isfinite([low, high]).all() and low < high):
             raise UsageError(f"the bounds {low:g} and {high:g} of '{name}' are no interval; give the lower one first")
-    return Box(*np.array([known[name] for name in field.states], dtype=np.float64).T.copy())
+    lower, upper = np.array([known[name] for name in field.states], dtype=np.float64).T.copy()
+    return Box(lower, upper)

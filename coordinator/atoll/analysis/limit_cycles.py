@@ -115,7 +115,7 @@ def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycl
     forward = _reached(flow, box, fixed)
     cycles = list(forward.cycles)
     if flow.size == 2:
-        for cycle in _reached(replace(flow, direction=-1.0), box, fixed).cycles:
+        for cycle in _reached(replace(flow, direction=-flow.direction), box, fixed).cycles:
             if all(distance(other, cycle.point[None], box)[0] > 1e-3 for other in cycles):
                 turned = _closed_orbit(flow, cycle.point, cycle.period, box)
                 cycles += [turned] if turned is not None else []
@@ -170,7 +170,7 @@ def _rests(flow: Flow, ends: FloatArray, box: Box) -> list[FixedPoint]:
 def _is_at_rest(end: FloatArray, fixed: Sequence[FixedPoint], box: Box) -> bool:
     for point in fixed:
         near = SMALLEST
-        if point.is_stable:  # one without a negative eigenvalue is approached slowly
+        if point.is_stable:  # along an eigenvalue of 0 it is approached slowly
             near = 10.0 * (0.05 if point.kind == "non-hyperbolic" else SMALLEST)
         if np.abs((end - point.point) / box.widths).max() < near:
             return True

@@ -23,7 +23,7 @@ def as_data(analysis: Analysis) -> dict[str, object]:
             "states": field.states,
             "inputs": dict(zip(field.inputs, analysis.inputs, strict=True)),
             "box": {name: ends for name, *ends in zip(field.states, box.lower, box.upper, strict=True)},
-            "parameters": [vars(constant) for constant in field.parameters],
+            "parameters": [attributes(constant, "name", "variable", "value") for constant in field.parameters],
             "unit_coefficients": analysis.coefficients.units,
             "fixed_points": [_fixed_point(point) for point in fixed.points],
             "fixed_points_search": {
@@ -38,8 +38,9 @@ def as_data(analysis: Analysis) -> dict[str, object]:
                 **attributes(cycles, "starts", "duration", "has_family"),
                 "unsettled": len(cycles.unsettled),
             },
-            "lyapunov": analysis.lyapunov
-            and attributes(analysis.lyapunov, "exponents", "standard_errors", "is_chaotic", "starts", "duration"),
+            "lyapunov": None
+            if analysis.lyapunov is None
+            else attributes(analysis.lyapunov, "exponents", "standard_errors", "is_chaotic", "starts", "duration"),
             "basins": _basins(analysis),
             "conserved": [quantity.text for quantity in analysis.conserved],
             "is_volume_preserving": analysis.is_volume_preserving,

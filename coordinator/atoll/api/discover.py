@@ -15,7 +15,7 @@ from atoll.client.configure import configure
 from atoll.client.follower import Display, Follower
 from atoll.client.options import OPTIONS
 from atoll.model.model import Model
-from atoll.terminal.progress import PlainDisplay, is_screen, open_display
+from atoll.terminal.progress import is_screen, open_display
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError, RefusedError, UsageError
 from atoll_core.hints import did_you_mean
@@ -177,5 +177,5 @@ def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers:
 
 def _display(progress: bool | None) -> Display:
     if progress is False or (progress is None and not is_screen() and not is_notebook()):
-        return PlainDisplay("", write=lambda line: None)
+        return Display()
     return NotebookDisplay() if is_notebook() else open_display("")

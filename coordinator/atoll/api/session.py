@@ -8,6 +8,7 @@ import selectors
 import subprocess
 import sys
 import threading
+import time
 from numbers import Integral
 from typing import Final
 
@@ -69,12 +70,17 @@ class LocalService:
         """Return where it listens."""
         pipe = self._process.stdout
         assert pipe is not None
+        line, end = b"", time.monotonic() + _START_LIMIT_S
         with selectors.DefaultSelector() as selector:
             selector.register(pipe, selectors.EVENT_READ)
-            if not selector.select(_START_LIMIT_S):
-                self._process.kill()
-                raise UnreachableError(f"the local service did not start within {_START_LIMIT_S:.0f} s")
-        line = pipe.readline()  # whole, since it is written at once
+            while not line.endswith(b"\n"):
+                if not selector.select(max(0.0, end - time.monotonic())):
+                    self._process.kill()
+                    raise UnreachableError(f"the local service did not start within {_START_LIMIT_S:g} s")
+                part = os.read(pipe.fileno(), 65536)
+                if not part:
+                    break
+                line += part
         said = json.loads(line) if line.strip() else {"error": "the local service ended as it began; see stderr"}
         if "endpoint" not in said:
             raise AtollError(said["error"])

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol, Self
+from typing import Final, Self
 
 from atoll.client.client import Client
 from atoll_core.errors import UnreachableError
@@ -15,8 +15,8 @@ _FIRST_INTERVAL_S: Final = 0.05
 _LAST_INTERVAL_S: Final = 0.3
 
 
-class Display(Protocol):
-    """Shows a job's progress; a context manager."""
+class Display:
+    """Shows a job's progress, this one nothing; a context manager."""
 
     def __enter__(self) -> Self:
         return self

@@ -129,4 +129,5 @@ class Identifiability:
 
 def _constant_data(constant: ProfiledConstant) -> dict[str, object]:
     data: dict[str, object] = {**vars(constant), "sentence": constant.sentence}
-    return data | {"profile": {name: data.pop(name) for name in ("values", "deviances")}}
+    profile = {name: data.pop(name) for name in ("values", "deviances")}
+    return {**data, "profile": profile}

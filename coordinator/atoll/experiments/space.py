@@ -170,7 +170,8 @@ def space_of(result: Result, measured: Measured, request: Request) -> DesignSpac
             raise UsageError(f"the bounds {low:g}:{high:g} of '{name}' are no interval; give LOWER:UPPER")
     values = np.concatenate([measurements.smoothed, measurements.inputs[free]])
     ranges = zip(names, values.min(axis=1).tolist(), values.max(axis=1).tolist(), strict=True)
-    box = Box(*np.array([given.get(name, (low, high)) for name, low, high in ranges]).T.copy())
+    lower, upper = np.array([given.get(name, (low, high)) for name, low, high in ranges]).T.copy()
+    box = Box(lower, upper)
     begin = float(np.median(measurements.inputs[clock[0]][measurements.bounds[:, 0]])) if clock else 0.0
     whole = [measurements.times[measurements.owners_of_rows == owner] for owner in np.unique(measurements.owners)]
     lasted = float(np.median([times[-1] - times[0] for times in whole]))

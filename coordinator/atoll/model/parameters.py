@@ -54,7 +54,7 @@ def quantile(level: float, freedom: float | None) -> float:
     from scipy import special
 
     below = 0.5 + level / 2.0
-    return float(special.stdtrit(freedom, below) if freedom else special.ndtri(below))
+    return float(special.ndtri(below) if freedom is None else special.stdtrit(freedom, below))
 
 
 def parameters_of(result: Result) -> dict[str, Parameter]:

@@ -10,7 +10,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +19,6 @@ from atoll.model.joint_errors import JointErrors
 from atoll.model.vector_field import VectorField
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-
-if TYPE_CHECKING:
-    pass
 
 Status = Literal["finished", "blow-up", "stiff", "undefined"]
 """How a simulation ended: at the last time; where a state grows beyond all bounds in finite time; where all evaluations

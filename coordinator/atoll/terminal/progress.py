@@ -92,17 +92,7 @@ def plain_lines(view: JobView, workers: Sequence[WorkerView], connect_hint: str)
     return lines
 
 
-class _LineDisplay:
-    """Writes lines, so that there is nothing to begin and nothing to end."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-
-class PlainDisplay(_LineDisplay):
+class PlainDisplay(Display):
     """Plain lines: whenever the state of the job or of an equation changes, and every few seconds."""
 
     def __init__(self, connect_hint: str, write: Callable[[str], None] = note) -> None:
@@ -126,7 +116,7 @@ class PlainDisplay(_LineDisplay):
         self._write(sentence)
 
 
-class JsonDisplay(_LineDisplay):
+class JsonDisplay(Display):
     """One JSON object a line for every state that differs from the one before; sentences go to stderr."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
@@ -146,7 +136,7 @@ class JsonDisplay(_LineDisplay):
         note(sentence)
 
 
-class LiveDisplay:
+class LiveDisplay(Display):
     """A table that stays in its place on a terminal; what was last shown remains."""
 
     def __init__(self, connect_hint: str) -> None:
@@ -156,7 +146,7 @@ class LiveDisplay:
         self._hint = connect_hint
         self._live = Live(console=Console(stderr=True), auto_refresh=False)
 
-    def __enter__(self) -> "LiveDisplay":
+    def __enter__(self) -> Self:
         self._live.start()
         return self
 

@@ -88,8 +88,12 @@ class ComputeThread:
 
     def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
         """Load a job's configuration and encoded dataset: JobReady or LoadFailed. Its turns are shared by `weight`."""
-        self._commands.put(lambda: self._queue.set_weight(job, weight))
-        self._commands.put(lambda: self._post_all([self._engine.load(job, config, dataset)]))
+
+        def load() -> None:
+            self._queue.set_weight(job, weight)
+            self._post_all([self._engine.load(job, config, dataset)])
+
+        self._commands.put(load)
 
     def run(self, task: Task) -> None:
         """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
@@ -104,13 +108,21 @@ class ComputeThread:
 
     def discard(self, shard: ShardKey) -> None:
         """Forget the islands of an archipelago under one term, and give up those under way."""
-        self._commands.put(lambda: self._queue.discard(shard))
-        self._commands.put(lambda: self._engine.forget(shard))
+
+        def discard() -> None:
+            self._queue.discard(shard)
+            self._engine.forget(shard)
+
+        self._commands.put(discard)
 
     def discard_job(self, job: str) -> None:
         """Forget a job's dataset, and give up its tasks."""
-        self._commands.put(lambda: self._queue.discard_job(job))
-        self._commands.put(lambda: self._engine.forget_job(job))
+
+        def discard() -> None:
+            self._queue.discard_job(job)
+            self._engine.forget_job(job)
+
+        self._commands.put(discard)
 
     def close(self) -> None:
         """Give up everything. Waits a little for the thread; it is a daemon and keeps no process alive. Repeatable."""

@@ -69,27 +69,32 @@ class Front:
     """Non-dominated `entries` by rising complexity and falling error. Ties go to the earlier one."""
 
     def __init__(self) -> None:
-        self.entries: tuple[FrontEntry, ...] = ()
+        self._entries: tuple[FrontEntry, ...] = ()
         self._least: Floats | None = None
+
+    @property
+    def entries(self) -> tuple[FrontEntry, ...]:
+        """The entries that there are."""
+        return self._entries
 
     def replace(self, entries: Iterable[FrontEntry]) -> None:
         """Take over a front that was saved."""
-        self.entries = merge((), entries)
+        self._entries = merge((), entries)
         self._least = None
 
     def least_error(self) -> float | None:
         """Return the least error, None while the front is empty."""
-        return self.entries[-1].error if self.entries else None
+        return self._entries[-1].error if self._entries else None
 
     def error_at(self, complexity: int) -> float:
         """Return the least error of entries no more complex than that; inf when there is none."""
-        return min((e.error for e in self.entries if e.complexity <= complexity), default=math.inf)
+        return min((e.error for e in self._entries if e.complexity <= complexity), default=math.inf)
 
     def least_by_size(self, sizes: int) -> Floats:
         """Return `error_at` each complexity below `sizes`; not to be written to."""
         if self._least is None or len(self._least) != sizes:
             self._least = np.full(sizes, math.inf)
-            for entry in self.entries:
+            for entry in self._entries:
                 self._least[entry.complexity :] = entry.error
         return self._least
 
@@ -97,7 +102,7 @@ class Front:
         """Add `entry` unless an entry as simple is as good; return whether it was added."""
         if not entry.error < self.error_at(entry.complexity):
             return False
-        self.entries = merge(self.entries, (entry,))
+        self._entries = merge(self._entries, (entry,))
         self._least = None
         return True
 

@@ -86,9 +86,8 @@ class Island:
 
     def _begin(self) -> None:
         """Draw the first population and its predictors at epoch 0; measure what immigrated later on."""
-        setup, part = self._setup, REEVALUATION
+        setup, part = self._setup, OFFSPRING if self.epoch == 0 else REEVALUATION
         if self.epoch == 0:
-            part = OFFSPRING
             random_population(self._lists, setup.space, self._stream)
             begin_with_guesses(self._lists, setup, self._updater.sample, self._counters)
             if setup.coevolving.enabled:

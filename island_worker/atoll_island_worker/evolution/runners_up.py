@@ -30,21 +30,26 @@ class RunnersUp:
         self.most = most
         self.known = np.zeros(KNOWN if most else 0, np.uint64)
         self._worst: dict[int, float] = {}
-        self.entries: tuple[FrontEntry, ...] = ()
+        self._entries: tuple[FrontEntry, ...] = ()
+
+    @property
+    def entries(self) -> tuple[FrontEntry, ...]:
+        """The entries that there are."""
+        return self._entries
 
     def replace(self, entries: Iterable[FrontEntry]) -> None:
         """Take over entries that were saved."""
-        self.entries = tuple(entries)
+        self._entries = tuple(entries)
         self._note_worst()
 
     def take(
         self, front: tuple[FrontEntry, ...], candidates: Iterable[FrontEntry], reported: Iterable[FrontEntry]
     ) -> list[FrontEntry]:
         """Keep what belongs beside `front`; return what is new, apart from what has been `reported` already."""
-        seen = {entry.key for entry in (*self.entries, *reported)}
-        self.entries = runners_up(front, (*self.entries, *candidates), self.most)
+        seen = {entry.key for entry in (*self._entries, *reported)}
+        self._entries = runners_up(front, (*self._entries, *candidates), self.most)
         self._note_worst()
-        return [entry for entry in self.entries if entry.key not in seen]
+        return [entry for entry in self._entries if entry.key not in seen]
 
     def limits(self, sizes: int) -> npt.NDArray[np.float64]:
         """Return, for programs of each size below `sizes` before their coefficients are written, the useful loss.
@@ -62,7 +67,7 @@ class RunnersUp:
         """Note the largest error of each complexity that is full."""
         taken: dict[int, int] = {}
         self._worst = {}
-        for entry in self.entries:
+        for entry in self._entries:
             taken[entry.complexity] = taken.get(entry.complexity, 0) + 1
             if taken[entry.complexity] == self.most:
                 self._worst[entry.complexity] = entry.error

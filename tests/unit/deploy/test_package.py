@@ -61,7 +61,7 @@ def test_the_lock_file_holds_every_requirement_with_hashes_and_names_no_index(pr
     text = LOCK.read_text("utf-8")
     locked = re.findall(r"^([\w.-]+)==([\w.+]+)(.*)$", text, re.MULTILINE)
     required = [*project["project"]["dependencies"], *project["project"]["optional-dependencies"]["dev"]]
-    names = {match[0].lower() for classifier in required if (match := re.match(r"[\w.-]+", classifier))}
+    names = {match[0].lower() for requirement in required if (match := re.match(r"[\w.-]+", requirement))}
     assert names <= {name for name, _, _ in locked}, "run make lock"
     assert all(rest.endswith("\\") for _, _, rest in locked), "a version without hashes"
     assert "://" not in text

@@ -26,7 +26,7 @@ def test_processes_are_ended_also_when_their_parent_has_left_them_and_they_ignor
     wait_until(
         "the orphan sleeps", lambda: [command_line(pid)[:1] for pid in machine.processes("parent")] == [["sleep"]]
     )
-    machine.end_all(grace=0.5)
+    assert machine.end_all(grace=0.5) == 1
     assert machine.processes() == []
 
 

@@ -55,14 +55,15 @@ class Form:
 
     `parts` are the signed operands: of a sum its terms, of a product, a quotient or a power both of its sides (a
     natural one has its base alone). `index` is that of a variable, `code` that of a function or of a quotient of
-    functions, `exponent` that of a natural power, `value` that of a number, which may have a `name`.
+    functions, `exponent` that of a natural power, `value` that of a number, which may have a `name`; -1, 0.0 and ""
+    stand for what a kind does not have.
     """
 
     kind: Kind
     parts: "tuple[Signed, ...]" = ()
-    index: int = 0
-    code: int = 0
-    exponent: int = 0
+    index: int = -1
+    code: int = -1
+    exponent: int = -1
     value: float = 0.0
     name: str = ""
 
@@ -180,7 +181,10 @@ class _Writer:
     forms: dict[Hashable, Form] = field(default_factory=dict)
 
     def form(self, kind: Kind, *parts: Signed, **content: Any) -> Form:
-        return self.forms.setdefault((kind, parts, *content.values()), Form(kind, parts, **content))
+        key = (kind, parts, *sorted(content.items()))
+        if key not in self.forms:
+            self.forms[key] = Form(kind, parts, **content)
+        return self.forms[key]
 
     def number(self, value: float, name: str = "") -> Signed:
         """Return a constant; of one that has a name the sign is part of what is named."""

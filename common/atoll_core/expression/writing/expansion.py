@@ -168,11 +168,16 @@ def expand_program(program: Program, is_written: IsWritten = lambda *_: False) -
 
 def write_expansion(terms: Sum, is_written: IsWritten = lambda *_: False) -> Expansion | None:
     """Return the program of an expanded sum, as `expand_program` does."""
-    builder = _Builder(is_written)
     try:
-        output = builder.sum_of_terms(terms)
+        return _built(terms, is_written)
     except UndefinedError:
         return None
+
+
+@contained
+def _built(terms: Sum, is_written: IsWritten) -> Expansion | None:
+    builder = _Builder(is_written)
+    output = builder.sum_of_terms(terms)
     if len(builder.nodes) > MAX_NODES:
         return None
     return Expansion(builder.program(output), tuple(builder.roles), tuple(builder.units))
@@ -192,7 +197,6 @@ class _Builder(ProgramBuilder):
         self.roles.append(role)
         return self.append(CONSTANT, value=value)
 
-    @contained
     def sum_of_terms(self, terms: Sum) -> int:
         """Return the index of an expanded sum, a positive term in front if there is one."""
         if not terms:

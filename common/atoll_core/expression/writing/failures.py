@@ -11,7 +11,7 @@ from atoll_core.expression.writing.sums_of_products import UndefinedError
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 FAILURES: Final[Counter[str]] = Counter()
-"""How often, by function and kind of error."""
+"""How often rewriting failed, by function and kind of error."""
 
 
 def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:

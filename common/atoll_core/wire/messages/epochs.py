@@ -25,7 +25,7 @@ from atoll_core.wire.messages.limits import (
 
 
 class OfTerm(Frozen):
-    """A message about one archipelago under one term."""
+    """Base of the messages about one archipelago under one term, each of which has a `kind` of its own."""
 
     kind: str
     job: Id

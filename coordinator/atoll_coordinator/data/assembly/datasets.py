@@ -65,8 +65,8 @@ def assemble_differentiated(
 ) -> Preparation:
     """Return the problems and the recording that smoothed and differentiated states make.
 
-    Parameters are those of `assemble_given`, with one of the `estimates` for each state. Raises DataError where too few
-    rows are selected, or a derivative cannot be a target.
+    The `measurements` have trajectories, `weights` (R,) are those of all rows, and there is one of the `estimates` for
+    each state. Raises DataError where too few rows are selected, or a derivative cannot be a target.
     """
     roles = measurements.roles
     warnings = (*measurements.warnings, *selected.warnings, *_remarks(measurements, estimates, selected))

@@ -45,8 +45,7 @@ def build_recording(
     robustness_weights = [estimate.robustness_weights for estimate in estimates]
     ones = np.ones(measurements.row_count)
     nothing = [None] * len(ranges)
-    trajectories = map(
-        Trajectory,
+    columns = zip(
         whole.names,
         whole.times,
         parts([np.concatenate(along) for along in whole.states.values()]),
@@ -63,7 +62,9 @@ def build_recording(
         parts([estimate.derivative for estimate in estimates]),
         parts([estimate.total_uncertainty for estimate in estimates]),
         measurements.groups or [""] * len(ranges),
+        strict=True,
     )
+    trajectories = tuple(Trajectory(*column) for column in columns)
     smoothing = map(_describe_smoothing, roles.states, estimates, map(len, selected.uncertain), selected.excluded)
     return Recording(
         roles.states,
@@ -74,7 +75,7 @@ def build_recording(
         roles.order,
         whole.offset,
         tuple(smoothing),
-        tuple(trajectories),
+        trajectories,
         roles.offsets,
         measurements.group_names,
     )

@@ -226,6 +226,8 @@ def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: 
     A missing value is known where it is as certain, by the others, as one measurement: where its noise gain (R,) is at
     most 1.
     """
+    if all(signal.is_measured is None for signal in signals):
+        return estimate
     is_long = np.concatenate([np.full(len(signal.times), _is_long_enough(signal)) for signal in signals])
     is_known = is_long & (np.concatenate([signal.measured_rows for signal in signals]) | (gains <= 1.0))
     held, start = estimate.values.copy(), 0

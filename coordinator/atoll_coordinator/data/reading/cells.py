@@ -3,7 +3,7 @@
 import math
 import re
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Final
 
 MISSING: Final = frozenset({"", "na", "n/a", "#n/a", "nan", "-nan", "+nan", "null", "none"})
@@ -49,10 +49,9 @@ def is_numeral(cell: str) -> bool:
     return number(cell) is not None or any(form.fullmatch(cell) for form in (WITH_POINT, WITH_COMMA))
 
 
-def is_text(cells: Iterable[str]) -> bool:
+def is_text(cells: Sequence[str]) -> bool:
     """Tell whether no cell holds a number and at least one holds text."""
-    texts = [cell for cell in cells if not is_missing(cell)]
-    return bool(texts) and not any(map(is_numeral, texts))
+    return not any(map(is_numeral, cells)) and not all(map(is_missing, cells))
 
 
 def cell_of(value: object) -> str:

@@ -110,12 +110,13 @@ def _headed(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[st
     units: dict[str, str] = {}
     named: dict[str, list[str]] = {}
     names = [split_unit(on_one_line(header))[0] for header in raw.headers if header]
-    for header, unit_below, cells in zip(raw.headers, raw.units or raw.headers, raw.columns, strict=True):
+    units_below = raw.units or ("",) * len(raw.headers)
+    for header, unit_below, cells in zip(raw.headers, units_below, raw.columns, strict=True):
         if header:
             name, unit = split_unit(on_one_line(header))
             if names.count(name) > 1:
                 raise DataError(f"{file} has {names.count(name)} columns named '{name}'; give each column its own name")
-            units[name], named[name] = unit or (unit_below if raw.units else ""), cells
+            units[name], named[name] = unit or unit_below, cells
     if not raw.lines:
         raise DataError(f"{file} has a header but no rows; rows of numbers are expected below it")
     return units, named

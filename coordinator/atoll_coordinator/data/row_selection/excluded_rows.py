@@ -21,8 +21,8 @@ def explain_excluded_rows(
 ) -> tuple[ExcludedRow, ...]:
     """Return the rows of one state that the search does not see because of it, and its outliers, in order.
 
-    Of all rows, one trajectory after another, these are `uncertain` because their derivative is; those `searched` are
-    of trajectories that are not held out, whose `times` are all given.
+    Rows are counted through all trajectories, one after the other, whose `times` are given. Derivatives are too
+    uncertain at the rows `uncertain`; rows `searched` are of trajectories that are not held out.
     """
     lengths = [len(part) for part in times]
     cut_off = mark_ends(lengths) if estimate.is_interpolated else np.zeros(sum(lengths))

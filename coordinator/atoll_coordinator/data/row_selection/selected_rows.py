@@ -158,7 +158,7 @@ def thin_searched_rows(selected: SelectedRows, states: Sequence[FloatArray], mos
 
 
 def normalize_weights(weights: FloatArray | None) -> FloatArray | None:
-    """Return positive weights over their mean; None when there are none, or all are equal."""
+    """Return positive weights (inverse variances) over their mean; None when there are none, or all are equal."""
     if weights is None:
         return None
     scaled = weights / float(np.max(weights))

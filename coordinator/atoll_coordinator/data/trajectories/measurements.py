@@ -108,7 +108,8 @@ def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measure
     check_searched_rows(table, roles, searched)
     columns = {name: table.column(name)[rows] for name in roles.used}
     check_sizes({name: columns[name] for name in (*roles.states, *roles.inputs)})
-    degrees = {angle.column for angle in roles.angles if angle.degrees}
+    in_degrees = {angle.column: angle.degrees for angle in roles.angles}
+    degrees = {name for name, is_so in in_degrees.items() if is_so}
     rates = zip(roles.states, roles.derivatives, strict=False)
     for name in degrees | {rate for state, rate in rates if state in degrees}:
         columns[name] = columns[name] * RADIANS_PER_DEGREE

@@ -194,28 +194,31 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
     member = None if shown is None else shown.member
     has_trajectories = given.recording is not None
     grade, reason = verdict(shown, target, state, has_trajectories=has_trajectories, is_known=outcome.why == KNOWN)
-    equation = parts.Equation(
-        variable=target.variable,
-        lhs=target.lhs,
-        expression=None if shown is None else to_infix(shown.program, dataset.names),
-        converged=False,
-        verdict=grade,
-        reason=reason,
-        epoch=outcome.epoch,
-        generation=_generation(None if member is None else outcome.front[member], outcome, config),
-        point_evaluations=_total(outcome),
-        point_evaluations_by_part={part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
-        seconds=finite(outcome.seconds),
-        why=outcome.why,
-        bounds=_bounds(shown, dataset, config, target.variable),
-        derivative_floor=finite(target.uncertainty),
-        target_error=target.convergence_threshold(config.budget.target_error),
-        prediction=prediction(None if shown is None else shown.prediction),
-        convergence=_convergence(outcome, target),
-        candidates=candidates(shown.alternatives if shown is not None else (), dataset),
-        front=_front(config, given, outcome, member),
+    described = {} if shown is None else _best(shown, dataset, target, config)
+    return parts.Equation.model_validate(
+        {
+            "variable": target.variable,
+            "lhs": target.lhs,
+            "expression": None if shown is None else to_infix(shown.program, dataset.names),
+            "converged": False,
+            **described,
+            "verdict": grade,
+            "reason": reason,
+            "epoch": outcome.epoch,
+            "generation": _generation(None if member is None else outcome.front[member], outcome, config),
+            "point_evaluations": _total(outcome),
+            "point_evaluations_by_part": {part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
+            "seconds": finite(outcome.seconds),
+            "why": outcome.why,
+            "bounds": _bounds(shown, dataset, config, target.variable),
+            "derivative_floor": finite(target.uncertainty),
+            "target_error": target.convergence_threshold(config.budget.target_error),
+            "prediction": prediction(None if shown is None else shown.prediction),
+            "convergence": _convergence(outcome, target),
+            "candidates": candidates(shown.alternatives if shown is not None else (), dataset),
+            "front": _front(config, given, outcome, member),
+        }
     )
-    return equation if shown is None else equation.model_copy(update=_best(shown, dataset, target, config))
 
 
 def _front(

@@ -25,6 +25,7 @@ from atoll_core.expression.simplification import complexity
 from atoll_core.wire.codec import decode_arrays, encode_arrays
 from atoll_island_worker.evolution.island import Island
 from atoll_island_worker.evolution.island import reshuffle as reshuffle_here
+from atoll_island_worker.evolution.setup import IslandSetup
 from tests.archipelago import advance, reshuffle, search
 from tests.oracles import fitting
 from tests.oracles.tapes import node_values
@@ -277,16 +278,33 @@ def test_evaluations_are_cumulative_and_the_coevolution_s_share_stays_small():
     assert 0 < spent["coevolution"] <= 0.05 * sum(spent.values()) + one_renewal
 
 
+def test_operators_are_in_the_order_of_their_codes_and_unknown_ones_refused():
+    config = config_of(space=SpaceConfig(operators=("cos", "+", "sin", "+"), terminals=7))
+    assert IslandSetup(problem_of(), config, 0).space.operators.tolist() == [2, 6, 7]
+    with pytest.raises(KeyError):
+        IslandSetup(problem_of(), config_of(space=SpaceConfig(operators=("+", "gamma"), terminals=7)), 0)
+
+
+def test_who_sends_is_who_is_waited_for():
+    config = config_of(islands=6, population=4, generations=1)
+    islands = [Island(problem_of(), config, number) for number in range(6)]
+    for island in islands:
+        advance(island)
+    sent = [island.emigrants() for island in islands]
+    for number, island in enumerate(islands):
+        assert island.senders() == {other for other in range(6) if other != number and number in sent[other]}
+
+
 def test_tallies_are_the_evaluations_at_the_end_of_every_slice():
     config = config_of(generations=25)
     island = Island(problem_of(), config, 0)
     spent = {}
     for _ in range(3):
         island.advance(10)
-        spent[island.generation] = island.spent
-    assert {each.generation: sum(each.evaluations.values()) for each in island.report().counters} == spent
+        spent[island.generation] = dict(island.report().counters[-1].evaluations)
+    assert {tally.generation: dict(tally.evaluations) for tally in island.report().counters} == spent
     assert list(spent) == [10, 20, 25]
-    assert spent[10] < spent[20] < spent[25]
+    assert sum(spent[10].values()) < sum(spent[20].values()) < sum(spent[25].values()) == island.spent
 
 
 def test_an_epoch_that_is_given_up_can_be_reported():

@@ -1,11 +1,14 @@
 """Local services are kept by their number of workers: none ends under a call that uses it."""
 
 import os
+import subprocess
+import sys
 
 import pytest
 
 from atoll.api import session
-from atoll_core.errors import AtollError, UsageError
+from atoll.api.session import LocalService
+from atoll_core.errors import AtollError, UnreachableError, UsageError
 
 
 class Service:
@@ -57,3 +60,14 @@ def test_a_number_of_workers_that_cannot_be_is_refused(workers: object, services
     with pytest.raises(UsageError, match="whole number"):
         session.local_address(workers)  # type: ignore[arg-type]
     assert not services
+
+
+def test_a_service_that_says_half_a_line_is_given_up_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "_START_LIMIT_S", 0.2)
+    words = [sys.executable, "-c", "import os, time; os.write(1, b'x'); time.sleep(60)"]
+    service = object.__new__(LocalService)
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as child:
+        service._process = child
+        with pytest.raises(UnreachableError, match="did not start within"):
+            service._heard()
+    assert child.returncode != 0

@@ -219,7 +219,7 @@ def test_jobs_are_listed_page_by_page() -> None:
         asked.append(body)
         end = len(ids) if body.before is None else body.before
         start = max(0, end - min(body.limit, 3))
-        return JobList(jobs=tuple(job_view(job=request) for request in ids[start:end]), before=start or None)
+        return JobList(jobs=tuple(job_view(job=name) for name in ids[start:end]), before=start or None)
 
     client, _ = client_with(handle)
     assert [view.job for view in client.jobs()] == ids

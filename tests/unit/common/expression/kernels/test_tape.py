@@ -82,7 +82,7 @@ def test_every_operator_has_the_value_of_its_definition(name):
     expected = [apply(operator.code, a, b) for a, b in pairs]
     np.testing.assert_allclose(values, expected, rtol=1e-15, atol=1e-15 if operator.code in (SIN, COS) else 0.0)
     if name not in ("sin", "pow"):  # -0.0 is 0.0 to them
-        signs = [[math.copysign(1.0, value) for value in values if value == 0.0] for values in (values, expected)]
+        signs = [[math.copysign(1.0, value) for value in both if value == 0.0] for both in (values, expected)]
         assert signs[0] == signs[1]
 
 

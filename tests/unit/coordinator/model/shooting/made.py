@@ -123,9 +123,9 @@ def table(
 def pools(preparation: Preparation, **texts: Sequence[str]) -> dict[str, Pool]:
     """Return what a search might hand on of each variable: these equations, by complexity."""
     pools_made = {}
-    for name, text in texts.items():
+    for name, equations in texts.items():
         problem = preparation.dataset.problem(name)
-        entries = [entry(from_infix(text, problem.names), problem) for text in text]
+        entries = [entry(from_infix(text, problem.names), problem) for text in equations]
         pools_made[name] = Pool(tuple(sorted(entries, key=lambda entry: entry.complexity)))
     return pools_made
 

@@ -15,8 +15,8 @@ from tests.views import VARIABLE, job_view
 
 
 def job(name: str, state: str) -> JobView:
-    views_of = {"epoch": 2, "normalized_error": 0.1, "complexity": 3, "expression": "2.0*x"}
-    variables = (VARIABLE.model_copy(update=views_of),)
+    progress = {"epoch": 2, "normalized_error": 0.1, "complexity": 3, "expression": "2.0*x"}
+    variables = (VARIABLE.model_copy(update=progress),)
     return job_view(
         job=name, name=f"{name}.csv", state=state, elapsed=61.0, point_evaluations=1000, variables=variables
     )
@@ -30,17 +30,17 @@ class FakeClient:
 
     def jobs(self, prefix: str = "", *, is_open: bool = False, last: int | None = None) -> tuple[JobView, ...]:
         ended = ("done", "failed", "cancelled")
-        views_of = [view for name, view in self._jobs.items() if name.startswith(prefix)]
-        return tuple([view for view in views_of if not (is_open and view.state in ended)][-(last or len(views_of)) :])
+        views = [view for name, view in self._jobs.items() if name.startswith(prefix)]
+        return tuple([view for view in views if not (is_open and view.state in ended)][-(last or len(views)) :])
 
     def status(self, name: str) -> JobView:
         return self._jobs[name]
 
     def resolve(self, prefix: str) -> str:
-        views_of = [name for name in self._jobs if name.startswith(prefix)]
-        if len(views_of) != 1:
+        names = [name for name in self._jobs if name.startswith(prefix)]
+        if len(names) != 1:
             raise RefusedError(f"no job {prefix!r}")
-        return views_of[0]
+        return names[0]
 
     def workers(self) -> tuple[WorkerView, ...]:
         return tuple(

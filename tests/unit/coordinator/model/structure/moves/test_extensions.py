@@ -57,8 +57,8 @@ def names(program):
 def test_each_structure_comes_once_and_has_one_constant_more(text):
     program = parsed(text)
     made = list(extensions(program, [1.0, 1.0], ALL))
-    assert len({structure(program) for program in made} | {structure(program)}) == len(made) + 1
-    counts = {len(constant_places(text)) - len(constant_places(program)) for text in made}
+    assert len({structure(extension) for extension in made} | {structure(program)}) == len(made) + 1
+    counts = {len(constant_places(extension)) - len(constant_places(program)) for extension in made}
     assert counts <= {0, 1, 2}  # functions alone bring none, 1 + c v brings two
     assert 1 in counts
 
