@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll_core.expression.bounds import EquationBounds, parse_bound
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, check_program_bytes
 from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.writing import shortest as search
@@ -38,7 +38,7 @@ def write_in_every_way(program: Program) -> None:
     """Call whatever rewrites a program; raises what these raise."""
     shortest_over(program, ROWS)
     for other in (shortest(program), collected(program), *factored_forms(program)):
-        other.validate(len(NAMES))
+        check_program_bytes(other.to_bytes(), len(NAMES))
     try:
         list(raised_quotients(terms_of(program)))
     except UndefinedError:
