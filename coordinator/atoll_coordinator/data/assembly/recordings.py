@@ -30,6 +30,31 @@ def build_recording(
         selected: which rows the search sees, and because of which state it does not see others.
         symbols: by column name, the name in expressions.
     """
+    roles, whole = measurements.roles, measurements.trajectories
+    assert whole is not None
+    smoothing = map(_describe_smoothing, roles.states, estimates, map(len, selected.uncertain), selected.excluded)
+    return Recording(
+        roles.states,
+        tuple(symbols[name] for name in roles.states),
+        tuple(symbols[name] for name in roles.velocities),
+        roles.inputs,
+        tuple(symbols[name] for name in roles.inputs),
+        roles.order,
+        whole.offset,
+        tuple(smoothing),
+        _trajectories(measurements, weights, estimates, inputs),
+        roles.offsets,
+        measurements.group_names,
+    )
+
+
+def _trajectories(
+    measurements: Measurements,
+    weights: FloatArray | None,
+    estimates: Sequence[StateEstimate],
+    inputs: Sequence[Sequence[FloatArray]],
+) -> tuple[Trajectory, ...]:
+    """Return the trajectories of a recording; parameters are those of `build_recording`."""
     roles, whole, ranges = measurements.roles, measurements.trajectories, measurements.ranges
     assert whole is not None
 
@@ -55,8 +80,8 @@ def build_recording(
         parts([np.concatenate(along) for along in slopes]),
         measurements.held_out,
         nothing
-        if all(its is None for its in robustness_weights)
-        else parts([ones if its is None else its for its in robustness_weights]),
+        if all(weights_of is None for weights_of in robustness_weights)
+        else parts([ones if weights_of is None else weights_of for weights_of in robustness_weights]),
         nothing if weights is None else [np.ascontiguousarray(weights[slice(*place)]) for place in ranges],
         nothing if is_known.all() else [np.ascontiguousarray(is_known[:, slice(*place)]) for place in ranges],
         parts([estimate.derivative for estimate in estimates]),
@@ -64,21 +89,7 @@ def build_recording(
         measurements.groups or [""] * len(ranges),
         strict=True,
     )
-    trajectories = tuple(Trajectory(*column) for column in columns)
-    smoothing = map(_describe_smoothing, roles.states, estimates, map(len, selected.uncertain), selected.excluded)
-    return Recording(
-        roles.states,
-        tuple(symbols[name] for name in roles.states),
-        tuple(symbols[name] for name in roles.velocities),
-        roles.inputs,
-        tuple(symbols[name] for name in roles.inputs),
-        roles.order,
-        whole.offset,
-        tuple(smoothing),
-        trajectories,
-        roles.offsets,
-        measurements.group_names,
-    )
+    return tuple(Trajectory(*column) for column in columns)
 
 
 def _describe_smoothing(
