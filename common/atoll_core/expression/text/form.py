@@ -15,10 +15,12 @@ from typing import Any, Final, Generic, TypeVar
 from atoll_core.expression.operators import (
     ADD,
     ARITY,
+    BASE_LOG,
     CONSTANT,
     COS,
     DIVIDE,
     INVERSE,
+    LOG,
     MULTIPLY,
     NEGATE,
     SIN,
@@ -202,6 +204,8 @@ class _Writer:
             return self._multiplied(left, right)
         if code == DIVIDE:
             return self._divided(left, right)
+        if code == BASE_LOG:  # in derivatives by an exponent; the power beside it tells where it is 0
+            return self.unary(LOG, left)
         return Signed(self.form(Kind.POWER, left, right))
 
     def unary(self, code: int, operand: Signed) -> Signed:

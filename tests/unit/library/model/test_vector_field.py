@@ -6,10 +6,12 @@ import sys
 import numpy as np
 import pytest
 
+from atoll.model.model import Model
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.evaluation import values_of
+from tests.unit.library.model.results import result
 
 FUNCTIONS = VectorField.of(
     {
@@ -110,3 +112,9 @@ def test_rates_without_a_value_anywhere_are_nan(rate: str) -> None:
     slopes = field.values(np.array([[1.0, 2.0], [0.5, 3.0]]), np.array([0.3]), field.values_of_parameters)
     assert np.isnan(slopes[:, 0]).all()
     assert slopes[:, 1].tolist() == [-2.0, -3.0]
+
+
+def test_what_a_constant_is_the_coefficient_of_is_written_with_a_logarithm_where_it_is_an_exponent() -> None:
+    field = Model(result({"x": "2.5*x**1.5"})).field
+    values = np.array([2.5, 1.5])
+    assert [field.term_of(index, values) for index in range(2)] == ["x**1.5", "2.5*x**1.5*log(x)"]
