@@ -123,7 +123,7 @@ class Discoverer:
         """
         model = self._of(group)
         if isinstance(x, (list, tuple)) and np.ndim(x[0]) == 2:
-            inputs = [None] * len(x) if u is None else cast(Sequence[npt.ArrayLike], u)
+            inputs = [None] * len(x) if u is None else _matching_parts(u, len(x), "u")
             return [model.predict(_rows(part), _rows_if_any(inputs[index])) for index, part in enumerate(x)]
         return model.predict(_rows(x), _rows_if_any(u))
 
@@ -188,12 +188,24 @@ def _trajectories(
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]]:
     """Yield states (N, D), times (N,), inputs (N, U) and derivatives (N, D) of each trajectory."""
     parts = _parts(x)
+    beside = [
+        None if given is None else _matching_parts(given, len(parts), what)
+        for given, what in ((u, "u"), (x_dot, "x_dot"))
+    ]
     has_own_times = isinstance(t, (list, tuple)) and len(t) == len(parts) and np.ndim(t[0]) == 1
     for index, part in enumerate(parts):
         states = _rows(part)
         times = _times(cast(Sequence[npt.ArrayLike], t)[index] if has_own_times else t, len(states))
-        controls, slopes = (None if given is None else _rows(_parts(given)[index]) for given in (u, x_dot))
+        controls, slopes = (None if given is None else _rows(given[index]) for given in beside)
         yield states, times, controls, slopes
+
+
+def _matching_parts(given: npt.ArrayLike, count: int, what: str) -> list[npt.ArrayLike]:
+    """Return the arrays of so many trajectories; raises DataError."""
+    parts = _parts(given)
+    if len(parts) != count:
+        raise DataError(f"{what} has arrays for {len(parts)} trajectories, but x has {count}; give one for each")
+    return parts
 
 
 def _rows(part: npt.ArrayLike) -> FloatArray:

@@ -40,6 +40,16 @@ def test_lists_are_trajectories_with_inputs_and_derivatives(calls: list[tuple[An
     assert fitted.n_features_in_ == 2
 
 
+@pytest.mark.parametrize("others", [[X], [X, X[:2], X]])
+@pytest.mark.parametrize("name", ["u", "x_dot"])
+def test_arrays_for_another_number_of_trajectories_are_refused(
+    calls: list[tuple[Any, dict[str, Any]]], name: str, others: list[Any]
+) -> None:
+    with pytest.raises(DataError, match=f"{name} has arrays for {len(others)} trajectories, but x has 2"):
+        Discoverer().fit([X, X[:2]], 1.0, **{name: others})
+    assert not calls
+
+
 def test_one_number_is_the_time_between_rows(calls: list[tuple[Any, dict[str, Any]]]) -> None:
     Discoverer().fit(X, 0.5, feature_names=["a", "b"])
     ((data, _),) = calls
