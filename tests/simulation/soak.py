@@ -131,7 +131,8 @@ def tally_of(seeds: Sequence[int]) -> Tally:
 def in_child(first: int, last: int) -> Tally:
     """Play schedules in a process of its own, whose PYTHONHASHSEED depends on the first."""
     words = ["-m", "tests.simulation.soak", "--child", "--first", str(first), "--schedules", str(last - first)]
-    environment = {**os.environ, "PYTHONHASHSEED": str(first % 2**32), "PYTHONPATH": str(ROOT)}
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]  # so that children run the code of this process
+    environment = {**os.environ, "PYTHONHASHSEED": str(first % 2**32), "PYTHONPATH": os.pathsep.join(paths)}
     done = subprocess.run(
         [sys.executable, *words],
         cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True, timeout=CHUNK_LIMIT_S, check=True,
