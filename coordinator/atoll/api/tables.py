@@ -12,7 +12,9 @@ import numpy as np
 from atoll_coordinator.data.reading.columns import TIME
 from atoll_coordinator.data.reading.dates import Dates, dates_of_array, times_of
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.roles.column_options import TIME_NAMES, find_trajectory_column, named_columns, split_unit
+from atoll_coordinator.data.roles.column_options import named_columns, split_unit
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
+from atoll_coordinator.data.roles.trajectory_column import find_trajectory_column
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray, FloatArray
 from atoll_core.data.table import Table

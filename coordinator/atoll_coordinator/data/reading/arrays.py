@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
-from atoll_coordinator.data.roles.column_options import TIME_NAMES
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray
 from atoll_core.errors import DataError

@@ -11,8 +11,9 @@ from atoll_coordinator.data.reading.date_columns import compact_dates, read_date
 from atoll_coordinator.data.reading.dates import Dates, is_date, split_origin
 from atoll_coordinator.data.reading.numerals import place, read_numbers
 from atoll_coordinator.data.reading.raw_table import RawTable
-from atoll_coordinator.data.roles.column_options import find_trajectory_column, named_columns, split_unit, strip_units
+from atoll_coordinator.data.roles.column_options import named_columns, split_unit, strip_units
 from atoll_coordinator.data.roles.roles import assigned
+from atoll_coordinator.data.roles.trajectory_column import find_trajectory_column
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import MANY

@@ -6,7 +6,8 @@ from typing import Final, Literal, NamedTuple
 
 from atoll_coordinator.data.reading.cells import is_missing
 from atoll_coordinator.data.reading.dates import Dates, is_clock, is_date, read_dates, with_clock
-from atoll_coordinator.data.roles.column_options import TIME_NAMES, named_columns
+from atoll_coordinator.data.roles.column_options import named_columns
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 
 _NEW_NAMES: Final = ("time", "t")

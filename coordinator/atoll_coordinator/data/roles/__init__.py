@@ -1,6 +1,7 @@
 """What the columns of a table mean, from their names and the options alone.
 
-- `column_options`: which columns the options name, which is the time where they do not say, contradictions refused
+- `column_options`: which columns the options name, units taken off names, contradictions refused
+- `time_column`, `trajectory_column`: which column is which where the options do not say
 - `roles`: `assign_roles`: which column is time, trajectory, state, input, target, derivative or weight
 - `symbols`: `assign_symbols`: the name of each variable in expressions
 - `unit_texts`: which texts of a header are units

@@ -1,4 +1,4 @@
-"""Columns by their names and the options: which are named, which is the time, units taken off, contradictions. Pure."""
+"""Columns by their names and the options: which are named, units taken off, contradictions. Pure."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -8,9 +8,6 @@ from atoll_coordinator.data.roles.unit_texts import are_units
 from atoll_core.config import DataConfig
 from atoll_core.errors import UsageError
 
-TIME_NAMES: Final = ("t", "time", "Time", "TIME")
-"""What the time is called unless options name it, in this order."""
-TRAJECTORY_NAME: Final = "trajectory"
 _SINGLE: Final = ("time", "trajectory", "group", "target", "weights")
 _SEVERAL: Final = ("states", "inputs", "derivatives", "only", "offsets")
 """Options that name one column, and several."""
@@ -76,19 +73,6 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
     changes["units"] = {plain(name): unit for name, unit in config.units.items()}
     changes["angles"] = tuple(angle.model_copy(update={"column": plain(angle.column)}) for angle in config.angles)
     return config.model_copy(update=changes)
-
-
-def find_time_column(names: Sequence[str], config: DataConfig) -> str | None:
-    """Return the column that options name as the time, else one that is called so and has no role but an input's."""
-    other = (config.target, config.trajectory, config.weights, *(config.states or ()), *(config.derivatives or ()))
-    return config.time or next((name for name in TIME_NAMES if name in names and name not in other), None)
-
-
-def find_trajectory_column(names: Iterable[str], config: DataConfig) -> str | None:
-    """Return the trajectory column: the one named, else one called ``trajectory`` that has no other part."""
-    if config.trajectory is not None:
-        return config.trajectory
-    return TRAJECTORY_NAME if TRAJECTORY_NAME in names and TRAJECTORY_NAME not in named_columns(config) else None
 
 
 def check_options(config: DataConfig) -> None:

@@ -6,14 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from atoll_coordinator.data.roles.column_options import (
-    TIME_NAMES,
-    check_options,
-    find_time_column,
-    find_trajectory_column,
-    named_columns,
-    strip_units,
-)
+from atoll_coordinator.data.roles.column_options import check_options, named_columns, strip_units
+from atoll_coordinator.data.roles.time_column import TIME_NAMES, find_time_column
+from atoll_coordinator.data.roles.trajectory_column import find_trajectory_column
 from atoll_coordinator.units import parse_unit
 from atoll_core.config import Angle, DataConfig
 from atoll_core.data.table import Table
