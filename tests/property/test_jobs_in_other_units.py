@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atoll.experiments.design_search import suggest
 from atoll.experiments.identifiability import identify
 from atoll.experiments.space import Request
-from atoll.experiments.suggestions import suggest
 from atoll.model.model import Model
 from atoll.report.findings import Findings
 from atoll.report.fit import trajectories

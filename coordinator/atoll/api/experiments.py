@@ -2,12 +2,12 @@
 
 from atoll.api.tables import table_of
 from atoll.api.wording import python_words
+from atoll.experiments.design_search import suggest
 from atoll.experiments.determination import Identifiability
 from atoll.experiments.identifiability import identify
 from atoll.experiments.measured import config_of
 from atoll.experiments.space import Request
 from atoll.experiments.suggestion import Suggestions
-from atoll.experiments.suggestions import suggest
 from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.data.table import Table

@@ -8,7 +8,7 @@
 - `rivals`: candidate systems fitted to the same data, with weights, and what they foretell of an experiment
 - `designs`: possible experiments and what is expected of each
 - `space`: which experiments can be made: bounds, lengths, costs
-- `suggestions`: the experiments that are worth most, ranked
+- `design_search`: `suggest`: the experiments that are worth most, ranked
 - `determination`, `suggestion`: what both say, as values
 
 A result goes in; everything is a pure function of it, of the data and of a seed.

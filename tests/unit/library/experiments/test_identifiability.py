@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atoll.experiments.design_search import suggest
 from atoll.experiments.determination import Identifiability
 from atoll.experiments.identifiability import identify
 from atoll.experiments.measured import measured_of
 from atoll.experiments.relations import relation_of
 from atoll.experiments.space import Request
-from atoll.experiments.suggestions import suggest
 from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError

@@ -8,7 +8,7 @@ import pytest
 
 from atoll.cli.main import main
 from atoll.model.model import Model
-from tests.unit.library.experiments.test_suggestions import FOUND, TIMES, WIDE
+from tests.unit.library.experiments.test_design_search import FOUND, TIMES, WIDE
 
 
 @pytest.fixture

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.special import lambertw
 
+from atoll.experiments.design_search import suggest
 from atoll.experiments.designs import Foretold, discrepancy, needed, precision, told
 from atoll.experiments.measured import measured_of
 from atoll.experiments.rivals import without_poles
 from atoll.experiments.space import Request
-from atoll.experiments.suggestions import suggest
 from atoll.experiments.systems import equations_of
 from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
