@@ -35,7 +35,7 @@ from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import Control, WorkerStatus
 from benchmarks.harness.command_line import option, program
 from benchmarks.harness.tables import grouped
-from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 
 CONFIG = JobConfig(seed=3, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(max_epochs=14))

@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 
 from atoll_coordinator.service.search import pull_budget
-from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.fault_schedule import schedule_of
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, comparable

@@ -14,7 +14,7 @@ from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Event, Message, Query
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.workers import Close, Control, Placements, WorkerStatus
-from tests.simulation.bus.faults import Partition, Plan
+from tests.simulation.bus.fault_plan import Partition, Plan
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 from tests.simulation.harness.stub_islands import StubIsland

@@ -23,7 +23,7 @@ from atoll_core.wire.messages.workers import (
     WorkerStatus,
 )
 from tests.placements import placements_in
-from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 from tests.simulation.harness.stub_islands import OURS

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.simulation.bus.faults import Partition, Plan
+from tests.simulation.bus.fault_plan import Partition, Plan
 from tests.simulation.harness.simulated_cluster import World, comparable, patiently
 from tests.simulation.test_same_answer import FEW_SEEDS, answer, config, undisturbed
 

@@ -14,7 +14,7 @@ from atoll_core.data.dataset import Dataset, Target
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import Work
 from atoll_island_worker.session.epoch_tasks import ShardKey, Task
-from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import StubCompute
 from tests.unit.coordinator.data.tables import table_of

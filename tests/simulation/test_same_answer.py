@@ -11,7 +11,7 @@ import pytest
 
 from atoll_coordinator.model.sparse import product_laws
 from tests.placements import placements_in
-from tests.simulation.bus.faults import Partition, Plan
+from tests.simulation.bus.fault_plan import Partition, Plan
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, comparable
 

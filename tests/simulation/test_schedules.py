@@ -18,7 +18,7 @@ from atoll_coordinator.service.store.open_file import OpenFile
 from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.schema import _prepare
 from atoll_coordinator.service.store.store import Store
-from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.fault_schedule import (
     Fault,
     GuestKind,

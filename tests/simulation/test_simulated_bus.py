@@ -4,7 +4,7 @@ import pytest
 
 from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
-from tests.simulation.bus.faults import Crash, Partition, Plan
+from tests.simulation.bus.fault_plan import Crash, Partition, Plan
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus
 

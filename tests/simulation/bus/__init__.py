@@ -3,5 +3,5 @@
 - ``network``: the router in the middle, the clock, and the list of what will happen.
 - ``participant``: one participant's bus (`atoll_core.wire.bus.interface.Bus`), its own time, and what waits for it.
 - ``matching``: which keys an expression matches.
-- ``faults``: the plan of losses, delays, partitions and crashes.
+- ``fault_plan``: the plan of losses, delays, partitions and crashes.
 """

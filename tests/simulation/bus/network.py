@@ -17,7 +17,7 @@ from typing import Final
 from atoll_core.errors import LocalProtocolError
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.bus.interface import Link, Message, Query
-from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.bus.participant import Question, SimulatedBus
 
 _MOST_AT_ONE_INSTANT: Final = 1_000_000

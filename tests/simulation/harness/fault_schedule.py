@@ -9,7 +9,7 @@ from typing import Final, Literal, get_args
 
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.search.seeding import Stream, stream_key
-from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.fault_plan import Plan
 
 Kind = Literal[
     "kill", "hang", "stuck", "slow", "cut", "join", "leave", "close",

@@ -17,7 +17,7 @@ from atoll_coordinator.service.search import archipelago, checkpoint_schedule
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, RefusedError, UnreachableError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
-from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.fault_injector import FaultInjector
 from tests.simulation.harness.fault_schedule import GuestPlan, JobPlan, Schedule
 from tests.simulation.harness.guests import Guest

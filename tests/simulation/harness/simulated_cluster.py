@@ -26,7 +26,7 @@ from atoll_core.errors import UnreachableError
 from atoll_core.wire.bus.interface import Event
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
 from atoll_island_worker.worker import Worker
-from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus
 from tests.simulation.harness.stub_islands import StubCompute
