@@ -10,7 +10,7 @@ import numpy as np
 from atoll_coordinator.data.assembly.recordings import build_recording
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
-from atoll_coordinator.data.differentiation.standard_deviation import (
+from atoll_coordinator.data.differentiation.value_scale import (
     derivative_standard_deviation,
     representable_standard_deviation,
 )

@@ -14,23 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.data.differentiation.interpolation import (
-    estimate_value_noise,
     interpolate_derivative,
     is_interpolation_better,
     predict_left_out,
 )
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.differentiation.missing_values import fill, fill_holes, make_signal
+from atoll_coordinator.data.differentiation.noise import estimate_noise, estimate_value_noise
 from atoll_coordinator.data.differentiation.quantisation import find_quantisation, is_refuted
 from atoll_coordinator.data.differentiation.robust import fit_robustly, has_heavy_tails, weigh_by
-from atoll_coordinator.data.differentiation.smoothing import (
-    Signal,
-    Smoother,
-    estimate_noise,
-    select_smoother,
-    smooth,
-)
-from atoll_coordinator.data.differentiation.standard_deviation import derivative_standard_deviation
+from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, select_smoother, smooth
+from atoll_coordinator.data.differentiation.value_scale import derivative_standard_deviation
 from atoll_coordinator.data.recording import STENCIL_ROWS, Quantisation
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS

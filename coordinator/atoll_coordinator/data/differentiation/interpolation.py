@@ -18,21 +18,12 @@ from atoll_coordinator.data.differentiation.kernels.stencils import (
     moments,
 )
 from atoll_coordinator.data.differentiation.smoothing import Signal, SmoothedSignal
-from atoll_coordinator.data.differentiation.standard_deviation import NORMAL_DEVIATION
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
-LIMITS = SETTINGS.interpolation
-END_ROWS = LIMITS.end_rows
+END_ROWS = SETTINGS.interpolation.end_rows
 _LEAST_FREEDOM: Final = 1e-12
 """Guard: smallest 1 - leverage by which a residual is divided."""
-MEDIAN_ERROR: Final = 1.1664
-"""Relative standard error of the median size of R normal errors, times sqrt(R): 1 / (2 m f(m)) with the median
-m = 0.6745 and the density f of the size."""
-QUIET_DEVIATION: Final = 7.9579
-"""A normal error's standard deviation over its size that a tenth of such errors stay below, 0.12566."""
-QUIET_ERROR: Final = 3.0156
-"""Relative standard error of that size of R errors, times sqrt(R): sqrt(0.1 0.9) / (2 m f(m)), see `MEDIAN_ERROR`."""
 
 
 def mark_ends(lengths: Sequence[int]) -> FloatArray:
@@ -51,28 +42,6 @@ def predict_left_out(signals: Sequence[Signal]) -> tuple[FloatArray, FloatArray]
         left_out_into(errors, gains, signal.times, signal.values)
     errors, gains = np.concatenate(pairs, axis=1)
     return errors, gains
-
-
-def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: bool = False) -> float:
-    """Return an estimate of the standard deviation of the values' errors that is not biased low.
-
-    The left-out errors of one width over their gains have the standard deviation sought where the width follows the
-    signal, a larger one elsewhere. Each width gives an estimate, the median size times `NORMAL_DEVIATION`, whose
-    relative standard error is `MEDIAN_ERROR` / sqrt(R). The least of several such estimates is biased low, so the
-    largest one of those is returned that sampling alone may have made larger than the least.
-
-    Args:
-        errors: of rows predicted from their neighbours, (R, H); NaN where a stencil does not fit.
-        gains: their standard deviations for errors of deviation one, (R, H).
-        is_quiet: by the tenth of the rows with the smallest errors instead of half: where a state changes too fast for
-            the sampling in places, the others tell its noise. The standard error is 2.6 times as large.
-    """
-    rows = len(errors)
-    share, deviation, error = (0.1, QUIET_DEVIATION, QUIET_ERROR) if is_quiet else (0.5, NORMAL_DEVIATION, MEDIAN_ERROR)
-    quantiles = np.sort(np.abs(errors) / gains, axis=0)[int(share * rows)]
-    noises = deviation * quantiles[~np.isnan(quantiles)]
-    agreement = 1.0 + LIMITS.agreement * error * math.sqrt(2.0 / rows)
-    return float(np.max(noises[noises <= agreement * np.min(noises)]))
 
 
 def is_interpolation_better(

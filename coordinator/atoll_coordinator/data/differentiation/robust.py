@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
+from atoll_coordinator.data.differentiation.noise import NORMAL_DEVIATION
 from atoll_coordinator.data.differentiation.smoothing import (
     Signal,
     SmoothedSignal,
@@ -17,7 +18,6 @@ from atoll_coordinator.data.differentiation.smoothing import (
     select_smoother,
     smooth,
 )
-from atoll_coordinator.data.differentiation.standard_deviation import NORMAL_DEVIATION
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 

@@ -208,22 +208,3 @@ def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
 
 def _empty(rows: int) -> SmoothedSignal:
     return SmoothedSignal(np.empty((3, rows)), np.empty((4, rows)))
-
-
-def estimate_noise(signals: Sequence[Signal], smoother: Smoother) -> float:
-    """Return the estimated standard deviation of the errors in a row of inverse variance 1, by what `smoother` leaves.
-
-    Squared residuals over degrees of freedom (Cleveland & Devlin 1988, section 3): rows minus twice the trace of the
-    smoother plus the trace of its square. Rows without weight do not count.
-    """
-    squares, degrees_of_freedom = 0.0, 0.0
-    for signal in signals:
-        fit, inverse_variances = smooth(signal, smoother), signal.filled_inverse_variances
-        residuals, weights = (signal.values - fit.fits[0]).tolist(), signal.weights.tolist()
-        row_degrees_of_freedom = (1.0 - 2.0 * fit.gains[3] + inverse_variances * fit.gains[0] * fit.gains[0]).tolist()
-        rows = zip(residuals, weights, inverse_variances.tolist(), row_degrees_of_freedom, strict=True)
-        for residual, weight, inverse_variance, free in rows:
-            if weight > 0.0:
-                squares += inverse_variance * residual * residual
-                degrees_of_freedom += free
-    return math.sqrt(squares / max(degrees_of_freedom, 1.0))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll_coordinator.data.differentiation.standard_deviation import derivative_standard_deviation
+from atoll_coordinator.data.differentiation.value_scale import derivative_standard_deviation
 from atoll_coordinator.data.increments.moments import BinnedMoments, bin_moments
 from atoll_coordinator.data.increments.roughness import is_driven, noise_shares
 from atoll_coordinator.data.increments.steps import take_steps

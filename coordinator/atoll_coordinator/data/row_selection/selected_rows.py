@@ -14,7 +14,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.interpolation import END_ROWS, mark_ends
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
-from atoll_coordinator.data.differentiation.standard_deviation import ROUNDING, bounded_standard_deviation
+from atoll_coordinator.data.differentiation.value_scale import ROUNDING, bounded_standard_deviation
 from atoll_coordinator.data.recording import ExcludedRow
 from atoll_coordinator.data.row_selection.excluded_rows import explain_excluded_rows
 from atoll_coordinator.data.trajectories.measurements import Measurements

@@ -1,9 +1,10 @@
-"""Loess: its span and degree follow the noise, and the noise is estimated."""
+"""Loess: its span and degree follow the noise."""
 
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, estimate_noise, select_smoother, smooth
+from atoll_coordinator.data.differentiation.noise import estimate_noise
+from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, select_smoother, smooth
 
 
 def noisy(deviation, rows=200, signals=2, seed=0):
@@ -17,13 +18,6 @@ def test_more_noise_is_smoothed_over_more_rows():
     assert spans == sorted(spans)
     assert spans[0] < 10
     assert spans[-1] > 40
-
-
-def test_noise_is_estimated():
-    for deviation in (0.01, 0.1):
-        signals = noisy(deviation, rows=400)
-        smoother = select_smoother(signals, (3, 4))
-        assert estimate_noise(signals, smoother) == pytest.approx(deviation, rel=0.1)
 
 
 def test_only_the_degrees_allowed_are_chosen():

@@ -10,8 +10,6 @@ from atoll_core.errors import DataError
 
 ROUNDING: Final = 1e-12
 """Guard: a column that varies less than this share of its mean is judged by the mean, for it may well be constant."""
-NORMAL_DEVIATION: Final = 1.4826
-"""Standard deviation of normal errors over the median of their size: 1 / 0.6745."""
 
 
 def bounded_standard_deviation(values: FloatArray, least: float = ROUNDING) -> float:

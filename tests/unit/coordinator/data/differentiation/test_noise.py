@@ -1,10 +1,12 @@
-"""Interpolation: the noise of the values is estimated from rows that are predicted by their neighbours."""
+"""The noise is estimated from what loess leaves, and from rows that are predicted by their neighbours."""
 
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, predict_left_out
-from atoll_coordinator.data.differentiation.smoothing import Signal
+from atoll_coordinator.data.differentiation.interpolation import predict_left_out
+from atoll_coordinator.data.differentiation.noise import estimate_noise, estimate_value_noise
+from atoll_coordinator.data.differentiation.smoothing import Signal, select_smoother
+from tests.unit.coordinator.data.differentiation.test_smoothing import noisy
 
 NOISE = 0.01
 
@@ -15,6 +17,13 @@ def estimated(rows, seed, uneven, amplitude=0.0):
     times = 0.05 * np.cumsum(rng.uniform(0.5, 1.5, rows) if uneven else np.ones(rows))
     values = amplitude * np.sin(times) + NOISE * rng.standard_normal(rows)
     return estimate_value_noise(*predict_left_out([Signal(times, values)])) / NOISE
+
+
+def test_noise_is_estimated():
+    for deviation in (0.01, 0.1):
+        signals = noisy(deviation, rows=400)
+        smoother = select_smoother(signals, (3, 4))
+        assert estimate_noise(signals, smoother) == pytest.approx(deviation, rel=0.1)
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 1.0])
@@ -39,9 +48,9 @@ def test_rows_that_change_little_tell_the_noise_beside_fast_ones():
     rng = np.random.default_rng(6)
     times = np.linspace(0.0, 10.0, 400)
     fast = np.where(times > 3.0, rng.standard_normal(400), 0.0)
-    noisy = np.sin(times) + fast + NOISE * rng.standard_normal(400)
+    values = np.sin(times) + fast + NOISE * rng.standard_normal(400)
     whole, quiet = (
-        estimate_value_noise(*predict_left_out([Signal(times, noisy)]), is_quiet=is_quiet) / NOISE
+        estimate_value_noise(*predict_left_out([Signal(times, values)]), is_quiet=is_quiet) / NOISE
         for is_quiet in (False, True)
     )
     assert whole > 10.0 * quiet
