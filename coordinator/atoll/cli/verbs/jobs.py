@@ -1,16 +1,13 @@
-"""The verbs that ask a coordinator: whether it answers, about jobs, workers and events; to cancel or delete a job."""
+"""The verbs about the jobs of a coordinator: to list and show them, to cancel or delete one."""
 
 import argparse
-import json
-import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from pydantic_core import to_jsonable_python
 
 from atoll.cli.exit_codes import DONE, end_of_cancelled, finish
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
-from atoll.cli.worker_table import coordinator_lines, worker_table
 from atoll.client.client import Client, connected
 from atoll.client.follower import Display, Follower
 from atoll.terminal.output import as_json, clipped, count, duration, say, table
@@ -18,30 +15,10 @@ from atoll.terminal.progress import JsonDisplay, LiveDisplay, PlainDisplay, is_s
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
 from atoll_core.wire.addresses import Destination
-from atoll_core.wire.messages.views import FINAL_STATES, EventView, JobView, WorkerView
+from atoll_core.wire.messages.views import FINAL_STATES, JobView, WorkerView
 
 _SHOWN: Final = 20
 """Jobs under way that are named when one is to be chosen."""
-
-_INTERVAL_S: Final = 0.5
-_PAGE: Final = 500
-
-
-def ping(options: argparse.Namespace) -> int:
-    """Greet the coordinator and say how long it took; UnreachableError when it did not answer in ``options.wait``.
-
-    The answer comes from the loop that all else goes through, which a coordinator that hangs does not turn.
-    """
-    address = address_of(options)
-    began = time.monotonic()
-    with connected(address, options.wait) as client:
-        seconds, welcome = time.monotonic() - began, client.welcome
-    answer = {"version": welcome.version, "incarnation": welcome.incarnation, "seconds": seconds}
-    text = (
-        f"coordinator {welcome.version} at {address} answers, in {1000 * seconds:.0f} ms (start {welcome.incarnation})"
-    )
-    say(as_json(answer) if options.json else text)
-    return DONE
 
 
 def jobs(options: argparse.Namespace) -> int:
@@ -83,21 +60,6 @@ def _follow_job(options: argparse.Namespace, address: Destination) -> int:
     return finish(view)
 
 
-def workers(options: argparse.Namespace) -> int:
-    """List all workers, or those whose name begins with ``options.job``; or show the coordinator's own counters."""
-    address = address_of(options)
-    with connected(address, CONNECT_LIMIT_S) as client:
-        views = [view for view in client.workers() if view.worker.startswith(options.job or "")]
-        own = client.coordinator() if options.coordinator else None
-    if options.coordinator:
-        say(_json(own) if options.json else coordinator_lines(own))
-    elif options.json:
-        say(_json(views))
-    else:
-        say(worker_table(views) if views else f"no worker is here; start one with: island-worker --connect {address}")
-    return DONE
-
-
 def cancel(options: argparse.Namespace) -> int:
     """End a job, the only one under way unless it is named; its best equations stay."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
@@ -120,49 +82,6 @@ def delete(options: argparse.Namespace) -> int:
         client.delete(job)
     say(as_json({"deleted": job}) if options.json else f"job {job} is deleted")
     return DONE
-
-
-def logs(options: argparse.Namespace) -> int:
-    """Show the last events of a job, or of everything; with ``--follow`` also those to come, until the job ends."""
-    with raising_interrupts(), connected(address_of(options), CONNECT_LIMIT_S) as client:
-        job = client.resolve(options.job) if options.job is not None else None
-        events = client.events(job, 0, options.lines)
-        if not options.follow:
-            nothing = f"nothing is noted of job {job}" if job is not None else "nothing is noted yet"
-            text = "\n".join(line(event) for event in events) or nothing
-            say(_json(events) if options.json else text)
-            return DONE
-        _show(events, options.json)
-        return _follow_events(client, job, events[-1].number if events else 0, options.json)
-
-
-def _follow_events(client: Client, job: str | None, last: int, as_objects: bool) -> int:
-    """Show what comes, until the job has ended and all of it has been shown."""
-    while True:
-        is_over = job is not None and client.status(job).state in FINAL_STATES
-        while events := client.events(job, last, _PAGE):
-            last = events[-1].number
-            _show(events, as_objects)
-        if is_over:
-            return DONE
-        client.pause(_INTERVAL_S)
-
-
-def _show(events: Iterable[EventView], as_objects: bool) -> None:
-    """Print events one by one; as JSON, one object a line."""
-    for event in events:
-        say(json.dumps(to_jsonable_python(event), ensure_ascii=False) if as_objects else line(event))
-
-
-def line(event: EventView) -> str:
-    """Return an event on one line: when, what, whose, in words, where."""
-    place = [
-        ("job", event.job), ("variable", event.variable), ("term", event.term), ("epoch", event.epoch),
-        ("island", event.island), ("worker", event.worker),
-    ]  # fmt: skip
-    where = " ".join(f"{name}={value}" for name, value in place if value is not None)
-    when = event.time.replace("T", " ")[:23]
-    return f"{when}  {event.event:13}  {event.text}" + (f"  [{where}]" if where else "")
 
 
 def _chosen_job(client: Client, prefix: str | None) -> str:

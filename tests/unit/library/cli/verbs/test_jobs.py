@@ -1,4 +1,4 @@
-"""The verbs that look at a coordinator, on a client that knows three jobs and two workers."""
+"""The verbs about jobs, on a client that knows three jobs and three workers."""
 
 import json
 from collections.abc import Iterator
@@ -59,9 +59,29 @@ class FakeClient:
         return view if ended else view.model_copy(update={"state": "cancelled"})
 
 
-@pytest.fixture
-def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
-    fake = FakeClient(job("alpha", "done"), job("beta", "running"), job("gamma", "failed"))
+class EndingClient(FakeClient):
+    """A coordinator whose only job has gone on each time it is asked for, and is done the third time."""
+
+    def __init__(self) -> None:
+        super().__init__(job("alpha", "running"))
+        self.looks = 0
+
+    def status(self, name: str) -> JobView:
+        self.looks += 1
+        return job_view(
+            job=name, state="done" if self.looks >= 3 else "running", elapsed=1.0, point_evaluations=self.looks,
+            target_error=1e-9, variables=(),
+        )  # fmt: skip
+
+    def now(self) -> float:
+        return float(self.looks)
+
+    def pause(self, seconds: float) -> None:
+        assert seconds <= 1.0
+
+
+def connect(fake: FakeClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the verbs ask `fake`."""
 
     @contextmanager
     def connected(address: Destination, wait_s: float) -> Iterator[FakeClient]:
@@ -70,6 +90,12 @@ def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
 
     monkeypatch.setattr(verbs, "connected", connected)
     monkeypatch.setenv("ATOLL_CONNECT", "tcp/there:7447")
+
+
+@pytest.fixture
+def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
+    fake = FakeClient(job("alpha", "done"), job("beta", "running"), job("gamma", "failed"))
+    connect(fake, monkeypatch)
     return fake
 
 
@@ -84,11 +110,9 @@ class TestWithACoordinator:
         assert " ".join(lines[0].split()) == heads
         assert [line.split()[0] for line in lines[1:]] == ["alpha", "beta", "gamma"]
 
-    def test_jobs_and_workers_may_be_filtered(self, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_jobs_may_be_filtered(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["jobs", "al", "--json"]) == 0
         assert [view["job"] for view in json.loads(capsys.readouterr().out)] == ["alpha"]
-        assert main(["workers", "lab", "--json"]) == 0
-        assert [view["worker"] for view in json.loads(capsys.readouterr().out)] == ["lab-0", "lab-1"]
 
     def test_the_last_jobs_may_be_listed_alone(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["jobs", "--last", "2", "--json"]) == 0
@@ -119,6 +143,21 @@ class TestWithACoordinator:
         assert main(["delete", "gamma"]) == 2
         assert main(["delete", "beta"]) == 2
         assert "job beta is running; cancel it" in capsys.readouterr().err
+
+
+def test_a_followed_status_ends_with_the_exit_code_of_the_job(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    client = EndingClient()
+    connect(client, monkeypatch)
+    assert main(["status", "al", "--follow", "--json"]) == 0
+    views = [json.loads(cell) for cell in capsys.readouterr().out.splitlines()]
+    assert [view["state"] for view in views] == ["running", "running", "done"]
+    client.looks = 0
+    assert main(["status", "--follow"]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].startswith("job alpha running")
+    assert out[-1].startswith("job alpha done")
 
 
 @pytest.mark.parametrize(
