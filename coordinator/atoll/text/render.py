@@ -67,8 +67,9 @@ def pick(result: Result, picks: Mapping[str, int]) -> Result:
         _picked(equation, picks[equation.variable], is_of_group) if equation.variable in picks else equation
         for equation in result.equations
     ]
+    groups = tuple(group.model_copy(update={"covariance": None}) for group in result.groups)
     unknown = {"correlations": (), "covariance": None, "shared_terms": (), "simulation": None, "chaos": None}
-    return result.model_copy(update={"equations": tuple(equations), **unknown})
+    return result.model_copy(update={"equations": tuple(equations), "groups": groups, **unknown})
 
 
 def parse_picks(texts: Sequence[str]) -> dict[str, int]:

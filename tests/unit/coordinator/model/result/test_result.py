@@ -323,6 +323,9 @@ def test_what_refining_found_out_does_not_belong_to_a_picked_member():
     text = render_text(picked, fronts=True)
     assert "doubtful" not in text
     assert "±" not in text
+    joint = {"constants": [{"variable": "x", "constant": 0}], "matrix": [[0.1]], "freedom": 9.0}
+    grouped = refined_result() | {"groups": [{"group": "a", "trajectories": ["1"], "covariance": joint}]}
+    assert [group["covariance"] for group in pick(grouped, {"x": 1})["groups"]] == [None]
 
 
 @pytest.mark.parametrize("picks", [{"x": 3}, {"v": 0}, {"q": 0}])
