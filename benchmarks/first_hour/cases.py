@@ -3,6 +3,7 @@
 Whether the data identify a law is decided here, before any search: not where fewer than five rows a period or fewer
 than eight rows in all are left to tell it from others that are as short, and not where errors hide a term. Where
 columns determine each other (their sum is constant, one is twice another), each law that agrees on the rows is right.
+One module above 400 lines, since it is one list, an entry of a few lines for each table.
 """
 
 import math

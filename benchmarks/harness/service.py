@@ -1,10 +1,8 @@
 """A coordinator, workers and perhaps a router as programs of this machine, each as if on one of its own; jobs for them.
 
-`searching` starts what most benchmarks need: starting and loading kernels takes seconds, so that is done once, and
-before any time is taken. `Machines` can be killed, stopped and cut off. A worker in a network namespace has a network
-of its own, joined to this machine's by a pair of virtual interfaces, which can be taken down: packets are then lost in
-silence, as on a cut line. That needs root and iproute2 (Linux). Whatever happens, programs end with the ``with`` block,
-or with this process.
+`searching` starts what most benchmarks need, once and before any time is taken. `Machines` can be killed, stopped and
+cut off: a worker in a network namespace (root and iproute2, Linux) is joined to this machine by a pair of virtual
+interfaces. Taken down, they lose packets in silence. Programs end with the ``with`` block, or with this process.
 """
 
 import os

@@ -5,7 +5,8 @@ import contextlib
 import numpy as np
 import pytest
 
-from benchmarks.operations.pipelines import LateError, config_of, limited, play, table_of
+from benchmarks.operations.drawn_jobs import config_of, table_of
+from benchmarks.operations.pipelines import LateError, limited, play
 
 CASES = 8
 """Played at each run; `make soak` plays ten thousand."""
