@@ -76,8 +76,8 @@ class Case:
     data: Mapping[str, Any] = field(default_factory=dict)
 
 
-def make_case(key: Key) -> Case:
-    """Return the data of one job; equal keys give equal data."""
+def make_case(key: Key, *, has_fresh: bool = True) -> Case:
+    """Return the data of one job; equal keys give equal data. Without `fresh` trajectories unless it `has_fresh`."""
     system = draw_system(key.seed, key.states) if key.system == "random" else named_system(key.system)
     rng = np.random.default_rng([key.seed, key.states, key.trajectories, SAMPLINGS.index(key.sampling), 2])
     starts, times, clean = _trajectories(key, system, rng)
@@ -86,7 +86,8 @@ def make_case(key: Key) -> Case:
     table = table_of(Sampled(system.states, tuple(times), tuple(measured)))
     columns = dict(zip(system.states, np.concatenate(clean).T, strict=True))
     data = {"robust": True} if key.quality.startswith("outliers") else {}
-    fresh = _fresh(system, columns, max(times, key=lambda instants: float(instants[-1])), rng)
+    longest = max(times, key=lambda instants: float(instants[-1]))
+    fresh = _fresh(system, columns, longest, rng) if has_fresh else ()
     return Case(system, table, columns, fresh, smallest_t(system, starts, times, clean, measured), data)
 
 

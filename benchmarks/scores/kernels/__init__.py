@@ -1,0 +1,1 @@
+"""Kernels of scores: the Kalman filter along a system of equations."""
