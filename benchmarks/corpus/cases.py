@@ -77,7 +77,7 @@ class Case:
 
 
 def make_case(key: Key, *, has_fresh: bool = True) -> Case:
-    """Return the data of one job; equal keys give equal data. Without `fresh` trajectories unless it `has_fresh`."""
+    """Return the data of one job; equal keys give equal data. `has_fresh`: whether fresh trajectories are made."""
     system = draw_system(key.seed, key.states) if key.system == "random" else named_system(key.system)
     rng = np.random.default_rng([key.seed, key.states, key.trajectories, SAMPLINGS.index(key.sampling), 2])
     starts, times, clean = _trajectories(key, system, rng)

@@ -45,7 +45,7 @@ def main(options: Namespace) -> None:
     for number, outcome in enumerate(in_parallel(choose, missing, options.workers), start=1):
         journal.add(outcome)
         note(f"{number} of {len(missing)}: {line(outcome)}")
-    say(table([journal.outcomes[key] for key in keys]))
+    say(table([journal.outcomes[key] for key in keys if key in journal.outcomes]))
 
 
 if __name__ == "__main__":

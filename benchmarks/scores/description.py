@@ -109,7 +109,10 @@ def _compared(pool: Pool) -> Compared | None:
 
 
 def _tasks(pool: Pool) -> Iterator[ModellingTask]:
-    """Yield the task with pieces that get ever shorter, as `piece_lengths` does."""
+    """Yield the task with pieces that get ever shorter, as `piece_lengths` does.
+
+    Of nearly clean tables the length of pieces is that of the law, where a job has its leading candidate.
+    """
     task = pool.task
     if task.is_nearly_clean:
         yield in_stretches(task, pool.systems[0])

@@ -1,4 +1,4 @@
-"""What constants take of the evidence of a system: Laplace's method, priors on derivatives as functions. Pure."""
+"""The price of a system's constants in its evidence: Laplace's method with priors on derivatives. Pure."""
 
 import math
 from dataclasses import replace
@@ -16,12 +16,12 @@ _REDUNDANT: Final = 1e-11
 
 
 def occam(information: FloatArray, system: System, inputs: FloatArray) -> float:
-    """Return minus the logarithm of what constants take of the evidence, by Laplace's method (MacKay 1992).
+    """Return the nats that the constants of a system cost, by Laplace's method (MacKay 1992).
 
-    Priors are of the derivatives as functions, whatever the constants are that these are written with: as wide as the
-    derivatives vary (`effects_of`). The effect e of a single constant has the density 2/pi e^2/(1 + e^2)^2, which
-    vanishes at 0: a term of next to no effect is no term (a non-local prior: Johnson & Rossell 2010, Journal of the
-    Royal Statistical Society B 72:143).
+    With the information H and the mean products G of effects (`effects_of`) that is 1/2 ln det(H + G) - 1/2 ln det G,
+    the same for other constants of the same function, and the prior of the effect e of each constant alone, which is
+    not: 2/pi e^2/(1 + e^2)^2 vanishes at 0, since a term of next to no effect is no term (non-local priors: Johnson &
+    Rossell 2010, Journal of the Royal Statistical Society B 72:143). Its e^2 is a mean over what the data leave open.
 
     Args:
         information: second derivatives (P, P) of minus the log-likelihood.
@@ -35,8 +35,9 @@ def occam(information: FloatArray, system: System, inputs: FloatArray) -> float:
     metric = effects * np.outer(widths, widths) + _REDUNDANT * np.eye(system.count)
     unit = information * np.outer(widths, widths)
     gained = np.linalg.slogdet(metric + unit)[1] - np.linalg.slogdet(metric)[1]
-    sizes = np.maximum(np.abs(system.values / widths), 1e-300)
-    priors = math.log(0.5 * math.pi) + 2.0 * np.log1p(sizes**2) - 2.0 * np.log(sizes)
+    squares = (system.values / widths) ** 2
+    open_squares = np.diag(np.linalg.pinv(metric + unit, hermitian=True))
+    priors = math.log(0.5 * math.pi) + 2.0 * np.log1p(squares) - np.log(squares + open_squares)
     return float(0.5 * gained + (priors - 0.5 * math.log(2.0 * math.pi)).sum())
 
 

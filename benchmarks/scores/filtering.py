@@ -75,7 +75,6 @@ class Filter:
         tolerance = max(FINEST, TOLERATED * float(measurements.relative_noise.min()))
         self._tolerance = tolerance * measurements.scales
         self.is_counted = (measurements.weights > 0.0) & inner[None]
-        self.rows = int(self.is_counted.sum())
 
     def system(self, programs: Sequence[Program]) -> System:
         """Return the system of some programs."""
@@ -106,7 +105,10 @@ class Filter:
         return float(by_sensor.sum() if times is None else by_sensor @ times)
 
     def information(self, filtered: Filtered, times: FloatArray) -> FloatArray:
-        """Return the second derivatives (P, P) of the nats by the constants, where rows count `times` (O,) each."""
+        """Return Gauss's and Newton's second derivatives (P, P) of the nats by the constants, gains and variances held.
+
+        Rows count `times` (O,) each.
+        """
         weights = np.where(self.is_counted, times[:, None] / filtered.variances, 0.0).T
         slopes = filtered.gradients
         return np.asarray(np.einsum("no,nop,noq->pq", weights, slopes, slopes, optimize=True))
@@ -115,9 +117,8 @@ class Filter:
         """Return the independent rows over all rows (O,) by the correlations r of the innovations along trajectories.
 
         That is 1/(1 + 2 (|r1| + |r2| + ...)), taken in by pairs as long as one of a pair is not chance (Bartlett 1946,
-        1.96 over the root of the rows). Sizes, since errors of a solver swing from row to row in step with its steps
-        and are none the more independent for that; where none is negative the sum is Geyer's (1992, Statistical Science
-        7:473, section 3.3).
+        1.96 over the root of the rows, which about one in twelve pairs of white errors exceeds). Sizes, since errors of
+        a solver swing from row to row in step with its steps and are none the more independent for that.
         """
         scaled = np.where(self.is_counted, filtered.innovations / np.sqrt(filtered.variances), 0.0)
         shares = np.ones(len(scaled))
@@ -316,7 +317,8 @@ def _scored(pool: Pool, prices: Prices, *, is_tempered: bool) -> Scored:
         f"reference {pool.kinds[done.reference.place]}, noise {np.concatenate(noise).tolist()}, times {times.tolist()}"
     )
     errors = errors_of(filter_.information(filtered[0], times)) if filtered[0].is_whole else ()
-    return Scored(tuple(nats.tolist()), tuple(misfits.tolist()), tuple(done.fitted[0].values.tolist()), errors, note)
+    estimates = tuple(done.fitted[0].values.tolist()) if errors else ()
+    return Scored(tuple(nats.tolist()), tuple(misfits.tolist()), estimates, errors, note)
 
 
 def errors_of(information: FloatArray) -> tuple[float, ...]:
@@ -343,7 +345,7 @@ def fit_own(filter_: Filter, system: System, noise: Noise) -> System:
 
 
 def refer(filter_: Filter, place: int, system: System) -> Reference:
-    """Return a system with the noise that describes it in the fewest nats, fitted to that."""
+    """Return a system with the noise that describes it in the fewest nats."""
     references = [_with_noise(filter_, place, system, parts) for parts in NOISES]
     return min(references, key=lambda one: one.nats)
 

@@ -22,8 +22,9 @@ SCORES: Final[Mapping[str, Callable[[Pool], Scored]]] = {
     "tempered": by_tempered_filter,
     "evidence": by_evidence,
 }
+_TEMPERED: Final = ("tempered", "evidence")
 SAME: Final = 1e-3
-"""Nats by which what systems leave differs that are the law in other words."""
+"""Nats: two systems whose misfits differ by less are the same function in other words."""
 REACH: Final = 1.96
 
 
@@ -77,8 +78,11 @@ def _finite(scored: Scored) -> Scored:
 
 
 def _laws(pool: Pool, scored: Mapping[str, Scored]) -> list[bool]:
-    """Return which systems are the law in other words: with as many constants they leave the same, by some score."""
-    beyond = [np.subtract(one.misfits, one.misfits[0]) for one in scored.values()]
+    """Return which systems are the law in other words: with as many constants they have the same misfit, by some score.
+
+    Tempered misfits, of which nats are fewer, are left out.
+    """
+    beyond = [np.subtract(one.misfits, one.misfits[0]) for name, one in scored.items() if name not in _TEMPERED]
     is_same = np.any(np.abs(np.nan_to_num(beyond, nan=math.inf, posinf=math.inf)) < SAME, axis=0)
     return [bool(same) and pool.count(place) == pool.count(0) for place, same in enumerate(is_same)]
 
@@ -90,7 +94,7 @@ def _choice(pool: Pool, is_law: Sequence[bool], scored: Scored, seconds: float) 
     margins: dict[str, float | None] = {}
     for other in ("extended", "reduced", "exchanged"):
         margin = min((nats for nats, kind in others if kind == other), default=math.inf) - law
-        margins[other] = float(margin) if math.isfinite(margin) else None
+        margins[other] = float(margin) if math.isfinite(margin) else -math.inf if margin < 0.0 else None
     errors = np.array(scored.errors)
     known = errors > 0.0
     off = np.abs(np.array(scored.estimates) - np.array(pool.constants)[: len(errors)])

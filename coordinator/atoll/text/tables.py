@@ -218,9 +218,9 @@ def _simulation_line(trajectories: Sequence[Simulated]) -> list[str]:
     parts: list[str] = []
     for held_out in (False, True):
         chosen = [part for part in whole if part.held_out is held_out]
-        if chosen:
+        least = min((r2 for part in chosen for r2 in part.r2.values() if r2 is not None), default=None)
+        if least is not None:
             what = "held out" if held_out else "trajectory" if len(chosen) == 1 else "trajectories"
-            least = min((r2 for part in chosen for r2 in part.r2.values() if r2 is not None), default=None)
             parts.append(f"{'' if parts else 'R2 at least '}{r2_text(least)} on {len(chosen)} {what}")
     if len(whole) < len(trajectories):
         parts.append(f"{len(trajectories) - len(whole)} not to the end")

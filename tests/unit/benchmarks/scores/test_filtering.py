@@ -136,7 +136,7 @@ def test_innovations_that_swing_or_drift_are_fewer_independent_numbers_than_rows
         assert np.all((shares >= least) & (shares <= most))
 
 
-def test_the_evidence_is_of_functions_and_not_of_their_writing() -> None:
+def test_two_writings_with_as_many_constants_cost_about_the_same() -> None:
     inputs = np.random.default_rng(2).uniform(0.5, 1.5, (2, 300))
     texts = ("x/(0.25*(2 + y))", "x/(0.5 + 0.25*y)")
     lengths = []
