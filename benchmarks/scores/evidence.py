@@ -21,7 +21,8 @@ def occam(information: FloatArray, system: System, inputs: FloatArray) -> float:
     With the information H and the mean products G of effects (`effects_of`) that is 1/2 ln det(H + G) - 1/2 ln det G,
     the same for other constants of the same function, and the prior of the effect e of each constant alone, which is
     not: 2/pi e^2/(1 + e^2)^2 vanishes at 0, since a term of next to no effect is no term (non-local priors: Johnson &
-    Rossell 2010, Journal of the Royal Statistical Society B 72:143). Its e^2 is a mean over what the data leave open.
+    Rossell 2010, Journal of the Royal Statistical Society B 72:143). It is taken at the estimate: by 5 nats too much
+    where that is a tenth of its error.
 
     Args:
         information: second derivatives (P, P) of minus the log-likelihood.
@@ -35,9 +36,8 @@ def occam(information: FloatArray, system: System, inputs: FloatArray) -> float:
     metric = effects * np.outer(widths, widths) + _REDUNDANT * np.eye(system.count)
     unit = information * np.outer(widths, widths)
     gained = np.linalg.slogdet(metric + unit)[1] - np.linalg.slogdet(metric)[1]
-    squares = (system.values / widths) ** 2
-    open_squares = np.diag(np.linalg.pinv(metric + unit, hermitian=True))
-    priors = math.log(0.5 * math.pi) + 2.0 * np.log1p(squares) - np.log(squares + open_squares)
+    sizes = np.maximum(np.abs(system.values / widths), 1e-300)
+    priors = math.log(0.5 * math.pi) + 2.0 * np.log1p(sizes**2) - 2.0 * np.log(sizes)
     return float(0.5 * gained + (priors - 0.5 * math.log(2.0 * math.pi)).sum())
 
 
