@@ -12,6 +12,7 @@ from scipy.optimize import least_squares, minimize
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE
 from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.multiple_shooting import row_steps
 from atoll_coordinator.model.shooting.system import System, system_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
@@ -62,15 +63,11 @@ class Filter:
         self.measurements = measurements
         self.names = tuple(names)
         bounds, times = measurements.bounds, measurements.times
-        steps = np.ones(measurements.rows)
         inner = np.ones(measurements.rows, dtype=bool)
         inner[bounds[:, 0]] = False
-        widths = np.diff(times, prepend=times[0])[inner]
-        steps[inner] = widths / np.median(widths)
-        steps[np.abs(steps - 1.0) < 1e-6] = 1.0
-        self.width = float(np.median(widths))
+        self.width = float(np.median(np.diff(times, prepend=times[0])[inner]))
         measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
-        self._layout: Layout = (bounds, steps, measured, measurements.weights, measurements.observed)
+        self._layout: Layout = (bounds, row_steps(measurements), measured, measurements.weights, measurements.observed)
         self._starts = np.ascontiguousarray(measurements.smoothed[:, bounds[:, 0]].T)
         tolerance = max(FINEST, TOLERATED * float(measurements.relative_noise.min()))
         self._tolerance = tolerance * measurements.scales
@@ -322,7 +319,12 @@ def _scored(pool: Pool, prices: Prices, *, is_tempered: bool) -> Scored:
 
 
 def errors_of(information: FloatArray) -> tuple[float, ...]:
-    """Return standard errors (P,) by second derivatives (P, P) of minus the log-likelihood."""
+    """Return standard errors (P,) by second derivatives (P, P) of minus the log-likelihood; none where these are none.
+
+    Those of constants that nothing determines are 0, and count as no interval.
+    """
+    if not np.isfinite(information).all():
+        return ()
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     covariance = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     return tuple(np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist())

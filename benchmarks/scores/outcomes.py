@@ -31,7 +31,7 @@ REACH: Final = 1.96
 @dataclass(frozen=True)
 class Choice:
     """What one score says: the kind of system that is the shortest, and by how many nats the law is shorter than the
-    best of each kind, negative where it is not.
+    best of each kind: negative where it is not, -inf where it cannot be fitted, None where none of that kind can be.
 
     `covered` of `intervals` of the law's constants (95 %) hold the truth. `seconds` are of the processor.
     """
@@ -68,8 +68,8 @@ def choose(key: Key) -> Outcome:
             begun = time.process_time()
             scored[name] = _finite(score(pool))
             seconds[name] = time.process_time() - begun
-        is_law = _laws(pool, scored)
-    return Outcome(key, {name: _choice(pool, is_law, scored[name], seconds[name]) for name in SCORES})
+        is_law = laws_of(pool, scored)
+    return Outcome(key, {name: choice_of(pool, is_law, scored[name], seconds[name]) for name in SCORES})
 
 
 def _finite(scored: Scored) -> Scored:
@@ -77,7 +77,7 @@ def _finite(scored: Scored) -> Scored:
     return replace(scored, nats=tuple(nats if math.isfinite(nats) else math.inf for nats in scored.nats))
 
 
-def _laws(pool: Pool, scored: Mapping[str, Scored]) -> list[bool]:
+def laws_of(pool: Pool, scored: Mapping[str, Scored]) -> list[bool]:
     """Return which systems are the law in other words: with as many constants they have the same misfit, by some score.
 
     Tempered misfits, of which nats are fewer, are left out.
@@ -87,14 +87,15 @@ def _laws(pool: Pool, scored: Mapping[str, Scored]) -> list[bool]:
     return [bool(same) and pool.count(place) == pool.count(0) for place, same in enumerate(is_same)]
 
 
-def _choice(pool: Pool, is_law: Sequence[bool], scored: Scored, seconds: float) -> Choice:
+def choice_of(pool: Pool, is_law: Sequence[bool], scored: Scored, seconds: float) -> Choice:
+    """Return what a score chooses, given which systems are the law in whatever words."""
     law = min((nats for nats, is_same in zip(scored.nats, is_law, strict=True) if is_same), default=math.inf)
     others = [(nats, kind) for nats, kind, same in zip(scored.nats, pool.kinds, is_law, strict=True) if not same]
     least, kind = min(others, default=(math.inf, "law"))
     margins: dict[str, float | None] = {}
     for other in ("extended", "reduced", "exchanged"):
         margin = min((nats for nats, kind in others if kind == other), default=math.inf) - law
-        margins[other] = float(margin) if math.isfinite(margin) else -math.inf if margin < 0.0 else None
+        margins[other] = float(margin) if math.isfinite(margin) else None if law < math.inf else -math.inf
     errors = np.array(scored.errors)
     known = errors > 0.0
     off = np.abs(np.array(scored.estimates) - np.array(pool.constants)[: len(errors)])

@@ -122,7 +122,7 @@ class MultipleShooting:
         totals = measurements.weights.sum(axis=1)
         self._totals: Final = np.where(totals > 0.0, totals, 1.0)
         self._layouts: Final[dict[int | None, Innovations]] = {}
-        self._row_steps: Final = _row_steps(measurements)
+        self._row_steps: Final = row_steps(measurements)
         self.work = 0
         self._lock = threading.Lock()
         self._own = threading.local()
@@ -449,7 +449,7 @@ def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> flo
     return float((squares / (errors.sigmas * errors.sigmas)).sum())
 
 
-def _row_steps(measurements: Measurements) -> FloatArray:
+def row_steps(measurements: Measurements) -> FloatArray:
     """Return the step (N,) to each row from the one before over the median of all; 1 where rows are even."""
     steps = np.ones(measurements.rows)
     inner = np.ones(measurements.rows, dtype=bool)
