@@ -5,10 +5,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
+import numpy as np
+
 from atoll_core.config import JobConfig
 from benchmarks.corpus.cases import LEAST_T, Case, Key
 from benchmarks.corpus.lengths import excess_of_truth
 from benchmarks.harness.stopwatch import Stopwatch
+from benchmarks.judging.coverage import Covered, covered
 from benchmarks.judging.forms import judge_form
 from benchmarks.judging.generalisation import GOOD_R2, foretold
 from benchmarks.judging.rules import Kind, right_ones
@@ -24,7 +27,8 @@ class EquationOutcome:
     `form` and `extra` are those of `benchmarks.judging.forms`; `t` is the smallest estimate over standard error of a
     constant that the data allow (infinite without constants); `elsewhere` says where the true form is when it is not
     shown: "candidates" or "front", `nats` how much longer its description is there; `r2` is that of the state along
-    all fresh trajectories together, -inf where the model cannot be simulated, None where there are none.
+    all fresh trajectories together, -inf where the model cannot be simulated, None where there are none; `covered` of
+    the `intervals` (95 %) of a right equation's constants hold the truth.
     """
 
     variable: str
@@ -41,6 +45,8 @@ class EquationOutcome:
     complexity: int | None
     why: str | None
     epochs: int | None
+    covered: int = 0
+    intervals: int = 0
 
     @property
     def is_right(self) -> bool:
@@ -121,6 +127,7 @@ def _equation(case: Case, state: str, equation: Mapping[str, Any], r2: float | N
     truth = case.system.truths[state]
     form = judge_form(text, truth, case.clean)
     elsewhere, nats = (None, None) if form.is_right else _elsewhere(case, truth, equation)
+    held = _intervals(case, state, equation) if form.is_right else []
     return EquationOutcome(
         variable=state,
         truth=truth,
@@ -136,7 +143,18 @@ def _equation(case: Case, state: str, equation: Mapping[str, Any], r2: float | N
         complexity=equation.get("complexity"),
         why=equation.get("why"),
         epochs=equation.get("epoch"),
+        covered=sum(constant.is_covered for constant in held),
+        intervals=len(held),
     )
+
+
+def _intervals(case: Case, state: str, equation: Mapping[str, Any]) -> list[Covered]:
+    """Return the constants of a right equation that have an interval, beside their true values."""
+    names = list(case.clean)
+    rates = np.array([case.system.field()(row) for row in zip(*case.clean.values(), strict=True)])
+    truth = rates[:, list(case.system.truths).index(state)]
+    constants = covered(equation["expression"], equation.get("constants", ()), {n: case.clean[n] for n in names}, truth)
+    return [constant for constant in constants or () if constant.has_interval]
 
 
 def _elsewhere(case: Case, truth: str, equation: Mapping[str, Any]) -> tuple[str | None, float | None]:

@@ -2,11 +2,13 @@
 
 ``exact``; ``rk45-1e-3`` (the tolerances of `solve_ivp` when none are given), ``rk45-R``, ``lsoda-R`` with relative
 tolerance R; ``euler-N`` with N steps between two rows; ``digits-N``, ``float32``; and, with a share S of each state's
-deviation, ``noise-S`` (Gaussian), ``proportional-S`` (of the value), ``ar1-S`` (correlated 0.9 from row to row),
+deviation, ``noise-S`` (Gaussian), ``proportional-S`` (of the value), ``ar1-S`` (correlated 0.9 from row to row; R times
+with ``arR-S``, such as ar0.5-0.01),
 ``drift-S`` (noise and a slow drift of the same size), ``outliers-S`` (one row in fifty ten times as far),
 ``quantised-S`` (steps), ``filtered-S`` (noise and signal behind a low-pass filter of one row's time constant).
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -18,7 +20,7 @@ from atoll_core.errors import UsageError
 from benchmarks.corpus.systems import CorpusSystem, solution
 
 NEIGHBOURS: Final = 0.9
-"""Correlation of neighbouring rows of ``ar1``."""
+"""Correlation of neighbouring rows of ``ar1``; of ``ar0.5`` it is 0.5."""
 
 OUTLIERS: Final = 0.02
 FAR: Final = 10.0
@@ -33,6 +35,8 @@ QUALITIES: Final = (
 """Those that a campaign over everything has."""
 
 NAMED_QUALITIES: Final = ("rk45-1e-3", "rk45-1e-6", "lsoda-1e-7", "digits-4", "noise-0.001", "noise-0.01")
+
+_NAMED_CORRELATION: Final = re.compile(r"ar(0\.\d+)")
 
 _Disturb = Callable[[list[FloatArray], float, np.random.Generator], list[FloatArray]]
 
@@ -49,6 +53,12 @@ class Quality:
         """Whether the errors are those of a solver."""
         return self.kind in ("rk45", "lsoda", "euler")
 
+    @property
+    def neighbours(self) -> float | None:
+        """The correlation of neighbouring rows that the kind names; None where it names none."""
+        named = _NAMED_CORRELATION.fullmatch(self.kind)
+        return None if named is None else float(named[1])
+
 
 def quality(name: str) -> Quality:
     """Return the quality of a name; raises UsageError where there is none."""
@@ -57,7 +67,8 @@ def quality(name: str) -> Quality:
         parsed = Quality(kind, float(size) if size else 0.0)
     except ValueError:
         parsed = Quality("", 0.0)
-    known = parsed.kind in _MEASURED or parsed.is_solved or parsed.kind in ("exact", "float32", "digits")
+    is_measured = parsed.kind in _MEASURED or parsed.neighbours is not None
+    known = is_measured or parsed.is_solved or parsed.kind in ("exact", "float32", "digits")
     if not known or (kind in ("exact", "float32")) == bool(size):
         raise UsageError(f"{name!r} is no quality of the corpus; name one such as {', '.join(QUALITIES[:6])}")
     return parsed
@@ -76,6 +87,8 @@ def measure(
         return [states.astype(np.float32).astype(np.float64) for states in clean]
     if quality.kind == "digits":
         return [_in_digits(states, round(quality.size)) for states in clean]
+    if quality.neighbours is not None:
+        return _correlated(list(clean), quality.size, rng, quality.neighbours)
     return _MEASURED[quality.kind](list(clean), quality.size, rng)
 
 
@@ -115,16 +128,18 @@ def _proportional(clean: list[FloatArray], size: float, rng: np.random.Generator
     return [states * (1.0 + size * rng.standard_normal(states.shape)) for states in clean]
 
 
-def _correlated(clean: list[FloatArray], size: float, rng: np.random.Generator) -> list[FloatArray]:
+def _correlated(
+    clean: list[FloatArray], size: float, rng: np.random.Generator, neighbours: float = NEIGHBOURS
+) -> list[FloatArray]:
     spread = size * _deviations(clean)
-    return [states + spread * _autoregressive(rng.standard_normal(states.shape)) for states in clean]
+    return [states + spread * _autoregressive(rng.standard_normal(states.shape), neighbours) for states in clean]
 
 
-def _autoregressive(shocks: FloatArray) -> FloatArray:
+def _autoregressive(shocks: FloatArray, neighbours: float) -> FloatArray:
     errors = shocks.copy()
-    scale = np.sqrt(1.0 - NEIGHBOURS**2)
+    scale = np.sqrt(1.0 - neighbours**2)
     for row in range(1, len(errors)):
-        errors[row] = NEIGHBOURS * errors[row - 1] + scale * shocks[row]
+        errors[row] = neighbours * errors[row - 1] + scale * shocks[row]
     return errors
 
 

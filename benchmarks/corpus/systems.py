@@ -141,7 +141,7 @@ def _plausible(name: str, family: Family, rng: np.random.Generator) -> CorpusSys
         while not _is_moving(runs):
             duration = _rounded(0.5 * duration)
             runs = _solved(field, starts, duration)
-    except DivergedError:
+    except (DivergedError, ValueError):  # it runs away, or rests however short the duration
         return None
     system = CorpusSystem(name, family.equations, constants, box, duration)
     return system if _is_lively(runs) and _matter(system, np.concatenate(runs)) else None

@@ -24,7 +24,8 @@ def by_quality(outcomes: Sequence[Outcome]) -> str:
     return markdown(
         (
             "method", "quality", "states", "equations", "identifiable", "right, of these", "extra terms", "missing",
-            "other", "truth elsewhere", "truth shorter", "R2 > 0.9", "wall s median / 95 %", "cpu s median / 95 %",
+            "other", "truth elsewhere", "truth shorter", "R2 > 0.9", "intervals hold",
+            "wall s median / 95 %", "cpu s median / 95 %",
         ),
         rows,
     )  # fmt: skip
@@ -55,6 +56,7 @@ def _row(kind: tuple[str, str, str], outcomes: Sequence[Outcome]) -> tuple[str, 
         count(lambda equation: equation.elsewhere is not None),
         str(sum(not equation.is_right for equation in shorter)),
         share(sum(bool(equation.is_foretold) for equation in judged), len(judged)),
+        share(sum(equation.covered for equation in equations), sum(equation.intervals for equation in equations)),
         _quantiles([outcome.seconds for outcome in outcomes]),
         _quantiles([outcome.cpu_seconds for outcome in outcomes]),
     )

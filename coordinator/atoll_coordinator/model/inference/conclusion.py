@@ -219,7 +219,7 @@ def state_errors(final: Final) -> dict[str, StateErrors]:
     if comparison.is_exact(final.free):
         return {}  # those of the integration, of which nothing is to be said
     bounds = comparison.estimator.measurements.bounds
-    rows = np.minimum(comparison.misfit.effective_rows(fit.squares), comparison.counts / fit.errors.lengths)
+    rows = np.minimum(comparison.misfit.effective_rows(comparison.squares(fit)), comparison.counts / fit.errors.lengths)
     errors_by_state = {}
     for index, name in enumerate(final.task.variables):
         share, decay = float(fit.errors.shares[index]), float(fit.errors.decays[index])
@@ -545,16 +545,21 @@ def refined_equation(
     smoothing = task.recording.smoothing[task.recording.states.index(name)]
     measurements = final.seen.estimator.measurements
     noise = float(measurements.noise[index])
+    sensor, innovations = final.comparison.errors, None
+    if sensor is not None and sensor.shares[index] > 0.0:
+        noise, whitened = float(sensor.sigmas[index]), final.seen.estimator.whitened(final.seen_fit.residuals, sensor)
+        innovations = _pieces_of(whitened, measurements, index)
     evidence = Evidence(
         error=error / problem.target.standard_deviation,
         target_uncertainty=problem.target.uncertainty,
         convergence_threshold=problem.target.convergence_threshold(),
         target_r2=1.0 - mse / variance if variance else None,
-        residuals=_residuals(measurements, final.seen_fit, index),
+        residuals=_pieces_of(final.seen_fit.residuals, measurements, index),
+        innovations=innovations,
         parameters=(final.free.fit.system.count + final.seen_fit.starts.size) / len(measurements.observed),
         noise=0.0 if smoothing.method == "interpolation" and smoothing.quantisation is None else noise,
         standard_deviation=_standard_deviation(measurements, index),
-        reference=_reference_smoother(smoothing, noise),
+        reference=_reference_smoother(smoothing, noise) if innovations is None else None,
         are_errors_summed=final.are_errors_summed,
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
@@ -619,13 +624,13 @@ def _no_elaborations(program: Program, alternatives: Sequence[Alternative]) -> l
     ]
 
 
-def _residuals(measurements: Measurements, fit: TrajectoryFit, index: int) -> list[FloatArray]:
+def _pieces_of(residuals: FloatArray, measurements: Measurements, index: int) -> list[FloatArray]:
     """Return what is left of a state along each piece, where it was measured and counts, as in a row of weight 1."""
     pieces = [slice(first, end) for first, end in measurements.bounds.tolist()]
     residuals = (
-        fit.residuals[index]
+        residuals[index]
         if measurements.inverse_variances is None
-        else fit.residuals[index] * np.sqrt(measurements.inverse_variances[index])
+        else residuals[index] * np.sqrt(measurements.inverse_variances[index])
     )
     parts = [residuals[rows][measurements.weights[index, rows] > 0.0] for rows in pieces]
     return [part for part in parts if len(part)]

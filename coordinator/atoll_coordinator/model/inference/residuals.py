@@ -44,7 +44,7 @@ class Check:
 
 def check(
     residuals: Sequence[FloatArray], noise: float, parameters: float = 0.0, reference: ReferenceSmoother | None = None,
-    *, is_robust: bool = False,
+    innovations: Sequence[FloatArray] | None = None, *, is_robust: bool = False,
 ) -> Check:  # fmt: skip
     """Return the checks of one state's residuals.
 
@@ -53,6 +53,8 @@ def check(
         noise: standard deviation of the measurement errors, in the same unit. 0 gives an infinite ratio.
         parameters: p, how many numbers were fitted to these residuals: constants and initial values, by share where
             other states decide as well.
+        innovations: the residuals, what goes together in errors of measurement taken out, for `patterned`; None: such
+            errors are independent.
         reference: what estimates the noise from the same errors, for `too_large`; None: `noise` is known.
         is_robust: whether there are outliers, which must not decide.
     """
@@ -66,7 +68,11 @@ def check(
     ratio = standard_deviation / noise if noise > 0.0 else math.inf
     if square == 0.0:
         return Check(0.0, 0.0 if noise > 0.0 else 1.0, 1.0, 0.0, 1.0)
-    correlations, weights = _correlations(errors, square, rows / free * parameters)
+    if innovations is None:
+        correlations, weights = _correlations(errors, square, rows / free * parameters)
+    else:
+        independent = _clip_outliers(innovations) if is_robust else innovations
+        correlations, weights = _correlations(independent, float(sum(part @ part for part in independent)), parameters)
     score = sum(correlations) / math.sqrt(sum(weights)) if sum(weights) else 0.0
     return Check(
         standard_deviation,

@@ -30,11 +30,12 @@ class Evidence:
     Of the simulation: `residuals` has (R,) numbers for each piece of a trajectory, measured minus simulated values of
     this state; a model is simulated to the end of all of them or of none. `parameters` is how many numbers were fitted
     to them: constants and initial values, each shared by as many states as it was fitted to. `noise` is
-    the smoother's estimate of the measurement errors (0 for a state that was interpolated) and `standard_deviation`
-    that of what was measured, both in the state's unit; `reference` judges the variance of the residuals, None where
-    the noise is known; `are_errors_summed` tells that errors add up along trajectories, as those of a solver do, and
-    that constants were fitted to short pieces therefore; `has_outliers` makes the checks robust. `held_out_r2` is the
-    R2 of the simulations of held-out trajectories; with `is_cross_validated`, of those left out one at a time.
+    the smoother's estimate of the measurement errors (0 for a state that was interpolated), or where they go together
+    that of such errors, and `innovations` are what is left of the residuals without that; `standard_deviation` is
+    that of what was measured, in the state's unit as the noise; `reference` judges the variance of the residuals, None
+    where the noise is known; `are_errors_summed` tells that errors add up along trajectories, as those of a solver do,
+    and that constants were fitted to short pieces therefore; `has_outliers` makes the checks robust. `held_out_r2` is
+    the R2 of the simulations of held-out trajectories; with `is_cross_validated`, of those left out one at a time.
 
     Of the model: `constants`, as they are reported, and `unit_coefficients`, factors of one that are not written;
     `alternative` is how many nats longer the description is with the next best equation that is another function and
@@ -68,6 +69,7 @@ class Evidence:
     distinct_rows: int | None = None
     is_known: bool = False
     is_unsimulated: bool = False
+    innovations: Sequence[FloatArray] | None = None
     convergence_threshold: float = EXACT_ERROR
 
     @property
@@ -85,8 +87,9 @@ def judge(evidence: Evidence) -> tuple[Grade, str]:
 
 def _by_simulation(evidence: Evidence) -> tuple[Grade, str]:
     residuals = check(
-        evidence.residuals, evidence.noise, evidence.parameters, evidence.reference, is_robust=evidence.has_outliers
-    )
+        evidence.residuals, evidence.noise, evidence.parameters, evidence.reference, evidence.innovations,
+        is_robust=evidence.has_outliers,
+    )  # fmt: skip
     left = residuals.standard_deviation / evidence.standard_deviation
     r2 = 1.0 - left * left
     if not r2 >= SETTINGS.inference.part:  # NaN explains nothing
@@ -283,9 +286,10 @@ def _merit_of_simulation(evidence: Evidence, residuals: Check) -> str:
             f"the simulation misses the measurements by {_percent(left)} of their deviation, by errors that add up "
             f"along trajectories, as those of a solver do{held_out}"
         )
+    rest = "and without a pattern" if evidence.innovations is None else "which goes together in neighbouring rows"
     return (
         f"what the simulation leaves, {_percent(left)} of the deviation, is like the noise, "
-        f"{_percent(evidence.noise / evidence.standard_deviation)}, and without a pattern{held_out}"
+        f"{_percent(evidence.noise / evidence.standard_deviation)}, {rest}{held_out}"
     )
 
 

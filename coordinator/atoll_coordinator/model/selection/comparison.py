@@ -22,6 +22,7 @@ from atoll_coordinator.model.criteria import (
 )
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
+from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
@@ -86,6 +87,9 @@ class ModelComparison:
             np.maximum(count_pieces(measurements), SETTINGS.selection.systematic_numbers), self.counts
         )
         self._spread: Final = 1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(self.counts, 4.0))
+        smallest = SETTINGS.selection.least_noise * measurements.scales[measurements.observed]
+        self._is_noisy: Final = measurements.noise >= smallest
+        self.errors: ErrorModel | None = None
         self.misfit = self._misfit(measurements.noise)
         self._shared_nats: Final = constant_nats_of(measurements.rows)
         count = 1 if self.groups is None else self.groups.count
@@ -218,21 +222,17 @@ class ModelComparison:
         None where the constants differ by more than chance from those fitted to independent errors: then what the
         residuals have in common is not errors, but what the equations miss (Hausman 1978, Econometrica 46:1251).
         """
-        model_fit = model.fit
-        errors = replace(model_fit.errors, is_correlation_sought=True)
-        fit = self.estimator.fit(
-            model_fit.system, None, SETTINGS.effort.steps, model_fit.starts, errors, is_stiff=model_fit.is_stiff
-        )
-        return None if fit is None or self._is_refuted(model, fit) else self.measure(fit)
+        fit = self._with_errors(model.fit, replace(model.fit.errors, is_correlation_sought=True))
+        return None if fit is None or self._is_refuted(model.fit, fit) else self.measure(fit)
 
-    def _is_refuted(self, model: FittedModel, fit: TrajectoryFit) -> bool:
-        """Tell whether the constants of another fit are improbable by the covariance of those of `model`."""
+    def _is_refuted(self, begun: TrajectoryFit, fit: TrajectoryFit) -> bool:
+        """Tell whether the constants of a fit are improbable by the covariance of those that it was begun with."""
         from scipy import special
 
-        moved = fit.system.values - model.fit.system.values
+        moved = fit.system.values - begun.system.values
         if not moved.any():
             return False
-        spread = self.inflation(model) * bounded_covariance(model.fit)
+        spread = self._inflation(begun) * bounded_covariance(begun)
         scale = spread.diagonal() ** 0.5
         unit = np.linalg.pinv(spread / np.outer(scale, scale), hermitian=True)
         distance = float((moved / scale) @ unit @ (moved / scale))
@@ -268,7 +268,7 @@ class ModelComparison:
     def measure(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model that a fit of one of this comparison's systems gives."""
         programs = fit.system.programs[len(self.leading) :]
-        misfit = self.misfit.total(fit.squares) + self._drift(fit)
+        misfit = self.misfit.total(self.squares(fit)) + self._drift(fit)
         nats = system_length(misfit, programs, 1, self._constants_length(fit.system))
         return FittedModel(programs, fit, misfit, nats)
 
@@ -293,10 +293,46 @@ class ModelComparison:
         return total
 
     def calibrate(self, model: FittedModel) -> FittedModel:
-        """Take the independent errors from the roughness of what `model` leaves; return it as measured by that."""
-        self.misfit = self._misfit(roughness(self.estimator.measurements, model.fit.residuals))
+        """Take the errors of measurement from what `model` leaves; return it, fitted and measured by these.
+
+        What goes together between neighbouring rows as a sensor's errors do is held for all systems, and what is left
+        then is compared. The size of independent errors follows from its roughness.
+        """
+        fit = self._with_errors(model.fit, None) if model.fit.errors.shares.any() else model.fit
+        fit, measurements = fit or model.fit, self.estimator.measurements
+        self.errors, self.misfit = None, self._misfit(roughness(measurements, fit.residuals))
+        correlated = self._with_sensor_errors(fit)
+        if correlated is not None:
+            fit, self.errors = correlated, correlated.errors
+            self.misfit = self._misfit(roughness(measurements, self.whitened(fit)))
         self.tried.clear()
-        return self.measure(model.fit)
+        return self.measure(fit)
+
+    def _with_errors(self, fit: TrajectoryFit, errors: ErrorModel | None) -> TrajectoryFit | None:
+        """Return a fit begun anew with these errors, independent ones unless given."""
+        errors = errors or ErrorModel.independent(np.sqrt(fit.squares))
+        return self.estimator.fit(fit.system, None, SETTINGS.effort.steps, fit.starts, errors, is_stiff=fit.is_stiff)
+
+    def _with_sensor_errors(self, fit: TrajectoryFit) -> TrajectoryFit | None:
+        """Return a fit to independent errors with those of a sensor, None where there are none or constants object.
+
+        See `Innovations.sensor_errors`, and `_is_refuted`. Of states that are nearly clean nothing is an error of a
+        sensor.
+        """
+        if not self._is_noisy.any():
+            return None
+        errors = self.estimator.sensor_errors(fit, self.counts / self.pieces)
+        shares = np.where(self._is_noisy, errors.shares, 0.0)
+        correlated = self._with_errors(fit, replace(errors, shares=shares)) if shares.any() else None
+        return None if correlated is None or self._is_refuted(fit, correlated) else correlated
+
+    def whitened(self, fit: TrajectoryFit) -> FloatArray:
+        """Return the residuals (O, N), what goes together in the errors of measurement taken out."""
+        return fit.residuals if self.errors is None else self.estimator.whitened(fit.residuals, self.errors)
+
+    def squares(self, fit: TrajectoryFit) -> FloatArray:
+        """Return the mean squares (O,) of `whitened`."""
+        return fit.squares if self.errors is None else self.estimator.squares(self.whitened(fit))
 
     def _misfit(self, noise: FloatArray) -> TrajectoryMisfit:
         """Return the misfit of errors whose independent part has about the standard deviation `noise` (O,)."""
@@ -316,7 +352,10 @@ class ModelComparison:
 
     def inflation(self, model: FittedModel) -> float:
         """Return how many rows count as one in the covariance of constants: 1 where errors are independent."""
-        rows = self.misfit.effective_rows(model.fit.squares)
+        return self._inflation(model.fit)
+
+    def _inflation(self, fit: TrajectoryFit) -> float:
+        rows = self.misfit.effective_rows(self.squares(fit))
         return float(self.counts.sum() / min(rows.sum(), self.counts.sum()))
 
     def hidden_errors(self, model: FittedModel) -> float:
@@ -342,11 +381,19 @@ class ModelComparison:
         noise = np.sqrt(self.misfit.high)
         if np.any(noise < 2.0 * SETTINGS.selection.least_noise * measurements.scales[measurements.observed]):
             return 0.0 if self._is_explained(model) else math.inf
-        if np.any(model.fit.squares > self._spread * measurements.noise**2):
+        is_sensor = np.zeros(len(noise), np.bool_) if self.errors is None else self.errors.shares > 0.0
+        if np.any(~is_sensor & (model.fit.squares > self._spread * measurements.noise**2)):
             return math.inf
-        shares, expected = slow_shares(measurements, model.fit.residuals, self.pieces)
+        shares, expected = slow_shares(measurements, self.whitened(model.fit), self.pieces)
         left = np.minimum((1.0 - shares) / np.maximum(1.0 - expected, 1e-12), 1.0)
-        return self.misfit.total(model.fit.squares) - self.misfit.total(left * model.fit.squares)
+        squares = self.squares(model.fit)
+        return self.misfit.total(squares) - self.misfit.total(left * squares)
+
+    def _noise(self, errors: ErrorModel | None) -> FloatArray:
+        """Return the standard deviations (O,) of errors: the smoother's noise, which is that of independent ones, or
+        where they go together what these `errors` have."""
+        noise = self.estimator.measurements.noise
+        return noise if errors is None else np.where(errors.shares > 0.0, np.maximum(errors.sigmas, noise), noise)
 
     def _is_explained(self, model: FittedModel) -> bool:
         """Tell whether nearly clean trajectories are simulated so well that no term of a law can be missing.
@@ -367,10 +414,18 @@ class ModelComparison:
 
         Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
         """
-        measurements = self.estimator.measurements
-        noise = np.maximum(measurements.noise, SETTINGS.common.negligible * measurements.scales[measurements.observed])
-        allowed = noise * (2.0 if measurements.has_smoothed_inputs else 1.0)
-        return float(np.max(np.sqrt(model.fit.squares) / allowed))
+        measurements, residuals = self.estimator.measurements, np.sqrt(model.fit.squares)
+        least = SETTINGS.common.negligible * measurements.scales[measurements.observed]
+        errors = self.errors
+
+        def ratio() -> float:
+            allowed = np.maximum(self._noise(errors), least) * (2.0 if measurements.has_smoothed_inputs else 1.0)
+            return float(np.max(residuals / allowed))
+
+        if errors is None and ratio() > SETTINGS.inference.excess:
+            correlated = self._with_sensor_errors(model.fit)
+            errors = None if correlated is None else correlated.errors
+        return ratio()
 
     def _remember(self, equation: int, model: FittedModel) -> None:
         key = (equation, structure(model.programs[equation]))

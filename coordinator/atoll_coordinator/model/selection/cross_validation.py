@@ -43,22 +43,24 @@ class Validation:
         """Return how well the system of `model` predicts; None where time is over: fits that end early tell nothing."""
         deadline = self._comparison.estimator.deadline
         measurements = self._comparison.estimator.measurements
-        squares, total = np.zeros((2, len(measurements.observed)))
+        squares, whitened, total = np.zeros((3, len(measurements.observed)))
         for left_out in self._folds:
             errors = None if deadline.is_over else self._squared_errors(model, left_out)
             if deadline.is_over:
                 return None
             if errors is None:
                 return Validated(tuple(-np.inf for _ in measurements.observed), np.inf)
-            squares += errors
+            squares += errors[0]
+            whitened += errors[1]
             total += _total_squares(measurements.part(left_out))
         r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, total, strict=True)]
         counts = self._comparison.counts
-        misfit = self._comparison.misfit.total(squares / counts)
+        misfit = self._comparison.misfit.total(whitened / counts)
         return Validated(tuple(r2), misfit)
 
-    def _squared_errors(self, model: FittedModel, left_out: frozenset[int]) -> FloatArray | None:
-        """Return the sums of squared errors (O,) along trajectories left out; None where they cannot be simulated."""
+    def _squared_errors(self, model: FittedModel, left_out: frozenset[int]) -> tuple[FloatArray, FloatArray] | None:
+        """Return the sums of squared errors (O,) along trajectories left out, as they are and without what goes
+        together in errors of measurement; None where they cannot be simulated."""
         comparison, fit = self._comparison, model.fit
         measurements = comparison.estimator.measurements
         is_out = np.isin(measurements.owners, list(left_out))
@@ -77,7 +79,9 @@ class Validation:
         predicted = rest.fit(fixed, None, SETTINGS.effort.steps, fit.starts[is_out], fit.errors)
         if predicted is None:
             return None
-        return np.asarray((rest.measurements.weights * predicted.residuals**2).sum(axis=1))
+        weights, errors = rest.measurements.weights, comparison.errors
+        whitened = predicted.residuals if errors is None else rest.whitened(predicted.residuals, errors)
+        return (weights * predicted.residuals**2).sum(axis=1), (weights * whitened**2).sum(axis=1)
 
     def _shooter(self, measurements: Measurements) -> MultipleShooting:
         whole = self._comparison.estimator

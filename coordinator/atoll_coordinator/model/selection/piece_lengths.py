@@ -85,10 +85,12 @@ def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     selections: list[SelectedModel] = []
     for here in _tasks(task):
         fitted = _fitted(here, selection.model.programs, measurements.rows, is_precise=True)
-        if fitted is not None:
-            selections.append(fitted)
-            if fitted.comparison.excess(fitted.model) <= SETTINGS.inference.excess:
-                return fitted
+        if fitted is None:
+            continue
+        fitted = replace(fitted, model=fitted.comparison.calibrate(fitted.model))
+        if fitted.comparison.excess(fitted.model) <= SETTINGS.inference.excess:
+            return fitted
+        selections.append(fitted)
     return selections[0] if selections else None
 
 

@@ -6,18 +6,20 @@ Letters: O measured states, N rows.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.shooting.kernels.innovations import innovate
+from atoll_coordinator.model.shooting.kernels.innovations import innovate, innovate_smooth
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 _SHARES: Final = (0.0, 0.03, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 1.0)
 _RATIO: Final = 1.6
 _SHORTEST: Final = 1.6
+_SMOOTH_SHARES: Final = (*_SHARES[1:-1], 0.99, 0.997, 0.999, 0.9999, 0.99999)
+_NOTHING: Final = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +87,62 @@ class Innovations:
             self._innovate(state, residuals, share, decay, sums[state])
         return sums[:, 0], sums[:, 1]
 
-    def _innovate(self, state: int, residuals: FloatArray, share: float, decay: float, sums: FloatArray) -> None:
-        innovate(self.segments, self._steps, residuals[state], self._weights[state], share, decay, sums)
+    def whitened(self, residuals: FloatArray, model: ErrorModel) -> FloatArray:
+        """Return the innovations (O, N) of `residuals` (O, N), as independent as those of errors of one size are."""
+        made, sums = np.zeros_like(residuals), np.empty(2)
+        for state, (share, decay) in enumerate(zip(model.shares.tolist(), model.decays.tolist(), strict=True)):
+            self._innovate(state, residuals, share, decay, sums, made[state])
+        return made
+
+    def _innovate(
+        self, state: int, residuals: FloatArray, share: float, decay: float, sums: FloatArray,
+        whitened: FloatArray = _NOTHING,
+    ) -> None:  # fmt: skip
+        innovate(self.segments, self._steps, residuals[state], self._weights[state], share, decay, sums, whitened)
+
+    def sensor_errors(self, residuals: FloatArray, sigmas: FloatArray, fitted: float, turns: FloatArray) -> ErrorModel:
+        """Return the errors of measurement that these residuals are, up to what a law leaves out.
+
+        What goes together between neighbouring rows is an error of the sensor where it is rough: an
+        Ornstein-Uhlenbeck process describes it in fewer nats than independent errors do, and than a smooth process
+        does. What a law leaves out is smooth, since it adds up along the trajectory, and its derivative varies no
+        faster than that of the state. Errors of states of which that is not so are taken to be independent.
+
+        Args:
+            residuals: (O, N).
+            sigmas: their standard deviations (O,).
+            fitted: how many numbers were fitted for each state.
+            turns: rows (O,) after which the correlation of the derivative has fallen to 1/e.
+        """
+        independent = ErrorModel.independent(sigmas)
+        shares, decays = self.estimate(residuals, independent, fitted)
+        for state in np.flatnonzero(shares).tolist():
+            if self._is_smooth(state, residuals, float(shares[state]), float(decays[state]), float(turns[state])):
+                shares[state] = decays[state] = 0.0
+        found = ErrorModel(sigmas, shares, decays)
+        squares, _ = self.squares(residuals, found)
+        return replace(found, sigmas=np.where(shares > 0.0, np.sqrt(squares / self._counts), sigmas))
+
+    def _is_smooth(self, state: int, residuals: FloatArray, share: float, decay: float, turn: float) -> bool:
+        """Tell whether a smooth process whose derivative turns in `turn` rows or more is likelier than a rough one."""
+        sums, room = np.empty(2), (*np.empty((3, 3, 3)), np.empty((2, 3)))
+        self._innovate(state, residuals, share, decay, sums)
+        rough, length = self._length(state, sums), turn  # (1 + x - x^2) exp(-x), of the derivative, is 1/e at x = 1
+        longest = max(length, int((self.segments[:, 1] - self.segments[:, 0]).max()))
+        while length <= longest:
+            for part in _SMOOTH_SHARES:
+                innovate_smooth(
+                    self.segments, self._steps, residuals[state], self._weights[state], part, 1.0 / length, sums, *room
+                )
+                if self._length(state, sums) < rough:
+                    return True
+            length *= _RATIO
+        return False
+
+    def _length(self, state: int, sums: FloatArray) -> float:
+        """Return minus the logarithm of the likelihood of errors with these sums, their variance fitted."""
+        count = float(self._counts[state])
+        return 0.5 * count * math.log(max(float(sums[0]) / count, 1e-300)) + 0.5 * float(sums[1])
 
     def estimate(self, residuals: FloatArray, model: ErrorModel, fitted: float) -> tuple[FloatArray, FloatArray]:
         """Return the shares and decays (O,) of least description length for these residuals, begun with `model`'s.
@@ -109,9 +165,8 @@ class Innovations:
 
         def length(place: tuple[int, int]) -> float:
             if place not in lengths:
-                part, rate = _SHARES[place[0]], self._decays[place[1]]
-                self._innovate(state, residuals, part, rate, sums)
-                lengths[place] = 0.5 * count * math.log(max(float(sums[0]) / count, 1e-300)) + 0.5 * float(sums[1])
+                self._innovate(state, residuals, _SHARES[place[0]], self._decays[place[1]], sums)
+                lengths[place] = self._length(state, sums)
             return lengths[place]
 
         independent = length((0, 0))

@@ -161,6 +161,15 @@ class MultipleShooting:
         is_own = measurements.owners_of_rows[fit.segments[:, 0]] == owner
         return MultipleShooting(measurements.part([owner]), self.tolerance, self.deadline), fit.starts[is_own]
 
+    def sensor_errors(self, fit: TrajectoryFit, turns: FloatArray) -> ErrorModel:
+        """Return `Innovations.sensor_errors` of a fit of whole trajectories, whose derivatives turn in `turns` rows."""
+        fitted = (fit.system.count + fit.starts.size) / len(fit.residuals)
+        return self._layout(None).sensor_errors(fit.residuals, np.sqrt(fit.squares), fitted, turns)
+
+    def whitened(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
+        """Return residuals (O, N) of whole trajectories, what goes together in these errors taken out."""
+        return self._layout(None).whitened(residuals, errors)
+
     def cost(self, fit: TrajectoryFit) -> float:
         """Return the sum of squared residuals of a fit of whole trajectories, over the variances of its errors."""
         return _cost(self._layout(None), fit.residuals, fit.errors)
@@ -206,7 +215,7 @@ class MultipleShooting:
             errors, here = self._reweighted(here, layout, errors)
             if is_settled:
                 break
-        squares = self._squares(here.residuals)
+        squares = self.squares(here.residuals)
         return TrajectoryFit(
             system, segments, starts, here.simulated, here.residuals, errors, squares, here.normal, here.coupling,
             here.own, self, method is self._methods[1], here.gradient,
@@ -238,7 +247,7 @@ class MultipleShooting:
             return np.ascontiguousarray(starts[:, : states + count])
         return np.concatenate([starts, np.zeros((len(starts), missing))], axis=1)
 
-    def _squares(self, residuals: FloatArray) -> FloatArray:
+    def squares(self, residuals: FloatArray) -> FloatArray:
         """Return the mean squares (O,) of residuals, those of normal errors whatever the robustness weights."""
         return self._consistent((self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals)
 

@@ -72,3 +72,15 @@ def test_no_residuals_and_no_noise_are_borne() -> None:
     assert check(nothing, 1.0).standard_deviation == 0.0
     assert check(nothing, 0.0).too_large == 1.0
     assert check(noise(3), 0.0).ratio == np.inf
+
+
+def test_errors_that_go_together_as_a_sensor_s_are_no_pattern() -> None:
+    white = noise(2, 200)
+    errors = [np.array(series) for series in white]
+    for series in errors:
+        for row in range(1, len(series)):
+            series[row] = 0.8 * series[row - 1] + 0.6 * series[row]
+    assert check(errors, 1.0).patterned < 1e-6
+    checked = check(errors, 1.0, innovations=white)
+    assert checked.patterned > 0.01
+    assert checked.ratio == pytest.approx(1.0, abs=0.15)

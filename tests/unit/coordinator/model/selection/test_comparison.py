@@ -253,14 +253,35 @@ def test_what_the_equations_miss_is_not_taken_for_errors_that_go_together():
     assert comparison.fit_correlated(model) is None
 
 
-def test_errors_that_go_together_are_found():
+def drifting(true, length=300):
+    """Return a comparison over one decay whose sensor has errors that go together, and the fitted system of `true`."""
     rng = np.random.default_rng(3)
-    rows = measurements(DECAY, ([4.0],), 0.1 * np.arange(300.0), noise=NOISE)
-    walk = np.zeros(300)
-    for row in range(1, 300):
+    rows = measurements(DECAY, ([4.0],), 0.1 * np.arange(float(length)), noise=NOISE)
+    walk = np.zeros(length)
+    for row in range(1, length):
         walk[row] = 0.9 * walk[row - 1] + NOISE * rng.standard_normal()
     comparison = compare(DECAY, replace(rows, measured=rows.measured + walk))
-    model = comparison.calibrate(comparison.fit_model([DECAY.parsed("-0.4*x")]))
-    correlated = comparison.fit_correlated(model)
-    assert correlated is not None
-    assert correlated.fit.errors.shares[0] > 0.5
+    return comparison, comparison.fit_model([DECAY.parsed(true)])
+
+
+def test_errors_of_a_sensor_are_held_for_all_systems():
+    comparison, begun = drifting("-0.4*x")
+    assert comparison.excess(begun) <= 1.25 < np.sqrt(begun.fit.squares[0]) / comparison.estimator.measurements.noise[0]
+    model = comparison.calibrate(begun)
+    assert comparison.errors is not None
+    assert comparison.errors.shares[0] > 0.5
+    assert model.fit.errors.decays.tolist() == comparison.errors.decays.tolist()
+    white = comparison.whitened(model.fit)[0]
+    assert abs(float(white[1:] @ white[:-1]) / float(white @ white)) < 0.15
+    assert not comparison.has_room(model)
+    longer = comparison.fit_exchanged(model, 0, DECAY.parsed("0.01 - 0.4*x"), 40)
+    assert longer.fit.errors.shares.tolist() == comparison.errors.shares.tolist()
+    assert longer.nats > model.nats + 4.0
+    assert comparison.inflation(model) == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_a_law_misses_is_no_error_of_a_sensor():
+    comparison, wrong = drifting("1.0 - 0.4*x*x")
+    model = comparison.calibrate(wrong)
+    assert comparison.errors is None
+    assert comparison.excess(model) > 1.25

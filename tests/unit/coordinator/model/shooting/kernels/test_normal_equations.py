@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.model.shooting.kernels.innovations import innovate
+from atoll_coordinator.model.shooting.kernels.innovations import innovate, innovate_smooth
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
 
 SEGMENTS = np.array([[0, 5], [5, 6], [6, 14]], dtype=np.int64)
@@ -115,7 +115,7 @@ def test_innovations_have_the_likelihood_of_the_whole_covariance(share, decay):
         squares += residuals[0, rows] @ np.linalg.solve(whole, residuals[0, rows])
         logarithm += np.linalg.slogdet(whole)[1] + np.log(weights[0, rows]).sum()
     sums = np.empty(2)
-    innovate(SEGMENTS, STEPS, residuals[0], weights[0], share, decay, sums)
+    innovate(SEGMENTS, STEPS, residuals[0], weights[0], share, decay, sums, np.empty(0))
     assert sums == pytest.approx([squares, logarithm])
 
 
@@ -184,3 +184,23 @@ def test_numbers_that_are_not_finite_are_no_step():
     made[0][0, 0] = np.nan
     done, change, _ = solved(made, 1e-3)
     assert not done or np.isnan(change).any()
+
+
+def test_what_is_smooth_is_as_likely_as_by_its_covariance():
+    residuals, weights, _ = drawn(1, 1, np.array([0]), seed=4)
+    share, rate, expected = 0.7, 0.3, np.zeros(2)
+    for first, end in SEGMENTS.tolist():
+        rows = np.arange(first, end)
+        at = np.cumsum(STEPS)[rows]
+        kept = weights[0, rows] > 0.0
+        apart = rate * np.abs(at[:, None] - at)
+        covariance = (share * (1.0 + apart + apart**2 / 3.0) * np.exp(-apart) + (1.0 - share) * np.eye(len(rows)))[
+            kept
+        ][:, kept]
+        errors = (np.sqrt(weights[0, rows]) * residuals[0, rows])[kept]
+        expected += errors @ np.linalg.solve(covariance, errors), np.linalg.slogdet(covariance)[1]
+    sums = np.empty(2)
+    innovate_smooth(
+        SEGMENTS, STEPS, residuals[0], weights[0], share, rate, sums, *np.empty((3, 3, 3)), np.empty((2, 3))
+    )
+    assert sums == pytest.approx(expected)
