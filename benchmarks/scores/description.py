@@ -18,6 +18,8 @@ from atoll_coordinator.model.selection.comparison import FittedModel, ModelCompa
 from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.shortcut import longest
 from atoll_coordinator.model.selection.stretches import in_stretches
+from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
+from atoll_coordinator.model.shooting.multiple_shooting import row_steps
 from atoll_coordinator.settings import SETTINGS
 from benchmarks.scores.evidence import occam
 from benchmarks.scores.pools import Pool, Scored, nothing
@@ -32,7 +34,7 @@ def by_pieces(pool: Pool) -> Scored:
         return nothing(pool)
     comparison, models = compared
     law = models[0]
-    errors = None if law is None else estimate_errors(comparison, comparison.fit_correlated(law) or law)
+    errors = None if law is None else estimate_errors(comparison, law)
     nats = [math.inf if model is None else model.nats for model in models]
     return _scored(nats, [math.inf if model is None else model.misfit for model in models], errors)
 
@@ -62,9 +64,11 @@ def by_innovations(pool: Pool) -> Scored:
     comparison, models = compared
     leader = min((model for model in models if model is not None), key=lambda model: model.nats).fit
     estimator = comparison.estimator
-    sought = replace(leader.errors, is_correlation_sought=True)
+    rows, fitted = estimator.measurements, (leader.system.count + leader.starts.size) / len(leader.residuals)
+    layout = Innovations(leader.segments, row_steps(rows), rows.weights)
+    sought = ErrorModel(np.sqrt(leader.squares), *layout.estimate(leader.residuals, fitted))
     own = estimator.fit(leader.system, None, SETTINGS.effort.steps, leader.starts, sought, is_stiff=leader.is_stiff)
-    errors = replace((own or leader).errors, is_correlation_sought=False, is_known=True)
+    errors = replace((own or leader).errors, is_known=True)
     nats: list[float] = []
     misfits: list[float] = []
     law: Errors | None = None

@@ -219,15 +219,19 @@ def state_errors(final: Final) -> dict[str, StateErrors]:
     if comparison.is_exact(final.free):
         return {}  # those of the integration, of which nothing is to be said
     bounds = comparison.estimator.measurements.bounds
-    rows = np.minimum(comparison.misfit.effective_rows(comparison.squares(fit)), comparison.counts / fit.errors.lengths)
+    squares, is_sensor = comparison.squares(fit), fit.errors.shares > 0.0
+    rows = np.minimum(comparison.misfit.effective_rows(squares), comparison.counts / fit.errors.lengths)
+    slow = 1.0 - np.minimum(comparison.misfit.high / np.maximum(squares, 1e-300), 1.0)
+    shares = np.where(is_sensor, fit.errors.shares, slow)
+    lengths = np.where(is_sensor, 1.0 / (1.0 - fit.errors.decays), comparison.counts / comparison.pieces)
     errors_by_state = {}
     for index, name in enumerate(final.task.variables):
-        share, decay = float(fit.errors.shares[index]), float(fit.errors.decays[index])
+        share = float(shares[index])
         errors_by_state[name] = StateErrors(
             float(np.sqrt(fit.squares[index])),
             estimate_variance(final.task.recording, final.task.recording.states.index(name)).proportional,
             share,
-            1.0 / (1.0 - decay) if share else None,
+            float(lengths[index]) if share else None,
             float(rows[index]),
             final.are_errors_summed,
             int((bounds[:, 1] - bounds[:, 0]).max()) if final.are_errors_summed else None,
@@ -312,8 +316,6 @@ def _show(
     """Return equations of these structures as they are shown, fitted beside another model; None if they cannot be."""
     explicit, free = _freed(comparison, near, programs, shared)
     fitted = comparison.fit_beside(near, programs, shared=shared)
-    if fitted is not None:
-        fitted = comparison.fit_correlated(fitted) or fitted
     if free is None or fitted is None:
         return None
     errors, is_exact = estimate_errors(comparison, free).of_constants(free.fit.system), comparison.is_exact(free)
@@ -410,7 +412,7 @@ def _freed(
         best, [coefficients.program for coefficients in explicit], shared=_in_explicit(explicit, shown, shared)
     )
     if free is not None:
-        return explicit, comparison.fit_correlated(free) or free
+        return explicit, free
     return tuple(map(as_written, shown)), comparison.fit_beside(best, shown, shared=shared)
 
 

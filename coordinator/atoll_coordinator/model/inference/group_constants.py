@@ -79,7 +79,7 @@ def summarize_groups(selection: SelectedModel) -> Refinement | None:
         return None
     comparison = whole.comparison
     chosen = _written(whole, _with_shared(comparison, SharedModel(whole.model)))
-    model = comparison.fit_correlated(chosen.model) or chosen.model
+    model = chosen.model
     errors = estimate_errors(comparison, model)
     values = _shown_values(comparison, model)
     fixed = model.fit.system.with_values(values).with_fixed_constants()

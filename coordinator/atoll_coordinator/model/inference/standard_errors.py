@@ -14,7 +14,6 @@ from atoll_coordinator.model.refinement import Constant, Correlation, Covariance
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
-from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
 from atoll_core.data.dataset import FloatArray
@@ -31,17 +30,15 @@ class Errors:
     """What the fit of all constants says of them.
 
     `values` (P,) have the joint `covariance` (P, P), which is that of the normal equations times `scale`, rows over
-    those left to judge by, and at least that of `widening` (P,) times as large standard errors. Student's t has so many
-    `degrees_of_freedom`. `lower` and `upper` (P,) are bounds, None without any; constants on one have a one-sided
-    interval that `reaches` so far from it. Where several constants are multiples of one number, `columns` (P,) tell of
-    which.
+    those that are left to judge by and count as one each. Student's t has so many `degrees_of_freedom`. `lower` and
+    `upper` (P,) are bounds, None without any; constants on one have a one-sided interval that `reaches` so far from it.
+    Where several constants are multiples of one number, `columns` (P,) tell of which.
     """
 
     values: FloatArray
     covariance: FloatArray
     degrees_of_freedom: float
     scale: float
-    widening: FloatArray
     lower: FloatArray | None = None
     upper: FloatArray | None = None
     reaches: Mapping[int, float] = field(default_factory=dict)
@@ -58,7 +55,7 @@ class Errors:
             lower, upper = np.sort([multiples * self.lower[columns], multiples * self.upper[columns]], axis=0)
         return Errors(
             multiples * self.values[columns], scale * self.covariance[np.ix_(columns, columns)],
-            self.degrees_of_freedom, self.scale, self.widening[columns], lower, upper,
+            self.degrees_of_freedom, self.scale, lower, upper,
             {
                 place: abs(float(multiples[place])) * self.reaches[number]
                 for place, number in enumerate(columns.tolist())
@@ -69,40 +66,23 @@ class Errors:
 
 
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
-    """Return the errors of the constants of a fit, variances corrected for the numbers fitted.
+    """Return the errors of the constants of a fit, by the errors of measurement by which systems are compared.
 
-    Errors that go together are weighed as AR(1) ones in the fit. What an equation leaves out varies more slowly, as the
-    states do: where the residuals are larger than independent errors, variances are at least those of independent
-    errors times the rows over those that decide.
+    Variances are corrected for the numbers fitted, and are as many times those of independent rows as rows count as one
+    (`ModelComparison.inflation`): what an equation leaves out varies as slowly as the states do.
     """
     fit = model.fit
-    counts = float(comparison.counts.sum())
-    fitted = fit.system.count + fit.starts.size
-    left = max(counts - fitted, 1.0)
+    counts, inflation = float(comparison.counts.sum()), comparison.inflation(model)
+    left = max(counts - fit.system.count - fit.starts.size, 1.0)
     certain = float(comparison.counts @ fit.errors.degrees_of_freedom) / counts
-    covariances, scale = covariance(fit), counts / left
-    widening = _widening(comparison, model, np.diag(covariances))
+    scale = inflation * counts / left
     return Errors(
-        fit.system.values, covariances * scale * np.outer(widening, widening), max(left * certain, 1.0), scale,
-        widening, fit.system.lower, fit.system.upper,
+        fit.system.values, covariance(fit) * scale, max(left * certain / inflation, 1.0), scale,
+        fit.system.lower, fit.system.upper,
         one_sided_reaches(
             fit.reduced / scale, None if fit.gradient is None else fit.gradient / scale, fit.system.on_bounds
         ),
     )  # fmt: skip
-
-
-def _widening(comparison: ModelComparison, model: FittedModel, variances: FloatArray) -> FloatArray:
-    """Return by how many times (P,) what the equations leave out makes standard errors larger than the fit's."""
-    fit = model.fit
-    alike = None
-    if np.any(fit.errors.shares > 0.0):
-        independent = ErrorModel.independent(np.sqrt(fit.squares))
-        alike = fit.estimator.fit(fit.system, None, 0, fit.starts, independent, is_stiff=fit.is_stiff)
-    if alike is None:
-        return np.ones(len(variances))
-    with np.errstate(all="ignore"):
-        ratios = comparison.inflation(model) * np.diag(covariance(alike)) / variances
-    return np.sqrt(np.where(np.isfinite(ratios), np.maximum(ratios, 1.0), 1.0))
 
 
 def describe_constants(

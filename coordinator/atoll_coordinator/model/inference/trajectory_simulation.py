@@ -104,7 +104,7 @@ def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice
 def scaled_covariance(fit: TrajectoryFit, errors: Errors) -> tuple[FloatArray, float]:
     """Return the covariance (P, P) of the constants, large where it is infinite, and what variances of initial states
     are to be scaled by."""
-    return errors.scale * np.outer(errors.widening, errors.widening) * bounded_covariance(fit), errors.scale
+    return errors.scale * bounded_covariance(fit), errors.scale
 
 
 def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float) -> FloatArray:

@@ -216,17 +216,12 @@ class ModelComparison:
         fit = self.estimator.fit(system, None, steps, near_fit.starts, near_fit.errors, is_stiff=near_fit.is_stiff)
         return None if fit is None else self.measure(fit)
 
-    def fit_correlated(self, model: FittedModel) -> FittedModel | None:
-        """Return `model` fitted once more, with errors of neighbouring rows that go together as its residuals do.
-
-        None where the constants differ by more than chance from those fitted to independent errors: then what the
-        residuals have in common is not errors, but what the equations miss (Hausman 1978, Econometrica 46:1251).
-        """
-        fit = self._with_errors(model.fit, replace(model.fit.errors, is_correlation_sought=True))
-        return None if fit is None or self._is_refuted(model.fit, fit) else self.measure(fit)
-
     def _is_refuted(self, begun: TrajectoryFit, fit: TrajectoryFit) -> bool:
-        """Tell whether the constants of a fit are improbable by the covariance of those that it was begun with."""
+        """Tell whether constants differ by more than chance from those of the fit that it was begun with.
+
+        Then what the residuals have in common is not errors, but what the equations miss (Hausman 1978, Econometrica
+        46:1251).
+        """
         from scipy import special
 
         moved = fit.system.values - begun.system.values

@@ -27,13 +27,12 @@ class ErrorModel:
     """Errors of O states: `sigmas` their standard deviations, `shares` of the variances that go together, `decays` the
     correlation of that share between rows one median step apart. All are (O,).
 
-    With `is_correlation_sought` a fit estimates both from its residuals. Errors that are `is_known` are held.
+    A fit estimates `sigmas`, unless these errors are `is_known`; what goes together it holds.
     """
 
     sigmas: FloatArray
     shares: FloatArray
     decays: FloatArray
-    is_correlation_sought: bool = False
     is_known: bool = False
 
     @classmethod
@@ -44,7 +43,7 @@ class ErrorModel:
     def to_bytes(self) -> bytes:
         """Return what tells this model from others."""
         numbers = self.sigmas.tobytes() + self.shares.tobytes() + self.decays.tobytes()
-        return numbers + bytes([self.is_correlation_sought, self.is_known])
+        return numbers + bytes([self.is_known])
 
     @property
     def degrees_of_freedom(self) -> FloatArray:
@@ -114,8 +113,7 @@ class Innovations:
             fitted: how many numbers were fitted for each state.
             turns: rows (O,) after which the correlation of the derivative has fallen to 1/e.
         """
-        independent = ErrorModel.independent(sigmas)
-        shares, decays = self.estimate(residuals, independent, fitted)
+        shares, decays = self.estimate(residuals, fitted)
         for state in np.flatnonzero(shares).tolist():
             if self._is_smooth(state, residuals, float(shares[state]), float(decays[state]), float(turns[state])):
                 shares[state] = decays[state] = 0.0
@@ -144,21 +142,21 @@ class Innovations:
         count = float(self._counts[state])
         return 0.5 * count * math.log(max(float(sums[0]) / count, 1e-300)) + 0.5 * float(sums[1])
 
-    def estimate(self, residuals: FloatArray, model: ErrorModel, fitted: float) -> tuple[FloatArray, FloatArray]:
-        """Return the shares and decays (O,) of least description length for these residuals, begun with `model`'s.
+    def estimate(self, residuals: FloatArray, fitted: float) -> tuple[FloatArray, FloatArray]:
+        """Return the shares and decays (O,) of least description length for these residuals (O, N).
 
         A correlation is described by two numbers more, which take ln n nats (Schwarz 1978). What is left when slow
         curves are fitted is less correlated than the errors were: with `fitted` numbers for each state, the decay d is
         too small by (2 d + (1 + d) `fitted`)/n, which is added (for a mean, `fitted` 1, Marriott & Pope 1954).
         """
-        shares, decays = model.shares.copy(), model.decays.copy()
+        shares, decays = np.zeros((2, len(residuals)))
         for state in range(len(residuals)):
-            share, decay = self._estimated(state, residuals, float(shares[state]), float(decays[state]))
+            share, decay = self._estimated(state, residuals)
             missed = (2.0 * decay + (1.0 + decay) * fitted) / float(self._counts[state]) if share else 0.0
             shares[state], decays[state] = share, min(decay + missed, max(decay, self._decays[-1]))
         return shares, decays
 
-    def _estimated(self, state: int, residuals: FloatArray, share: float, decay: float) -> tuple[float, float]:
+    def _estimated(self, state: int, residuals: FloatArray) -> tuple[float, float]:
         """Return the share and the decay of one state by a descent on the grid of both."""
         sums, count = np.empty(2), float(self._counts[state])
         lengths: dict[tuple[int, int], float] = {}
@@ -171,12 +169,7 @@ class Innovations:
 
         independent = length((0, 0))
         last, top = len(_SHARES) - 1, len(self._decays) - 1
-        begun = (
-            [(min(range(1, last + 1), key=lambda k: abs(_SHARES[k] - share)),
-              min(range(top + 1), key=lambda k: abs(self._decays[k] - decay)))]
-            if share > 0.0 else [(4, min(3, top)), (last, min(6, top))]
-        )  # fmt: skip
-        best = min(begun, key=length)
+        best = min([(4, min(3, top)), (last, min(6, top))], key=length)
         while True:
             near = [
                 (part, rate)

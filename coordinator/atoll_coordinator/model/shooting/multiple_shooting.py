@@ -194,8 +194,6 @@ class MultipleShooting:
         here, method = self._begun(system, layout, starts, errors, may_be_stiff=may_be_stiff)
         if here is None:
             return None
-        if errors.is_correlation_sought:
-            errors, here = self._reweighted(here, layout, errors)
         damping, rounding = FIRST_DAMPING, self._rounding(segments)
         for _ in takewhile(lambda _: not self.deadline.is_over, range(steps)):
             least = max(SETTINGS.effort.settled * here.cost, float((rounding / errors.sigmas**2).sum()))
@@ -271,19 +269,12 @@ class MultipleShooting:
         """
         if errors.is_known:
             return errors, here
-        shares, decays = (
-            layout.estimate(here.residuals, errors, (len(here.gradient) + here.own_gradient.size) / len(here.residuals))
-            if errors.is_correlation_sought
-            else (errors.shares, errors.decays)
-        )
-        new = replace(errors, shares=shares, decays=decays)
-        squares, _ = layout.squares(here.residuals, new)
-        new = replace(new, sigmas=np.maximum(np.sqrt(self._consistent(squares / self._totals)), self._smallest))
-        is_same = np.array_equal(shares, errors.shares) and np.array_equal(decays, errors.decays)
-        if is_same and np.all(np.abs(new.sigmas / errors.sigmas - 1.0) < 1e-3):
+        squares, _ = layout.squares(here.residuals, errors)
+        sigmas = np.maximum(np.sqrt(self._consistent(squares / self._totals)), self._smallest)
+        if np.all(np.abs(sigmas / errors.sigmas - 1.0) < 1e-3):
             return errors, here
-        equations = self._weighed(here.simulated, here.gradients, here.residuals, layout, new, len(here.gradient))
-        return new, equations
+        new = replace(errors, sigmas=sigmas)
+        return new, self._weighed(here.simulated, here.gradients, here.residuals, layout, new, len(here.gradient))
 
     def _begun(
         self, system: System, layout: Innovations, starts: FloatArray, errors: ErrorModel,

@@ -249,8 +249,8 @@ def test_what_the_equations_miss_is_not_taken_for_errors_that_go_together():
     comparison = task.compare(task.measurements(states), states)
     names = preparation.dataset.names
     programs = [from_infix(text, names) for text in ("hare*(0.5 - 0.025*lynx)", "0.025*lynx*(hare - 33.0)")]
-    model = comparison.calibrate(comparison.fit_model(programs))
-    assert comparison.fit_correlated(model) is None
+    comparison.calibrate(comparison.fit_model(programs))
+    assert comparison.errors is None
 
 
 def drifting(true, length=300):

@@ -29,10 +29,10 @@ def residuals(rng):
 
 def test_a_correlation_is_that_of_the_errors_not_of_what_a_fit_leaves_of_them():
     rng = np.random.default_rng(3)
-    rows, begun = innovations(), ErrorModel.independent(np.ones(1))
+    rows = innovations()
     lengths = []
     for _ in range(DRAWS):
-        shares, decays = rows.estimate(residuals(rng), begun, CURVES)
+        shares, decays = rows.estimate(residuals(rng), CURVES)
         lengths.append(ErrorModel(np.ones(1), shares, decays).lengths[0])
     assert np.median(lengths) == pytest.approx((1.0 + DECAY) / (1.0 - DECAY), rel=0.15)
 
