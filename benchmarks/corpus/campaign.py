@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll_core.config import PRESETS, JobConfig
+from atoll_core.config import BASE_OPERATORS, JobConfig
 from atoll_core.errors import AtollError
 from benchmarks.corpus.cases import OURS, Case, Key, make_case
 from benchmarks.corpus.outcomes import Outcome, judge_job
@@ -56,13 +56,14 @@ def judge_again(keys: Sequence[Key], journal: Journal[Outcome]) -> None:
 
 def configuration(key: Key, case: Case, max_time: float | None, changes: Mapping[str, Any]) -> JobConfig:
     """Return the default configuration with the functions that the truth needs."""
-    operators = (*PRESETS["default"].space.operators, *case.system.operators)
+    operators = (*BASE_OPERATORS, *case.system.operators)
     return configured(key.seed, case.data, {"max_time": max_time, **changes}, operators)
 
 
 def _answer_otherwise(key: Key, case: Case) -> dict[str, Any]:
     if key.method == operon_models.OPERON:
-        return operon_models.solve(case.table, configuration(key, case, None, {}).space.operators, key.seed)
+        operators = configuration(key, case, None, {}).space.operators or BASE_OPERATORS
+        return operon_models.solve(case.table, operators, key.seed)
     measured = noise.Case(case.table, case.system.truths, case.clean, noise.Path(np.zeros(0), np.zeros((0, 0))))
     return pysindy_models.solve(key.method, key.seed, measured)
 

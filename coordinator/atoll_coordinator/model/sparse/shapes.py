@@ -15,6 +15,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import (
+    ABS,
     ADD,
     COS,
     DIVIDE,
@@ -34,6 +35,7 @@ _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
 _BOTH_SIGNS: Final = (*_RATES, *(-rate for rate in _RATES))
 _SHIFTS: Final = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 _WIDE_SHIFTS: Final = tuple(0.0125 * 2.0 ** (step / 2.0) for step in range(17))
+_KINKS: Final = (-1.5, -1.0, -0.6, -0.3, 0.3, 0.6, 1.0, 1.5)
 _EXPONENTS: Final = (-1.5, -0.5, 0.3, 0.7, 1.5, 2.5)
 
 
@@ -78,6 +80,13 @@ _OVER_SUM: Final = Function(
 _POWER: Final = Function(
     lambda u, c: u**c, lambda u, c: (POW, u, c), lambda u, c: u**c * np.log(u), lambda _: _EXPONENTS
 )
+_SIGN: Final = Function(lambda u, _: np.sign(u), lambda u, _: (DIVIDE, u, (ABS, u)))
+_KINK: Final = Function(
+    lambda u, c: np.abs(u - c),
+    lambda u, c: (ABS, (ADD, u, -c)),
+    lambda u, c: np.sign(c - u),
+    lambda size: [share * size for share in _KINKS],
+)
 _EXP: Final = _scaled(EXP, _BOTH_SIGNS, np.exp, np.exp)
 SCALED: Final = {
     SIN: _scaled(SIN, _RATES, np.sin, np.cos),
@@ -89,6 +98,7 @@ SCALED: Final = {
 """By the operator that they take, functions of any argument."""
 _OF_SQUARES: Final = {EXP: _EXP, DIVIDE: _OVER_SUM}
 _WAVES: Final = {SIN: _plain(SIN, np.sin), COS: _plain(COS, np.cos)}
+_ABS: Final = _plain(ABS, np.abs)
 _OF_POSITIVE: Final = {LOG: _plain(LOG, np.log), SQRT: _plain(SQRT, np.sqrt), POW: _POWER}
 
 
@@ -218,9 +228,14 @@ def _arguments(
     waves = allowed(_WAVES)
     for column in columns:
         u, leaf = inputs[column], (VARIABLE, column)
-        positive = allowed(_OF_POSITIVE) if (u > 0.0).all() else []
-        yield leaf, u, [*waves, *allowed(SCALED), *([_OVER] if DIVIDE in operators else []), *positive]
+        is_positive = bool((u > 0.0).all())
+        positive = allowed(_OF_POSITIVE) if is_positive else []
+        kinked = [_ABS, _KINK] if ABS in operators else []
+        kinked += [_SIGN] if {ABS, DIVIDE} <= operators and not is_positive else []
+        yield leaf, u, [*waves, *allowed(SCALED), *([_OVER] if DIVIDE in operators else []), *positive, *kinked]
         yield (MULTIPLY, leaf, leaf), u * u, allowed(_OF_SQUARES)
+        if is_positive and {EXP, DIVIDE} <= operators:
+            yield (DIVIDE, 1.0, leaf), 1.0 / u, [_EXP]
     for first, second in combinations(columns, 2):
         for join, u in ((SUBTRACT, inputs[first] - inputs[second]), (ADD, inputs[first] + inputs[second])):
             if join in operators:
