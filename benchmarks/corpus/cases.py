@@ -10,8 +10,8 @@ import numpy as np
 
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
-from benchmarks.corpus.qualities import measure, quality
 from benchmarks.corpus.families import NAMED
+from benchmarks.corpus.qualities import measure, quality
 from benchmarks.corpus.systems import CorpusSystem, draw_family, draw_system, named_system, solution
 from benchmarks.harness.solving import DivergedError
 from benchmarks.harness.systems import Sampled, table_of
@@ -19,6 +19,8 @@ from benchmarks.judging.generalisation import Field
 from benchmarks.noise.data import Path
 
 OURS: Final = "atoll"
+UNTOLD: Final = "atoll-untold"
+"""Ours, not told which functions the law has."""
 SAMPLINGS: Final = ("even", "uneven", "sparse", "short", "long")
 """Manners of sampling: a grid, random instants, a quarter of the rows, a quarter and four times the duration."""
 

@@ -29,7 +29,7 @@ from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.config import JobConfig
+from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, JobConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program
@@ -248,6 +248,22 @@ def with_further_operators(selection: SelectedModel) -> SelectedModel:
         return selection
     best = _search_locally(task, comparison, best, [[program] for program in best.programs])
     return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
+
+
+def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> Iterator[str]:
+    """Yield a sentence where equations as `shown`, by variable, have further operators, or none of these has helped."""
+    task, comparison = selection.task, selection.comparison
+    programs = [program for name, program in shown.items() if task.further_operators(name)]
+    codes = {code for program in programs for code in program.operators.tolist()}
+    taken = [name for name in FURTHER_OPERATORS if BY_NAME[name].code in codes]
+    begun, further = " ".join(BASE_OPERATORS), ", ".join(FURTHER_OPERATORS)
+    if taken:
+        yield f"Beside {begun}, {further} were tried; with {', '.join(taken)} the description is shorter."
+    elif programs and comparison.has_room(selection.model) and not comparison.estimator.deadline.is_over:
+        yield (
+            f"{further} were tried as well, since {begun} leave more than noise; no equation with them makes the "
+            "description shorter."
+        )
 
 
 def _with_further_sums(task: ModellingTask, comparison: ModelComparison, best: FittedModel) -> FittedModel:

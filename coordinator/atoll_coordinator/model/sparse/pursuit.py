@@ -118,19 +118,25 @@ class _Pursuit:
             if degree and len(self._shapes) + len(candidates) > SETTINGS.sparse.most_shapes:
                 break
             self._shapes += candidates
-        self._leave_out_beyond(most)
+        self._most = most
+        self._least = self._leave_out()
         self._atoms, self._columns = self._made_atoms()
         self._limit = 0.0
         self._fits: dict[tuple[int, ...], _Sum | None] = {}
 
-    def _leave_out_beyond(self, most: float) -> None:
-        """Leave out the shapes with which no sum is wanted: one with a needed operator takes the rest."""
+    def _leave_out(self) -> float:
+        """Leave out the shapes with which no sum is wanted; return the price of the cheapest that one must have."""
         prices = [self._price(shape) for shape in self._shapes]
-        pairs = list(zip(self._shapes, prices, strict=True))
-        least = min((price for shape, price in pairs if self._is_needed(shape)), default=math.inf)
-        kept = [pair for pair in pairs if pair[1] + (0.0 if self._is_needed(pair[0]) else least) <= most]
-        self._shapes, self._prices = [shape for shape, _ in kept], np.array([price for _, price in kept])
+        is_needed = list(map(self._is_needed, self._shapes))
+        least = min((price for price, needed in zip(prices, is_needed, strict=True) if needed), default=math.inf)
+        beside = [price + (0.0 if needed else least) for price, needed in zip(prices, is_needed, strict=True)]
+        kept = [index for index, price in enumerate(beside) if price <= self._most]
+        self._shapes, self._prices = [self._shapes[index] for index in kept], np.array(prices)[kept]
         self._plain = [shape for shape in self._shapes if shape.function is None]
+        return least if self._needed else 0.0
+
+    def _is_short(self, terms: Sequence[int]) -> bool:
+        return float(self._prices[list(terms)].sum()) <= self._most
 
     def _is_needed(self, shape: Shape) -> bool:
         return not self._needed or not self._needed.isdisjoint(operators_in(shape.expression(1.5)))
@@ -179,7 +185,7 @@ class _Pursuit:
         for degree in range(1, max(orders, default=0) + 1):
             terms = tuple(index for index, order in enumerate(orders) if order <= degree)
             most = min(SETTINGS.structure.largest_library, len(self._target) / SETTINGS.sparse.rows_per_term)
-            if len(terms) <= most:
+            if len(terms) <= most and float(self._prices[list(terms)].sum()) + self._least <= self._most:
                 polynomial = self._solved(terms, np.ones(len(terms)))
                 if polynomial is not None:
                     yield polynomial
@@ -213,7 +219,8 @@ class _Pursuit:
         seen = set[int]()
         for atom in np.argsort(-gains, kind="stable").tolist():
             term, constant = self._atoms[atom]
-            if term not in seen and (self._shapes[term].has_constant or term not in parent.terms):
+            is_new = term not in seen and (self._shapes[term].has_constant or term not in parent.terms)
+            if is_new and self._is_short((*parent.terms, term)):
                 seen.add(term)
                 yield float(-gains[atom]) + parent.square, (*parent.terms, term), np.append(parent.constants, constant)
                 if len(seen) >= 2 * SETTINGS.sparse.pursued_beam:
@@ -242,7 +249,7 @@ class _Pursuit:
         seen = set[tuple[int, int]]()
         for place in best[np.argsort(-gains.ravel()[best], kind="stable")][:count].tolist():
             (term, first), (partner, second) = (self._atoms[usable[index]] for index in divmod(place, len(usable)))
-            if (term, partner) not in seen:
+            if (term, partner) not in seen and self._is_short((*parent.terms, term, partner)):
                 seen.add((term, partner))
                 constants = np.append(parent.constants, (first, second))
                 yield parent.square - float(gains.flat[place]), (*parent.terms, term, partner), constants
