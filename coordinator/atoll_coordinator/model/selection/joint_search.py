@@ -259,7 +259,7 @@ def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> 
     begun, further = " ".join(BASE_OPERATORS), ", ".join(FURTHER_OPERATORS)
     if taken:
         yield f"Beside {begun}, {further} were tried; with {', '.join(taken)} the description is shorter."
-    elif programs and comparison.has_room(selection.model) and not comparison.estimator.deadline.is_over:
+    elif programs and comparison.has_room(selection.model) and not comparison.estimator.deadline.has_cut_short:
         yield (
             f"{further} were tried as well, since {begun} leave more than noise; no equation with them makes the "
             "description shorter."
@@ -282,7 +282,8 @@ def _further_sums(task: ModellingTask, comparison: ModelComparison, best: Fitted
     """Return sums with further operators that are not too long to be better than an equation, the best first."""
     name = task.variables[equation]
     further = task.further_operators(name)
-    if not further or equation in comparison.fixed:
+    has_law = any(law.is_of_rates for law in task.laws.get(name, ()))  # then it has no other candidates
+    if not further or has_law or equation in comparison.fixed:
         return []
     most = comparison.length(best.programs[equation]) + comparison.room(best)
     sums = _pursued(task, name, further, most)

@@ -73,7 +73,7 @@ def pursue(
         columns: indices of the variables that may be used.
         operators: codes of the operators that may be used.
         needed: codes, one of which each sum has; any sum will do without.
-        most: nats, constants and all, beyond which no sum is wanted.
+        most: nats of all terms of a sum, with their constants, beyond which none is wanted.
     """
     if not {ADD, MULTIPLY} <= set(operators) or not columns:
         return []
