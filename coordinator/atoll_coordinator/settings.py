@@ -200,9 +200,9 @@ class SparseSettings:
     """Half widths in the longest trajectory, at least."""
     pursued_rows: int = 256
     """About the rows that sums with functions are pursued on, less than twice as many: enough for some twenty terms."""
-    most_shapes: int = 640
+    most_shapes: int = 600
     """Larger dictionaries of products with functions are not tried: with all operators one of two states has up to
-    230, of three 620."""
+    214, of three 590."""
     pursued_functions: int = 2
     """Products with functions that are added."""
     pursued_beam: int = 16

@@ -136,7 +136,8 @@ class _Pursuit:
         return least if self._needed else 0.0
 
     def _is_short(self, terms: Sequence[int]) -> bool:
-        return float(self._prices[list(terms)].sum()) <= self._most
+        """Tell whether a sum may be wanted when one of its terms, which elimination finds needless, has left."""
+        return float(self._prices[list(terms)].sum()) <= self._most + self._least
 
     def _is_needed(self, shape: Shape) -> bool:
         return not self._needed or not self._needed.isdisjoint(operators_in(shape.expression(1.5)))
@@ -185,7 +186,7 @@ class _Pursuit:
         for degree in range(1, max(orders, default=0) + 1):
             terms = tuple(index for index, order in enumerate(orders) if order <= degree)
             most = min(SETTINGS.structure.largest_library, len(self._target) / SETTINGS.sparse.rows_per_term)
-            if len(terms) <= most and float(self._prices[list(terms)].sum()) + self._least <= self._most:
+            if len(terms) <= most and self._is_short(terms):
                 polynomial = self._solved(terms, np.ones(len(terms)))
                 if polynomial is not None:
                     yield polynomial

@@ -32,7 +32,7 @@ from atoll_core.expression.operators import (
 from atoll_core.expression.program import Program
 
 _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
-_BOTH_SIGNS: Final = tuple(sign * 0.1 * 2.0 ** (step / 2.0) for sign in (1.0, -1.0) for step in range(14))
+_BOTH_SIGNS: Final = tuple(sign * 0.1 * 2.0 ** (step / 2.0) for sign in (1.0, -1.0) for step in range(13))
 """Of exponentials, finer: of a variable that does not come near 0 many fit about as well on the grid."""
 _SHIFTS: Final = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 _WIDE_SHIFTS: Final = tuple(0.0125 * 2.0 ** (step / 2.0) for step in range(17))
