@@ -1,8 +1,9 @@
 """A model of all variables from what the search handed on: chosen, fitted and judged by trajectories (ADR 0021).
 
 Candidates of each variable are ranked alone, then jointly, one variable exchanged at a time; from the best systems the
-descent looks for shorter descriptions nearby; constants are made simple; what remains is assessed. All work is bounded
-by counts, never by the clock.
+descent looks for shorter descriptions nearby; sums with operators that no search begins with are tried beside its end,
+and beside the best candidates of nearly clean tables, where one that is exact ends the choice; constants are made
+simple; what remains is assessed. All work is bounded by counts, never by the clock.
 """
 
 import math
