@@ -3,8 +3,8 @@
 ``python -m benchmarks.corpus --seeds 0-19 --out FILE.jsonl`` draws systems (seeds below 1000 are for choosing
 settings, figures come from others), simulates or measures them at each of --qualities, searches them on one coordinator
 and its workers, and prints tables in Markdown. A file that exists is gone on with. ``--named`` searches single systems
-of textbooks instead, one trajectory each; ``--methods`` gives the same data to other programs as well; ``--show`` draws
-systems without searching them.
+of textbooks instead, one trajectory each, ``--families`` such with constants drawn from the seed; ``--methods`` gives
+the same data to other programs as well; ``--show`` draws systems without searching them.
 """
 
 import argparse
@@ -17,8 +17,8 @@ from typing import Any, Final
 from atoll.terminal.output import say
 from atoll_core.errors import UsageError
 from benchmarks.corpus.campaign import judge_again, run_jobs
-from benchmarks.corpus.cases import OURS, SAMPLINGS, Key, make_case
-from benchmarks.corpus.families import NAMED
+from benchmarks.corpus.cases import OURS, SAMPLINGS, UNTOLD, Key, make_case
+from benchmarks.corpus.families import FAMILIES, NAMED, WITH_FUNCTIONS
 from benchmarks.corpus.outcomes import Outcome
 from benchmarks.corpus.qualities import NAMED_QUALITIES, QUALITIES, quality
 from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
@@ -29,7 +29,10 @@ from benchmarks.peers.operon_models import OPERON
 
 NAMED_STATES: Final = {name: len(family.equations) for name, (family, *_) in NAMED.items()}
 CHAOTIC: Final = ("lorenz",)
-METHODS: Final = (OURS, *pysindy_models.METHODS, OPERON)
+BY_FAMILY: Final = {
+    name: len(family.equations) for name, family in (FAMILIES | WITH_FUNCTIONS).items() if name not in NAMED
+}
+METHODS: Final = (OURS, UNTOLD, *pysindy_models.METHODS, OPERON)
 
 
 def keys(options: Namespace) -> list[Key]:
@@ -41,6 +44,16 @@ def keys(options: Namespace) -> list[Key]:
             Key(name, NAMED_STATES[name], 1, "even", quality, seed, method)
             for seed in options.seeds
             for name in names
+            for quality in qualities
+            for method in options.methods
+        ]
+    if options.families is not None:
+        return [
+            Key(name, BY_FAMILY[name], trajectories, sampling, quality, seed, method)
+            for seed in options.seeds
+            for name in options.families or WITH_FUNCTIONS
+            for trajectories in options.trajectories
+            for sampling in options.samplings
             for quality in qualities
             for method in options.methods
         ]
@@ -93,6 +106,7 @@ def _quality(text: str) -> str:
     "benchmarks.corpus",
     __doc__,
     option("--named", nargs="*", choices=tuple(NAMED), help="single systems; default: all but chaotic ones"),
+    option("--families", nargs="*", choices=tuple(BY_FAMILY), help="drawn constants; default: laws with functions"),
     seeds_of("0", "such as 0-19 (0)"),
     option("--qualities", type=_quality, nargs="+", help=f"of {', '.join(QUALITIES)}; default: all"),
     option("--in-turn", action="store_true", help="one quality a system, in turn, rather than each"),

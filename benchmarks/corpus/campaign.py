@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll_core.config import PRESETS, JobConfig
+from atoll_core.config import BASE_OPERATORS, JobConfig
 from atoll_core.errors import AtollError
-from benchmarks.corpus.cases import OURS, Case, Key, make_case
+from benchmarks.corpus.cases import OURS, UNTOLD, Case, Key, make_case
 from benchmarks.corpus.outcomes import Outcome, judge_job
 from benchmarks.harness import campaign
 from benchmarks.harness.campaign import Answer, Service, attempt, work_off
@@ -26,8 +26,9 @@ def run_jobs(
     """Do the jobs that the journal does not have; return the outcomes of all. `changes` are of the configuration."""
 
     def do(service: Service, key: Key) -> tuple[Outcome, Answer]:
-        case, stopwatch, begun = make_case(key), Stopwatch(counts=key.method == OURS), time.process_time()
-        if key.method == OURS:
+        is_ours = key.method in (OURS, UNTOLD)
+        case, stopwatch, begun = make_case(key), Stopwatch(counts=is_ours), time.process_time()
+        if is_ours:
             config = configuration(key, case, max_time, changes)
             job = attempt(service(), key.title, case.table, config, stopwatch)
             if job.failure is None:
@@ -55,14 +56,15 @@ def judge_again(keys: Sequence[Key], journal: Journal[Outcome]) -> None:
 
 
 def configuration(key: Key, case: Case, max_time: float | None, changes: Mapping[str, Any]) -> JobConfig:
-    """Return the default configuration with the functions that the truth needs."""
-    operators = (*PRESETS["default"].space.operators, *case.system.operators)
+    """Return the default configuration with the functions that the truth needs, unless it is not to be told."""
+    operators = None if key.method == UNTOLD else (*BASE_OPERATORS, *case.system.operators)
     return configured(key.seed, case.data, {"max_time": max_time, **changes}, operators)
 
 
 def _answer_otherwise(key: Key, case: Case) -> dict[str, Any]:
     if key.method == operon_models.OPERON:
-        return operon_models.solve(case.table, configuration(key, case, None, {}).space.operators, key.seed)
+        operators = configuration(key, case, None, {}).space.operators or BASE_OPERATORS
+        return operon_models.solve(case.table, operators, key.seed)
     measured = noise.Case(case.table, case.system.truths, case.clean, noise.Path(np.zeros(0), np.zeros((0, 0))))
     return pysindy_models.solve(key.method, key.seed, measured)
 

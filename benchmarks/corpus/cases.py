@@ -10,14 +10,17 @@ import numpy as np
 
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
+from benchmarks.corpus.families import NAMED
 from benchmarks.corpus.qualities import measure, quality
-from benchmarks.corpus.systems import CorpusSystem, draw_system, named_system, solution
+from benchmarks.corpus.systems import CorpusSystem, draw_family, draw_system, named_system, solution
 from benchmarks.harness.solving import DivergedError
 from benchmarks.harness.systems import Sampled, table_of
 from benchmarks.judging.generalisation import Field
 from benchmarks.noise.data import Path
 
 OURS: Final = "atoll"
+UNTOLD: Final = "atoll-untold"
+"""Ours, not told which functions the law has."""
 SAMPLINGS: Final = ("even", "uneven", "sparse", "short", "long")
 """Manners of sampling: a grid, random instants, a quarter of the rows, a quarter and four times the duration."""
 
@@ -36,7 +39,8 @@ _PREDICTABLE: Final = 0.99
 
 @dataclass(frozen=True, order=True)
 class Key:
-    """Which job: `system` is the name of one of `NAMED`, or ``random``, then drawn from `seed` with `states`.
+    """Which job: `system` is the name of one of `NAMED`, or of a family whose constants are drawn from `seed`, or
+    ``random``, then drawn from `seed` with `states`.
 
     `method` is ours or another program's; all have the same data.
     """
@@ -78,7 +82,7 @@ class Case:
 
 def make_case(key: Key, *, has_fresh: bool = True) -> Case:
     """Return the data of one job; equal keys give equal data. `has_fresh`: whether fresh trajectories are made."""
-    system = draw_system(key.seed, key.states) if key.system == "random" else named_system(key.system)
+    system = _system(key)
     rng = np.random.default_rng([key.seed, key.states, key.trajectories, SAMPLINGS.index(key.sampling), 2])
     starts, times, clean = _trajectories(key, system, rng)
     noise_rng = np.random.default_rng([key.seed, key.states, 3])
@@ -89,6 +93,12 @@ def make_case(key: Key, *, has_fresh: bool = True) -> Case:
     longest = max(times, key=lambda instants: float(instants[-1]))
     fresh = _fresh(system, columns, longest, rng) if has_fresh else ()
     return Case(system, table, columns, fresh, smallest_t(system, starts, times, clean, measured), data)
+
+
+def _system(key: Key) -> CorpusSystem:
+    if key.system == "random":
+        return draw_system(key.seed, key.states)
+    return named_system(key.system) if key.system in NAMED else draw_family(key.system, key.seed)
 
 
 def _trajectories(

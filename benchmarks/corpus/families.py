@@ -187,6 +187,55 @@ FAMILIES: Final[dict[str, Family]] = {
 }  # fmt: skip
 """By name."""
 
+WITH_FUNCTIONS: Final[dict[str, Family]] = {
+    **{name: FAMILIES[name] for name in ("gompertz", "tank", "growth", "ignition", "reactor")},
+    "convection": Family({"x": "k1 - k2*x**k3"}, {"k1": (0.3, 2.0), "k2": (0.3, 1.0), "k3": (1.2, 1.7)},
+                         ((0.1, 8.0, None),)),
+    "diode": Family({"x": "k1 - k2*x - k3*exp(k4*x)"},
+                    {"k1": (1.0, 3.0), "k2": (0.1, 0.5), "k3": (0.05, 0.3), "k4": (1.0, 3.0)}, ((-2.0, 2.0, None),)),
+    "neuron": Family({"x": "k1 - k2*x + k3*tanh(k4*x)"},
+                     {"k1": (0.1, 0.5), "k2": (0.3, 1.0), "k3": (1.0, 3.0), "k4": (0.7, 2.0)}, ((-1.5, 1.5, None),)),
+    "falling": Family({"x": "k1 - k2*x*abs(x)"}, {"k1": (0.5, 3.0), "k2": (0.1, 1.0)}, ((-6.0, -1.0, None),)),
+    "blackman": Family({"x": "k1 - k2*x - k3*abs(x - k4)"},
+                       {"k1": (2.0, 4.0), "k2": (0.6, 1.2), "k3": (0.2, 0.5), "k4": (0.5, 1.0)}, ((-3.0, 0.2, None),)),
+    "arrhenius": Family(
+        {"x": "k1*(k2 - x) - k3*x*exp(-k4/y)", "y": "k1*(k5 - y) + k6*x*exp(-k4/y)"},
+        {"k1": (0.3, 1.0), "k2": (1.0, 3.0), "k3": (3.0, 10.0), "k4": (1.5, 4.0), "k5": (0.5, 1.0), "k6": (3.0, 10.0)},
+        (_UNIT, (0.4, 3.0, None)),
+    ),
+    "ivlev": Family(
+        {"x": "k1*x*(1.0 - x/k2) - k3*y*(1.0 - exp(-k4*x))", "y": "k5*y*(1.0 - exp(-k4*x)) - k6*y"},
+        {"k1": (0.5, 2.0), "k2": (2.0, 8.0), "k3": (0.8, 2.0), "k4": (0.4, 1.5), "k5": (0.5, 1.5), "k6": (0.1, 0.5)},
+        (_UNIT, _UNIT),
+    ),
+    "hopfield": Family(
+        {"x": "-k1*x + k2*tanh(k3*y)", "y": "-k4*y - k5*tanh(k6*x)"},
+        {"k1": (0.3, 1.0), "k2": (1.0, 3.0), "k3": (0.7, 2.0), "k4": (0.3, 1.0), "k5": (1.0, 3.0), "k6": (0.7, 2.0)},
+        (_CENTRED, _CENTRED),
+    ),
+    "tanks": Family(
+        {"x": "k1 - k2*sqrt(x)", "y": "k2*sqrt(x) - k3*sqrt(y)"},
+        {"k1": (0.3, 2.0), "k2": (0.5, 2.0), "k3": (0.5, 2.0)},
+        ((0.2, 8.0, None), (0.2, 8.0, None)),
+    ),
+    "angiogenesis": Family(
+        {"x": "-k1*x*log(x/y)", "y": "k2*x - k3*y*x**k4"},
+        {"k1": (0.3, 1.5), "k2": (0.5, 2.0), "k3": (0.2, 0.8), "k4": (0.55, 0.8)},
+        (_UNIT, _UNIT),
+    ),
+    "quadratic_drag": Family(
+        {"x": "y", "y": "-k1*x - k2*y*abs(y)"}, {"k1": (0.5, 4.0), "k2": (0.1, 0.6)}, (_CENTRED, _CENTRED)
+    ),
+    "dry_friction": Family(
+        {"x": "y", "y": "-k1*x - k2*y/abs(y)"}, {"k1": (0.5, 4.0), "k2": (0.05, 0.2)},
+        ((3.0, 6.0, None), (3.0, 6.0, None)),
+    ),
+}  # fmt: skip
+"""Laws with functions that a search does not begin with, by name: exp, log, sqrt, abs, tanh and powers.
+
+They are drawn by name alone: the draws of a seed are from `FAMILIES`.
+"""
+
 NAMED: Final[dict[str, tuple[Family, dict[str, float], tuple[float, ...], float]]] = {
     "logistic": (FAMILIES["logistic"], {"k1": 0.79, "k2": 74.3}, (2.0,), 15.0),
     "linear": (FAMILIES["linear"], {"k1": 0.1, "k2": 2.0, "k3": 2.0, "k4": 0.1}, (2.0, 0.0), 15.0),

@@ -14,10 +14,11 @@ from typing import Final
 import numpy as np
 
 from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 from atoll_core.expression.text.parsing import from_infix
-from benchmarks.corpus.families import FAMILIES, NAMED, Box, Family
+from benchmarks.corpus.families import FAMILIES, NAMED, WITH_FUNCTIONS, Box, Family
 from benchmarks.corpus.random_equations import random_family
 from benchmarks.harness.solving import DivergedError, solve
 from benchmarks.judging.generalisation import Field, field_of
@@ -42,7 +43,7 @@ LEAST_STEP: Final = 1e-3
 LEAST_MOVING: Final = 0.5
 """Share of the rows in which some state moves by more than `LEAST_STEP` of its range; else the duration is halved."""
 
-OPERATORS: Final = ("exp", "log", "sqrt")
+OPERATORS: Final = ("exp", "log", "sqrt", "abs", "tanh")
 """Functions that are not among the operators of the default search."""
 
 _CONSTANT: Final = re.compile(r"\bk\d+\b")
@@ -125,6 +126,18 @@ def draw_system(seed: int, states: int) -> CorpusSystem:
         if system is not None:
             return system
     raise AssertionError("count() does not end")
+
+
+@lru_cache(maxsize=256)
+def draw_family(name: str, seed: int) -> CorpusSystem:
+    """Return a system of a family with the constants of a seed; raises UsageError where none is plausible."""
+    family = (FAMILIES | WITH_FUNCTIONS)[name]
+    rng = np.random.default_rng([seed, len(family.equations), 5])
+    systems = (_plausible(name, family, rng) for _ in range(MOST_ATTEMPTS))
+    system = next((system for system in systems if system is not None), None)
+    if system is None:
+        raise UsageError(f"no constants of the family {name!r} that seed {seed} draws give plausible solutions")
+    return system
 
 
 def _plausible(name: str, family: Family, rng: np.random.Generator) -> CorpusSystem | None:

@@ -15,6 +15,7 @@ from atoll_coordinator.model.structure.moves.extensions import extensions
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.service.jobs.defaults import resolve
+from atoll_core.config import BASE_OPERATORS
 from atoll_core.errors import DataError
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.parsing import from_infix
@@ -58,7 +59,7 @@ class Pool:
 def make_pool(key: Key) -> Pool | None:
     """Return the pool of one table of the corpus, None where the table is refused; equal keys give equal pools."""
     case = make_case(key, has_fresh=False)
-    operators = (*configured().space.operators, *case.system.operators)
+    operators = (*BASE_OPERATORS, *case.system.operators)
     config = configured(key.seed, case.data, operators=operators)
     try:
         preparation = prepare(case.table, config)

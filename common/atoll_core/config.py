@@ -15,6 +15,11 @@ Loss = Literal["mae", "rmse"]
 ConstantSteps = Literal["relative", "log-uniform"]
 Agreement = Literal["difference", "relative"]
 
+BASE_OPERATORS: Final = ("+", "-", "*", "/", "sin", "cos")
+"""What a search begins with."""
+FURTHER_OPERATORS: Final = ("exp", "log", "sqrt", "abs", "tanh", "pow")
+"""What is tried as well where none are named and equations of `BASE_OPERATORS` may not be the shortest description."""
+
 PAPER_TERMINALS = 7
 TERMINALS_BEYOND_VARIABLES = 5
 
@@ -109,7 +114,9 @@ class DataConfig(Frozen):
 class SpaceConfig(Frozen):
     """The space of expressions."""
 
-    operators: tuple[str, ...] = ("+", "-", "*", "/", "sin", "cos")
+    operators: tuple[str, ...] | None = Field(
+        default=None, description="None: + - * / sin cos, and where they leave something to gain the others"
+    )
     operators_of: dict[str, tuple[str, ...]] = Field(default_factory=dict, description="per equation; overrides")
     variables_of: dict[str, tuple[str, ...]] = Field(
         default_factory=dict, description="per equation, the variables that it may use; all unless named"
@@ -126,8 +133,12 @@ class SpaceConfig(Frozen):
     )
 
     def operators_for(self, variable: str) -> tuple[str, ...]:
-        """Return the operators that the equation of `variable` is made of."""
-        return self.operators_of.get(variable, self.operators)
+        """Return the operators that the search for the equation of `variable` is made of."""
+        return self.operators_of.get(variable, BASE_OPERATORS if self.operators is None else self.operators)
+
+    def further_operators_for(self, variable: str) -> tuple[str, ...]:
+        """Return the operators that may be tried for the equation of `variable` besides; none where some are named."""
+        return () if self.operators is not None or variable in self.operators_of else FURTHER_OPERATORS
 
     def columns_for(self, variable: str, names: Sequence[str]) -> tuple[int, ...]:
         """Return the indices into `names`, the symbols, of what the equation of `variable` may use, ascending."""
@@ -244,7 +255,7 @@ class JobConfig(Frozen):
 
 PAPER = JobConfig(
     preset="paper",
-    space=SpaceConfig(terminals=PAPER_TERMINALS),
+    space=SpaceConfig(operators=BASE_OPERATORS, terminals=PAPER_TERMINALS),
     evolution=EvolutionConfig(
         constant_fit_steps=0, linear_terms=0, scaled_constants=False, constant_steps="log-uniform", runners_up=0
     ),

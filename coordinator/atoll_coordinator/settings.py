@@ -202,7 +202,7 @@ class SparseSettings:
     """About the rows that sums with functions are pursued on, less than twice as many: enough for some twenty terms."""
     most_shapes: int = 600
     """Larger dictionaries of products with functions are not tried: with all operators one of two states has up to
-    190, of three 530."""
+    214, of three 590."""
     pursued_functions: int = 2
     """Products with functions that are added."""
     pursued_beam: int = 16

@@ -42,7 +42,8 @@ def configure(values: Mapping[str, object], job_file: object = None) -> JobConfi
     except ValidationError as error:
         raise _refusal(error, given, job_file) from error
     for operators in (config.space.operators, *config.space.operators_of.values()):
-        _check_operators(operators)
+        if operators is not None:
+            _check_operators(operators)
     _check_modes(config.data)
     _check_columns(config.data)
     return config

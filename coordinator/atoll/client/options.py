@@ -258,7 +258,8 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("preset", "preset", text, "default|paper", "paper: Table II of Schmidt & Lipson 2008, nothing added"),
         Option(
             "operators", "space.operators space.operators_of", operators, "LIST",
-            "what expressions are made of (default: +,-,*,/,sin,cos); x=LIST for one equation", is_repeatable=True,
+            "what expressions are made of (default: +,-,*,/,sin,cos, and others where they shorten the description); "
+            "x=LIST for one equation", is_repeatable=True,
         ),
         Option(
             "allow", "space.variables_of", partial(variables, example="x=x,y"), "x=x,y",

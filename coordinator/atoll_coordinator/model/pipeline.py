@@ -23,7 +23,7 @@ from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refined, Refinement
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
-from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_coordinator.model.selection.joint_search import ModellingTask, operator_remarks
 from atoll_coordinator.model.selection.piece_lengths import select_model
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
 from atoll_coordinator.model.stochastic.process_choice import ProcessChoice
@@ -101,8 +101,9 @@ def _refined(
         deadline.begin_last_stage()
         summarized = summarize_groups if preparation.recording.groups else summarize
         model = None if selected is None else summarized(selected)
-    if model is not None:
-        remarks = stochastic_remarks(preparation.recording, model.simulation)
+    if selected is not None and model is not None:
+        shown = {name: equation.program for name, equation in model.equations.items()}
+        remarks = (*stochastic_remarks(preparation.recording, model.simulation), *operator_remarks(selected, shown))
         left_out = {name: programs for name, programs in candidates.items() if name not in model.equations}
         alone = _by_regression(preparation, config, left_out, deadline)
         return replace(model, equations={**alone, **model.equations}, warnings=(*model.warnings, *remarks))

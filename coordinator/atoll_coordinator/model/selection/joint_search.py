@@ -1,12 +1,13 @@
 """A model of all variables from what the search handed on: chosen, fitted and judged by trajectories (ADR 0021).
 
 Candidates of each variable are ranked alone, then jointly, one variable exchanged at a time; from the best systems the
-descent looks for shorter descriptions nearby; constants are made simple; what remains is assessed. All work is bounded
-by counts, never by the clock.
+descent looks for shorter descriptions nearby; sums with operators that no search begins with are tried beside its end,
+and beside the best candidates of nearly clean tables, where one that is exact ends the choice; constants are made
+simple; what remains is assessed. All work is bounded by counts, never by the clock.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -29,7 +30,7 @@ from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.config import JobConfig
+from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, JobConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program
@@ -97,6 +98,10 @@ class ModellingTask:
     def operators(self, variable: str) -> frozenset[int]:
         """Return the codes of the operators that the equation of `variable` may be made of."""
         return frozenset(BY_NAME[name].code for name in self.config.space.operators_for(variable))
+
+    def further_operators(self, variable: str) -> frozenset[int]:
+        """Return the codes of the operators with which no search began and that may be tried for that equation."""
+        return frozenset(BY_NAME[name].code for name in self.config.space.further_operators_for(variable))
 
     def columns(self, variable: str) -> tuple[int, ...]:
         """Return the indices of the variables that the equation of `variable` may use."""
@@ -197,6 +202,10 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
     comparison, best = _begun(task, nearest)
     if best is None and _begun(shortest_pieces, nearest)[1] is None:
         return nearest
+    if best is not None and task.is_nearly_clean:
+        further = _with_further_sums(task, comparison, best)
+        if further is not best and _is_exact(task, further.programs):
+            return [[program] for program in further.programs]
     if best is not None and _suffices(task, comparison, best):
         return nearest
     return [settled.get(name) or _compared(task, name, sums) for name in task.variables]
@@ -222,13 +231,66 @@ def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> tuple[Mod
     return comparison, _combined(comparison, lists) if all(lists) else None
 
 
-def _pursued(task: ModellingTask, name: str) -> list[Program]:
-    """Return sums of a polynomial and of functions for the equation of one variable."""
+def _pursued(task: ModellingTask, name: str, needed: Collection[int] = (), most: float = math.inf) -> list[Program]:
+    """Return sums of a polynomial and of functions for the equation of one variable, see `pursue`."""
     if task.deadline is not None and task.deadline.is_over:
         return []
     problem = task.dataset.problem(name)
     parts = [problem.of_group(group) for group in range(len(task.recording.groups))] or [problem]
-    return [program for part in parts for program in pursue(part, task.columns(name), task.operators(name))]
+    operators = task.operators(name) | set(needed)
+    return [program for part in parts for program in pursue(part, task.columns(name), operators, needed, most)]
+
+
+def with_further_operators(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description that has operators with which no search began."""
+    task, comparison, before = selection.task, selection.comparison, selection.model
+    best = _with_further_sums(task, comparison, before)
+    if best is before:
+        return selection
+    best = _search_locally(task, comparison, best, [[program] for program in best.programs])
+    return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
+
+
+def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> Iterator[str]:
+    """Yield a sentence where equations as `shown`, by variable, have further operators, or none of these has helped."""
+    task, comparison = selection.task, selection.comparison
+    programs = [program for name, program in shown.items() if task.further_operators(name)]
+    codes = {code for program in programs for code in program.operators.tolist()}
+    taken = [name for name in FURTHER_OPERATORS if BY_NAME[name].code in codes]
+    begun, further = " ".join(BASE_OPERATORS), ", ".join(FURTHER_OPERATORS)
+    if taken:
+        yield f"Beside {begun}, {further} were tried; with {', '.join(taken)} the description is shorter."
+    elif programs and comparison.has_room(selection.model) and not comparison.estimator.deadline.has_cut_short:
+        yield (
+            f"{further} were tried as well, since {begun} leave more than noise; no equation with them makes the "
+            "description shorter."
+        )
+
+
+def _with_further_sums(task: ModellingTask, comparison: ModelComparison, best: FittedModel) -> FittedModel:
+    """Return the best system in which sums with further operators stand for some equations, `best` if it is shorter."""
+    lists = [_further_sums(task, comparison, best, equation) for equation in range(len(task.variables))]
+    if not any(lists):
+        return best
+    lists = [[*sums, program] for sums, program in zip(lists, best.programs, strict=True)]
+    begun = _combined(comparison, lists)
+    start = best if begun is None or begun.nats > best.nats else begun
+    shorter = exchange(comparison, start, lists)
+    return shorter if shorter.nats < best.nats - SETTINGS.selection.least_gain else best
+
+
+def _further_sums(task: ModellingTask, comparison: ModelComparison, best: FittedModel, equation: int) -> list[Program]:
+    """Return sums with further operators that are not too long to be better than an equation, the best first."""
+    name = task.variables[equation]
+    further = task.further_operators(name)
+    has_law = any(law.is_of_rates for law in task.laws.get(name, ()))  # then it has no other candidates
+    if not further or has_law or equation in comparison.fixed:
+        return []
+    most = comparison.length(best.programs[equation]) + comparison.room(best)
+    sums = _pursued(task, name, further, most)
+    short = [program for program in sums if comparison.length(program) < most and task.may_be_shown(program)]
+    alone = task.compare(task.measurements([name]).thinned(SETTINGS.selection.compared_rows), [name])
+    return ranked(alone, task.dataset.problem(name), short, ()) if short else []
 
 
 def _suffices(task: ModellingTask, comparison: ModelComparison, best: FittedModel) -> bool:

@@ -13,6 +13,7 @@ from atoll_coordinator.model.selection.joint_search import (
     SelectedModel,
     ranked_candidates,
     search_jointly,
+    with_further_operators,
 )
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, select_without_wrong_law, with_laws
@@ -23,6 +24,11 @@ from atoll_core.expression.program import Program
 
 def select_model(task: ModellingTask) -> SelectedModel | None:
     """Return the best system of equations and the longest pieces it can be fitted to, None if it cannot at all."""
+    selection = _selected(task)
+    return None if selection is None else with_further_operators(selection)
+
+
+def _selected(task: ModellingTask) -> SelectedModel | None:
     if task.recording.offsets:
         task = replace(task, piece=longest(task))
     task = with_laws(task)

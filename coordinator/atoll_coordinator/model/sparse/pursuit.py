@@ -23,6 +23,7 @@ from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes, sum_pro
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
+from atoll_core.expression.builder import operators_in
 from atoll_core.expression.operators import ADD, MULTIPLY
 from atoll_core.expression.program import Program
 from atoll_core.expression.writing.shortest import collected
@@ -61,13 +62,18 @@ class _Sum:
         return self.terms[:place] + self.terms[place + 1 :], np.delete(self.constants, place)
 
 
-def pursue(problem: Problem, columns: Sequence[int], operators: Collection[int]) -> list[Program]:
+def pursue(
+    problem: Problem, columns: Sequence[int], operators: Collection[int], needed: Collection[int] = (),
+    most: float = math.inf,
+) -> list[Program]:  # fmt: skip
     """Return the sums that leave least of the target, some of each number of constants, constants fitted.
 
     Args:
         problem: a target and its inputs; some rows are taken.
         columns: indices of the variables that may be used.
         operators: codes of the operators that may be used.
+        needed: codes, one of which each sum has; any sum will do without.
+        most: nats of all terms of a sum, with their constants, beyond which none is wanted.
     """
     if not {ADD, MULTIPLY} <= set(operators) or not columns:
         return []
@@ -75,7 +81,7 @@ def pursue(problem: Problem, columns: Sequence[int], operators: Collection[int])
     rows = thinned_places(problem.inputs.shape[1], settings.pursued_rows)
     inputs = np.ascontiguousarray(problem.inputs[:, rows])
     with np.errstate(all="ignore"):
-        pursuit = _Pursuit(inputs, columns, operators, problem.target.values[rows])
+        pursuit = _Pursuit(inputs, columns, operators, problem.target.values[rows], frozenset(needed), most)
         error = problem.target.uncertainty * problem.target.standard_deviation
         return pursuit.run(len(rows) * error * error)
 
@@ -99,9 +105,11 @@ def _best(
 
 class _Pursuit:
     def __init__(
-        self, inputs: FloatArray, columns: Sequence[int], operators: Collection[int], target: FloatArray
-    ) -> None:
+        self, inputs: FloatArray, columns: Sequence[int], operators: Collection[int], target: FloatArray,
+        needed: frozenset[int], most: float,
+    ) -> None:  # fmt: skip
         self._target = target
+        self._needed = needed
         self._plain = list(powers(inputs, columns, _DEGREE))
         self._shapes = list(self._plain)
         for degree in range(_DEGREE):
@@ -110,10 +118,29 @@ class _Pursuit:
             if degree and len(self._shapes) + len(candidates) > SETTINGS.sparse.most_shapes:
                 break
             self._shapes += candidates
-        self._prices = np.array([self._price(shape) for shape in self._shapes])
+        self._most = most
+        self._least = self._leave_out()
         self._atoms, self._columns = self._made_atoms()
         self._limit = 0.0
         self._fits: dict[tuple[int, ...], _Sum | None] = {}
+
+    def _leave_out(self) -> float:
+        """Leave out the shapes with which no sum is wanted; return the price of the cheapest that one must have."""
+        prices = [self._price(shape) for shape in self._shapes]
+        is_needed = list(map(self._is_needed, self._shapes))
+        least = min((price for price, needed in zip(prices, is_needed, strict=True) if needed), default=math.inf)
+        beside = [price + (0.0 if needed else least) for price, needed in zip(prices, is_needed, strict=True)]
+        kept = [index for index, price in enumerate(beside) if price <= self._most]
+        self._shapes, self._prices = [self._shapes[index] for index in kept], np.array(prices)[kept]
+        self._plain = [shape for shape in self._shapes if shape.function is None]
+        return least if self._needed else 0.0
+
+    def _is_short(self, terms: Sequence[int]) -> bool:
+        """Tell whether a sum may be wanted when one of its terms, which elimination finds needless, has left."""
+        return float(self._prices[list(terms)].sum()) <= self._most + self._least
+
+    def _is_needed(self, shape: Shape) -> bool:
+        return not self._needed or not self._needed.isdisjoint(operators_in(shape.expression(1.5)))
 
     def _price(self, shape: Shape) -> float:
         constants = 1 + shape.has_constant
@@ -135,13 +162,17 @@ class _Pursuit:
 
     def run(self, limit: float) -> list[Program]:
         """Return the best sums; the sum of squares `limit` is what the target's uncertainty leaves."""
+        if not self._atoms:
+            return []
         self._limit = limit
         sums: dict[tuple[int, ...], _Sum] = {}
         for beginning in self._beginnings():
             for candidate in self._grown(beginning):
                 sums |= {remainder.key: remainder for remainder in self._eliminated(candidate)}
         kept: dict[int, list[_Sum]] = {}
-        for candidate in self._sorted(sums.values()):
+        has_needed = [self._is_needed(shape) for shape in self._shapes]
+        wanted = (candidate for candidate in sums.values() if any(has_needed[term] for term in candidate.terms))
+        for candidate in self._sorted(wanted):
             constants = sum(1 + self._shapes[term].has_constant for term in candidate.terms)
             if len(kept.setdefault(constants, [])) < SETTINGS.sparse.pursued_kept:
                 kept[constants].append(candidate)
@@ -151,10 +182,11 @@ class _Pursuit:
     def _beginnings(self) -> Iterator[_Sum]:
         """Yield nothing, and all polynomials that the rows decide and that are not too large to be eliminated."""
         yield _Sum((), np.zeros(0), np.zeros(0), self._target)
-        for degree in range(1, _DEGREE + 1):
-            terms = tuple(index for index, shape in enumerate(self._plain) if len(shape.factors) <= degree)
+        orders = [len(shape.factors) for shape in self._plain]
+        for degree in range(1, max(orders, default=0) + 1):
+            terms = tuple(index for index, order in enumerate(orders) if order <= degree)
             most = min(SETTINGS.structure.largest_library, len(self._target) / SETTINGS.sparse.rows_per_term)
-            if len(terms) <= most:
+            if len(terms) <= most and self._is_short(terms):
                 polynomial = self._solved(terms, np.ones(len(terms)))
                 if polynomial is not None:
                     yield polynomial
@@ -188,7 +220,8 @@ class _Pursuit:
         seen = set[int]()
         for atom in np.argsort(-gains, kind="stable").tolist():
             term, constant = self._atoms[atom]
-            if term not in seen and (self._shapes[term].has_constant or term not in parent.terms):
+            is_new = term not in seen and (self._shapes[term].has_constant or term not in parent.terms)
+            if is_new and self._is_short((*parent.terms, term)):
                 seen.add(term)
                 yield float(-gains[atom]) + parent.square, (*parent.terms, term), np.append(parent.constants, constant)
                 if len(seen) >= 2 * SETTINGS.sparse.pursued_beam:
@@ -217,7 +250,7 @@ class _Pursuit:
         seen = set[tuple[int, int]]()
         for place in best[np.argsort(-gains.ravel()[best], kind="stable")][:count].tolist():
             (term, first), (partner, second) = (self._atoms[usable[index]] for index in divmod(place, len(usable)))
-            if (term, partner) not in seen:
+            if (term, partner) not in seen and self._is_short((*parent.terms, term, partner)):
                 seen.add((term, partner))
                 constants = np.append(parent.constants, (first, second))
                 yield parent.square - float(gains.flat[place]), (*parent.terms, term, partner), constants

@@ -15,6 +15,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import (
+    ABS,
     ADD,
     COS,
     DIVIDE,
@@ -31,9 +32,12 @@ from atoll_core.expression.operators import (
 from atoll_core.expression.program import Program
 
 _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
-_BOTH_SIGNS: Final = (*_RATES, *(-rate for rate in _RATES))
+_BOTH_SIGNS: Final = tuple(sign * 0.1 * 2.0 ** (step / 2.0) for sign in (1.0, -1.0) for step in range(13))
+"""Of exponentials, finer: of a variable that does not come near 0 many fit about as well on the grid."""
 _SHIFTS: Final = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 _WIDE_SHIFTS: Final = tuple(0.0125 * 2.0 ** (step / 2.0) for step in range(17))
+_KINKS: Final = tuple(eighth / 8.0 for eighth in range(1, 8))
+"""Shares of the range of a variable at which its function has a kink."""
 _EXPONENTS: Final = (-1.5, -0.5, 0.3, 0.7, 1.5, 2.5)
 
 
@@ -78,6 +82,12 @@ _OVER_SUM: Final = Function(
 _POWER: Final = Function(
     lambda u, c: u**c, lambda u, c: (POW, u, c), lambda u, c: u**c * np.log(u), lambda _: _EXPONENTS
 )
+_SIGN: Final = Function(lambda u, _: np.sign(u), lambda u, _: (DIVIDE, u, (ABS, u)))
+_KINK: Final = Function(
+    lambda u, c: np.abs(u - c),
+    lambda u, c: (ABS, (ADD, u, -c)),
+    lambda u, c: np.sign(c - u),
+)
 _EXP: Final = _scaled(EXP, _BOTH_SIGNS, np.exp, np.exp)
 SCALED: Final = {
     SIN: _scaled(SIN, _RATES, np.sin, np.cos),
@@ -89,6 +99,7 @@ SCALED: Final = {
 """By the operator that they take, functions of any argument."""
 _OF_SQUARES: Final = {EXP: _EXP, DIVIDE: _OVER_SUM}
 _WAVES: Final = {SIN: _plain(SIN, np.sin), COS: _plain(COS, np.cos)}
+_ABS: Final = _plain(ABS, np.abs)
 _OF_POSITIVE: Final = {LOG: _plain(LOG, np.log), SQRT: _plain(SQRT, np.sqrt), POW: _POWER}
 
 
@@ -202,6 +213,12 @@ def _beyond(most: float, size: float) -> Sequence[float]:
     return [-(most + shift * size) for shift in _WIDE_SHIFTS if most > 0.0]
 
 
+def _within(u: FloatArray, size: float) -> Sequence[float]:
+    """Return places of a kink in the range of u (R,)."""
+    low, high = float(u.min()), float(u.max())
+    return [low + share * (high - low) for share in _KINKS]
+
+
 def _powers_of_shifts(exponent: int, size: float) -> Sequence[float]:
     """Return shifts for a power of the root mean square `size`."""
     return [shift**exponent * size for shift in _WIDE_SHIFTS]
@@ -218,9 +235,16 @@ def _arguments(
     waves = allowed(_WAVES)
     for column in columns:
         u, leaf = inputs[column], (VARIABLE, column)
-        positive = allowed(_OF_POSITIVE) if (u > 0.0).all() else []
-        yield leaf, u, [*waves, *allowed(SCALED), *([_OVER] if DIVIDE in operators else []), *positive]
+        is_positive = bool((u > 0.0).all())
+        positive = allowed(_OF_POSITIVE) if is_positive else []
+        has_both_signs = bool(u.min() < 0.0 < u.max())
+        kinked = [replace(_KINK, constants=partial(_within, u))] if ABS in operators else []
+        kinked += [_ABS] if ABS in operators and has_both_signs else []
+        kinked += [_SIGN] if {ABS, DIVIDE} <= operators and has_both_signs else []
+        yield leaf, u, [*waves, *allowed(SCALED), *([_OVER] if DIVIDE in operators else []), *positive, *kinked]
         yield (MULTIPLY, leaf, leaf), u * u, allowed(_OF_SQUARES)
+        if is_positive and {EXP, DIVIDE} <= operators:
+            yield (DIVIDE, 1.0, leaf), 1.0 / u, [_EXP]
     for first, second in combinations(columns, 2):
         for join, u in ((SUBTRACT, inputs[first] - inputs[second]), (ADD, inputs[first] + inputs[second])):
             if join in operators:

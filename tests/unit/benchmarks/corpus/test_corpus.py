@@ -205,6 +205,16 @@ def test_the_search_has_the_functions_that_the_truth_needs(lotka):
     config = configuration(KEY, case, 3.0, {"max_epochs": 2})
     assert config.space.operators[-2:] == ("log", "pow")
     assert (config.budget.max_time, config.budget.max_epochs, config.seed) == (3.0, 2, 0)
+    untold = configuration(dataclasses.replace(KEY, method="atoll-untold"), case, 3.0, {})
+    assert untold.space.operators is None
+
+
+def test_a_family_is_drawn_from_the_seed():
+    keys = [Key("tanks", 2, 1, "even", "exact", seed) for seed in (1, 2, 1)]
+    one, other, same = (make_case(key, has_fresh=False) for key in keys)
+    assert one.system.operators == ("sqrt",)
+    assert one.system.truths == same.system.truths != other.system.truths
+    assert one.table.columns.tobytes() == same.table.columns.tobytes()
 
 
 @pytest.mark.slow

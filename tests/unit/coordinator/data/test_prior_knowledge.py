@@ -6,7 +6,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs, resolve_prior
 from atoll_coordinator.data.table_summary import describe
 from atoll_coordinator.service.jobs.defaults import resolve
-from atoll_core.config import DataConfig, EvolutionConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll_core.config import BASE_OPERATORS, DataConfig, EvolutionConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.infix import to_infix
 from tests.unit.coordinator.data.tables import oscillator, table_of
@@ -48,7 +48,7 @@ def test_left_hand_sides_become_variables_and_allowed_columns_symbols():
 def test_an_equation_has_its_own_operators_and_variables_the_others_the_general_ones():
     space = resolved(operators_of={"x": ("+",)}, variables_of={"x": ("u", "x")}).space
     names = tuple(SYMBOLS.values())
-    assert (space.operators_for("x"), space.operators_for("y-1")) == (("+",), SpaceConfig().operators)
+    assert (space.operators_for("x"), space.operators_for("y-1")) == (("+",), BASE_OPERATORS)
     assert (space.columns_for("x", names), space.columns_for("y-1", names)) == ((0, 2), (0, 1, 2))
 
 

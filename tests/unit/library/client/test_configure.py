@@ -8,7 +8,7 @@ from atoll.cli.options.parser import parse
 from atoll.cli.options.values import job_id
 from atoll.cli.request import config_of as configure
 from atoll.client.options import epochs, names, seconds
-from atoll_core.config import PRESETS, JobConfig
+from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, PRESETS, JobConfig
 from atoll_core.errors import Field, UsageError
 
 
@@ -101,6 +101,21 @@ def test_a_job_file_may_hold_what_is_known_beforehand(tmp_path: Path) -> None:
     assert config.prior.guesses == {"x": ("2*x", "y")}
     assert config.prior.known == {"dz": "0"}
     assert (config.space.operators_of, config.space.operators) == ({"x": ("+",)}, ("+", "-"))
+
+
+@pytest.mark.parametrize(
+    ("line", "further"),
+    [
+        ("", FURTHER_OPERATORS),
+        ("--operators +,-,*,/,sin,cos", ()),
+        ("--operators x=+,-,*,/,sin,cos", ()),
+        ("--operators y=+,-", FURTHER_OPERATORS),
+        ("--preset paper", ()),
+    ],
+)
+def test_further_operators_may_be_tried_where_none_are_named(line: str, further: tuple[str, ...]) -> None:
+    space = config_of(line).space
+    assert (space.operators_for("x"), space.further_operators_for("x")) == (BASE_OPERATORS, further)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem, Target
@@ -33,6 +34,8 @@ def problem_of(law, noise=0.0):
         pytest.param("0.2*sin(y - x) + 0.6*y**2 - 0.2*x**3", 3, 0.0, marks=pytest.mark.slow),
         ("0.6*x - 0.4*x*log(x)", 2, 1e-4),
         pytest.param("1.2*x/(0.4 + x) - 0.3*x*y/(2.0 + y)", 4, 0.0, marks=pytest.mark.slow),
+        pytest.param("0.5*x - 4.0*x*exp(-1.5/y)", 3, 1e-4, marks=pytest.mark.slow),
+        pytest.param("0.5*x - 0.8*abs(y - 1.1)", 3, 1e-4, marks=pytest.mark.slow),
     ],
 )
 def test_a_law_is_among_the_sums_of_as_many_constants(law, constants, noise):
@@ -81,3 +84,23 @@ def test_rows_in_step_with_a_period_are_not_one_state():
         np.abs(values_of(program, inputs) - values).max() for program in programs if len(constant_places(program)) <= 2
     ]
     assert min(errors) < 1e-8
+
+
+def test_the_sign_of_a_variable_is_among_the_functions():
+    inputs = np.random.default_rng(1).uniform(-2.0, 2.0, (2, 150))
+    values = -0.5 * inputs[0] - 0.3 * np.sign(inputs[1])
+    problem = Problem(NAMES, inputs, Target("x", "dx/dt", values, 0.0, float(values.std())))
+    programs = pursue(problem, (0, 1), ALL, {BY_NAME["abs"].code}, 30.0)
+    assert min(np.abs(values_of(program, inputs) - values).max() for program in programs) < 1e-8
+
+
+def test_sums_that_must_have_an_operator_and_be_short_do_and_are():
+    problem, _ = problem_of("0.6*x - 0.4*x*log(x)", 0.01)
+    needed = {BY_NAME["log"].code, BY_NAME["sqrt"].code}
+    programs = pursue(problem, (0, 1), ALL, needed, 20.0)
+    nats = constant_nats_of(len(problem.target.values))
+    assert programs
+    for program in programs:
+        assert needed & set(program.operators.tolist())
+        assert structure_length(program) + nats * len(constant_places(program)) < 20.0 + SETTINGS.criterion.common
+    assert pursue(problem, (0, 1), ALL, needed, 5.0) == []

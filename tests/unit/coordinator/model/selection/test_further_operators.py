@@ -1,0 +1,69 @@
+"""Operators with which no search begins: tried where none are named, taken where the description is shorter."""
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.selection.candidates import collect_candidates
+from atoll_coordinator.model.selection.joint_search import (
+    ModellingTask,
+    SelectedModel,
+    operator_remarks,
+    with_further_operators,
+)
+from atoll_core.config import BASE_OPERATORS, JobConfig, SpaceConfig
+from tests.unit.coordinator.model.shooting.made import Known, pools, table
+
+UNSET = JobConfig()
+NAMED = JobConfig(space=SpaceConfig(operators=BASE_OPERATORS))
+TANK = Known(("h",), lambda _, z: [0.5 - np.sqrt(z[0])])
+DECAY = Known(("h",), lambda _, z: [0.5 - z[0]])
+TIMES = 0.06 * np.arange(50.0)
+
+
+def selected(known, text, noise=0.0, config=UNSET):
+    """Return what is selected when the equation `text` is all that there is."""
+    prepared = prepare(table(known, ([4.0], [1.0], [0.05]), TIMES, noise, 150), config)
+    candidates = collect_candidates(prepared.dataset, config, pools(prepared, h=(text,)))
+    task = ModellingTask(prepared.dataset, prepared.recording, config, candidates)
+    comparison = task.compare(task.compared_measurements(), task.variables)
+    model = comparison.fit_model([candidates["h"].front[0].program])
+    return SelectedModel(task, comparison, comparison.calibrate(model))
+
+
+def remarks(selection):
+    return list(operator_remarks(selection, dict(zip(selection.task.variables, selection.model.programs, strict=True))))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_function_that_makes_the_description_shorter_is_taken_and_named(noise):
+    found = with_further_operators(selected(TANK, "0.45 - 1.6*h/(0.7 + h) - 0.15*h", noise))
+    assert TANK.text(found.model.programs[0]).count("sqrt") == 1
+    assert found.comparison.is_exact(found.model) == (noise == 0.0)
+    (sentence,) = remarks(found)
+    assert "with sqrt the description is shorter" in sentence
+
+
+def test_operators_that_are_named_are_kept_to():
+    selection = selected(TANK, "0.45 - 1.6*h/(0.7 + h) - 0.15*h", config=NAMED)
+    assert with_further_operators(selection) is selection
+    assert remarks(selection) == []
+
+
+def test_operators_of_one_equation_are_kept_to():
+    config = JobConfig(space=SpaceConfig(operators_of={"h": BASE_OPERATORS}))
+    selection = selected(TANK, "0.45 - 1.6*h/(0.7 + h) - 0.15*h", config=config)
+    assert with_further_operators(selection) is selection
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_law_without_them_stays_as_it_is(noise):
+    selection = selected(DECAY, "0.4 - 0.9*h", noise)
+    assert with_further_operators(selection) is selection
+    assert remarks(selection) == []
+
+
+def test_that_they_were_tried_in_vain_is_said_where_something_is_left():
+    selection = selected(TANK, "0.4 - 0.9*h")
+    (sentence,) = remarks(selection)
+    assert "exp, log, sqrt, abs, tanh, pow were tried as well" in sentence
