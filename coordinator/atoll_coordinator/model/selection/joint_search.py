@@ -249,7 +249,10 @@ def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Ite
         for rank in range(min(longest, SETTINGS.effort.beam))
     ]
     begun = best = next(iter(comparison.fit_all(lambda programs: comparison.fit_model(programs, steps), systems)), None)
-    while begun is not None and best is not None and not comparison.is_exact(begun):
+    if begun is None or best is None or comparison.is_exact(begun):
+        return
+    most = SETTINGS.selection.solver_as_good**2 * begun.fit.squares
+    while True:
         before = best
         for equation, others in enumerate(lists):
             own = best.programs[equation]
@@ -259,7 +262,7 @@ def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Ite
                 if comparison.length(other) < comparison.length(own) and equation not in comparison.fixed
             ]
             models = comparison.narrow_down(best, equation, shorter, ((steps, len(shorter)),), SETTINGS.effort.work)
-            as_good = [model for model in models if np.all(model.fit.squares <= 4.0 * begun.fit.squares)]
+            as_good = [model for model in models if np.all(model.fit.squares <= most)]
             best = min(as_good, key=lambda model: comparison.length(model.programs[equation]), default=best)
         if best is before:
             yield best

@@ -55,15 +55,6 @@ _PATIENCE: Final = 5
 """Steps that a fit may take without halving what is left: accepted and rejected steps of the solver change at first."""
 
 
-_LARGEST_SHARE: Final = 0.25
-"""What constants leave of a few rows, over the errors of the solver there, beyond which it is another one: measured,
-0.1 at most where it is the one, a third and more where it is not."""
-
-
-_KNOWN: Final = 0.01
-"""Relative error of constants that are fitted to short pieces of a table with a solver's errors, about."""
-
-
 @dataclass(frozen=True, eq=False)
 class _Run:
     """One trajectory: its `times` (R,) and what was `measured` (S, R)."""
@@ -114,7 +105,7 @@ def _fitted(task: "ModellingTask", whole: Measurements, solver: Solver, system: 
             for (first, end), owner in zip(whole.bounds.tolist(), whole.owners.tolist(), strict=True)
         ]
         system, left, share = _settled(task, whole.pieces(ranges), solver, system, runs)
-        if share > _LARGEST_SHARE:
+        if share > SETTINGS.selection.solver_share:
             return None
         if rows >= longest:
             return _Found(solver, system, left) if share <= SETTINGS.common.negligible else None
@@ -158,7 +149,7 @@ def _moved(system: System, slopes: FloatArray, residuals: FloatArray) -> System:
     """
     sizes = np.abs(system.values)
     left, singular, right = np.linalg.svd(slopes * sizes, full_matrices=False)
-    known = (residuals @ residuals) / len(residuals) / _KNOWN**2
+    known = (residuals @ residuals) / len(residuals) / SETTINGS.selection.solver_constants**2
     moves = (residuals @ left) * singular / (singular**2 + known)
     return system.with_values(system.values + sizes * (moves @ right))
 
