@@ -300,7 +300,7 @@ class SelectionSettings:
     errors: it is put to the test, by solving them."""
     solver_share: float = 0.25
     """What constants leave of a few rows, over the errors of a solver there, beyond which that is not tried any longer:
-    0.1 were seen where it is the one, mostly more where it is not. All rows are asked for a thousandth (`negligible`)."""
+    0.1 were seen where it is the one, mostly more where it is not. All rows are asked for a thousandth."""
     solver_constants: float = 0.01
     """Relative error of constants that are fitted to short pieces of a table with a solver's errors, about."""
     least_folds: int = 3
