@@ -15,12 +15,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Final
 
-from atoll_coordinator.data.recording import Preparation
+import numpy as np
+
+from atoll_coordinator.data.recording import Preparation, Recording
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.inference.group_constants import summarize_groups
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
-from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refined, Refinement
+from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refined, Refinement, Simulation
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask, operator_remarks
@@ -106,11 +108,29 @@ def _refined(
         remarks = (*stochastic_remarks(preparation.recording, model.simulation), *operator_remarks(selected, shown))
         left_out = {name: programs for name, programs in candidates.items() if name not in model.equations}
         alone = _by_regression(preparation, config, left_out, deadline)
-        return replace(model, equations={**alone, **model.equations}, warnings=(*model.warnings, *remarks))
+        return replace(
+            model,
+            equations={**alone, **model.equations},
+            warnings=(*model.warnings, *remarks),
+            simulation=model.simulation and _as_measured(model.simulation, preparation.recording),
+        )
     unsettled = {name: programs for name, programs in candidates.items() if name not in converged}
     rest = _by_regression(preparation, config, unsettled, deadline)
     warnings = (NOT_SIMULATED, *stochastic_remarks(preparation.recording, None))
     return Refinement({**settled, **rest}, warnings=warnings)
+
+
+def _as_measured(simulation: Simulation, recording: Recording) -> Simulation:
+    """Return simulations beside what was measured, also where the errors of a solver were taken off that."""
+    states = [recording.states.index(name) for name in simulation.states]
+    measured = {part.name: part.measured[states] for part in recording.trajectories}
+    trajectories = tuple(
+        replace(one, measured=np.where(np.isnan(one.measured), np.nan, measured[one.name]))
+        if one.measured.shape == measured[one.name].shape
+        else one
+        for one in simulation.trajectories
+    )
+    return replace(simulation, trajectories=trajectories)
 
 
 def _has_converged(preparation: Preparation, config: JobConfig, name: str, candidates: CandidateSet) -> bool:

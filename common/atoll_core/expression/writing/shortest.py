@@ -75,6 +75,11 @@ def shortest(program: Program) -> Program:
     return _shortest_of(program, len(_MOST_TRIED) - 1)
 
 
+def shortened(program: Program) -> Program:
+    """Return a short writing of the function of `program`, found by a brief search: for hundreds of candidates."""
+    return _shortest_of(program, 1)
+
+
 def collected(program: Program) -> Program:
     """Return `program` as a sum of products, without a search."""
     return _shortest_of(program, 0)

@@ -6,6 +6,7 @@
 - `joint_search`: what is modelled (`ModellingTask`); the best combination, one variable exchanged at a time
 - `local_search`: from a system to shorter descriptions nearby
 - `shortcut`: laws of sparse regression that stand at the noise level, fitted together: no search around them
+- `solver_errors`: the errors of the solver that computed a table, found by computing it again, and taken off
 - `stretches`: pieces of nearly clean trajectories, in which a solver's errors do not add up
 - `piece_lengths`: how much of a trajectory is simulated at a stretch: `select_model` is the way in
 - `alternatives`: what comes closest to the model, and whether one of these predicts better (`cross_validation`)

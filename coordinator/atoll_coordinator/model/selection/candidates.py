@@ -18,7 +18,7 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
 from atoll_core.expression.program import Program, structure
-from atoll_core.expression.writing.shortest import collected, shortest
+from atoll_core.expression.writing.shortest import collected, shortened, shortest
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +106,7 @@ def ranked(
         libraries: terms that are left out one after another.
     """
     least_squares = LeastSquares(problem, restrictions=comparison.restrictions(0))
-    unique = {structure(program): program for program in reversed([shortest(candidate) for candidate in programs])}
+    unique = {structure(program): program for program in reversed([shortened(candidate) for candidate in programs])}
     deadline = comparison.estimator.deadline
     is_pooled = comparison.groups is None  # else constants are fitted group by group
     polished = [

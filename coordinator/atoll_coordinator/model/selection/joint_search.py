@@ -22,12 +22,14 @@ from atoll_coordinator.model.selection.candidates import CandidateSet, ranked
 from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.local_search import LocalSearch
+from atoll_coordinator.model.selection.solver_errors import without_solver_errors
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import variable_program
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
+from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, JobConfig
@@ -57,7 +59,8 @@ class ModellingTask:
 
     `settled` are equations that were fitted to noise-free targets; `executor` has the threads that fit systems, none
     when they are fitted one after another; `piece` is how many rows are simulated at a stretch, at most; after the
-    `deadline` nothing new is tried. `among_many` are laws that preparing has found already (None: it has not looked).
+    `deadline` nothing new is tried; `solver` names the one whose errors have been taken off the recording.
+    `among_many` are laws that preparing has found already (None: it has not looked).
     """
 
     dataset: Dataset
@@ -69,6 +72,7 @@ class ModellingTask:
     piece: int = SETTINGS.shooting.piece
     laws: Mapping[str, Sequence[Law]] = field(default_factory=dict)
     deadline: Deadline | None = None
+    solver: str | None = None
     among_many: LawsByGroup | None = None
     _restrictions: dict[str, Restrictions] = field(default_factory=dict, repr=False)
 
@@ -85,6 +89,11 @@ class ModellingTask:
             for name, equation_candidates in self.candidates.items()
             if equation_candidates.known is not None
         }
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing new is to be begun."""
+        return self.deadline is not None and self.deadline.is_over
 
     @property
     def is_nearly_clean(self) -> bool:
@@ -181,11 +190,12 @@ class ModellingTask:
         return [variable_program(self.dataset.names.index(velocity)) for velocity in velocities]
 
 
-def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
-    """Return the candidates of each variable, the best first.
+def ranked_candidates(task: ModellingTask) -> tuple[ModellingTask, list[list[Program]]]:
+    """Return the candidates of each variable, the best first, and the task that they are to be compared for.
 
-    Where the equations of converged searches, with laws by regression for the rest, give the trajectories up to errors
-    of integration, there are no others; where a system of the fronts and of some runners-up leaves noise alone, or none
+    That is the one without the errors of a solver where candidates tell these. Where the equations of converged
+    searches, with laws by regression for the rest, give the trajectories up to errors of integration, there are no
+    others; where a system of the fronts and of some runners-up leaves noise alone, or none
     can be simulated however short the pieces, there are none but these. Among many variables an equation that has laws
     has no others, unless all have.
     """
@@ -194,21 +204,79 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
     programs = [program or law for program, law in zip(converged, laws, strict=True)]
     whole = [program for program in programs if program is not None]
     if any(converged) and len(whole) == len(programs) and _is_exact(task, whole):
-        return [[program] for program in whole]
+        return task, [[program] for program in whole]
+    if task.is_nearly_clean:
+        fronts = [
+            [task.known[name]] if name in task.known else [member.program for member in reversed(candidates.front)]
+            for name, candidates in task.candidates.items()
+        ]
+        exact = _as_solved(task, fronts) if all(fronts) else None
+        if exact is not None:
+            return exact
     settled = _settled(task)
     sums = {name: _pursued(task, name) for name in task.variables if name not in {*task.known, *settled}}
     nearest = [settled.get(name) or _compared(task, name, sums, is_brief=True) for name in task.variables]
     shortest_pieces = replace(task, piece=min(task.piece, *SETTINGS.shooting.lengths))
     comparison, best = _begun(task, nearest)
     if best is None and _begun(shortest_pieces, nearest)[1] is None:
-        return nearest
-    if best is not None and task.is_nearly_clean:
+        return task, nearest
+    if best is not None and task.is_nearly_clean and not comparison.is_exact(best):
+        exact = _as_solved(task, [[own, *programs] for own, programs in zip(best.programs, nearest, strict=True)])
+        if exact is not None:
+            return exact
         further = _with_further_sums(task, comparison, best)
         if further is not best and _is_exact(task, further.programs):
-            return [[program] for program in further.programs]
+            return task, [[program] for program in further.programs]
     if best is not None and _suffices(task, comparison, best):
-        return nearest
-    return [settled.get(name) or _compared(task, name, sums) for name in task.variables]
+        return task, nearest
+    return task, [settled.get(name) or _compared(task, name, sums) for name in task.variables]
+
+
+def _as_solved(
+    task: ModellingTask, lists: Sequence[Sequence[Program]]
+) -> tuple[ModellingTask, list[list[Program]]] | None:
+    """Return the task without the errors of a solver, and the candidates, the law first; None where none tells them."""
+    for system in _likely_laws(task, lists):
+        exact = without_solver_errors(task, system.fit)
+        if exact is not None:
+            return exact, [[own, *programs] for own, programs in zip(system.programs, lists, strict=True)]
+    return None
+
+
+def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Iterator[FittedModel]:
+    """Yield systems that may be the law of a table with a solver's errors, fitted to short pieces.
+
+    Along these the errors do not add up, and terms that describe them gain little: first the system of the shortest
+    equations that leaves no more than twice as much of any state as the best of a few, then that.
+    """
+    task = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[0]))
+    comparison = task.compare(task.compared_measurements(), task.variables)
+    steps, longest = SETTINGS.effort.brief_steps, max(map(len, lists))
+    systems = [
+        [programs[min(rank, len(programs) - 1)] for programs in lists]
+        for rank in range(min(longest, SETTINGS.effort.beam))
+    ]
+    begun = best = next(iter(comparison.fit_all(lambda programs: comparison.fit_model(programs, steps), systems)), None)
+    if begun is None or best is None or comparison.is_exact(begun):
+        return
+    most = SETTINGS.selection.solver_as_good**2 * begun.fit.squares
+    while True:
+        before = best
+        for equation, others in enumerate(lists):
+            own = best.programs[equation]
+            shorter = [
+                other
+                for other in (*reductions(own), *others)
+                if comparison.length(other) < comparison.length(own) and equation not in comparison.fixed
+            ]
+            models = comparison.narrow_down(best, equation, shorter, ((steps, len(shorter)),), SETTINGS.effort.work)
+            as_good = [model for model in models if np.all(model.fit.squares <= most)]
+            best = min(as_good, key=lambda model: comparison.length(model.programs[equation]), default=best)
+        if best is before:
+            yield best
+            if best is not begun:
+                yield begun
+            return
 
 
 def _settled(task: ModellingTask) -> dict[str, list[Program]]:
@@ -233,7 +301,7 @@ def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> tuple[Mod
 
 def _pursued(task: ModellingTask, name: str, needed: Collection[int] = (), most: float = math.inf) -> list[Program]:
     """Return sums of a polynomial and of functions for the equation of one variable, see `pursue`."""
-    if task.deadline is not None and task.deadline.is_over:
+    if task.is_over:
         return []
     problem = task.dataset.problem(name)
     parts = [problem.of_group(group) for group in range(len(task.recording.groups))] or [problem]
@@ -404,12 +472,21 @@ def _combined(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -
 
 
 def exchange(comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]) -> FittedModel:
-    """Return the best system that comes of exchanging one variable's program at a time; all of them at first."""
+    """Return the best system that comes of exchanging one variable's program at a time; all of them at first.
+
+    Where the errors are those of the integration, no longer program could make the description shorter.
+    """
+    if comparison.is_exact(best):
+        lengths = [comparison.length(program) for program in best.programs]
+        lists = [
+            [program for program in programs if comparison.length(program) < length] or [own]
+            for programs, length, own in zip(lists, lengths, best.programs, strict=True)
+        ]
     tried: Sequence[Sequence[Program]] = lists
     while True:
         before = best.nats
         for equation, programs in enumerate(tried):
-            if len(programs) > 1:
+            if len(programs) > 1 or programs[0] is not best.programs[equation]:
                 models = comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, SETTINGS.effort.work)
                 if models and models[0].nats < best.nats - SETTINGS.selection.least_gain:
                     best = models[0]

@@ -17,6 +17,7 @@ from atoll_coordinator.model.selection.joint_search import (
 )
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, select_without_wrong_law, with_laws
+from atoll_coordinator.model.selection.solver_errors import without_solver_errors
 from atoll_coordinator.model.selection.stretches import in_stretches
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
@@ -35,11 +36,18 @@ def _selected(task: ModellingTask) -> SelectedModel | None:
     shortcut = select_by_laws(task) or select_without_wrong_law(task)
     if shortcut is not None:
         return shortcut
-    lists = ranked_candidates(task)
+    task, lists = ranked_candidates(task)
     if not all(lists):
         return None
+    first = [programs[0] for programs in lists]
+    if task.solver is not None:
+        return search_jointly(task, lists, first)
     if task.is_nearly_clean:
-        return search_jointly(in_stretches(task, [programs[0] for programs in lists]), lists)
+        selection = search_jointly(in_stretches(task, first), lists)
+        if selection is None or selection.comparison.is_exact(selection.model):
+            return selection
+        exact = without_solver_errors(task, selection.model.fit)
+        return selection if exact is None else search_jointly(exact, lists, selection.model.programs)
     selections: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
         selections.append(selection)
@@ -102,6 +110,8 @@ def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
 
 def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:
     """Yield sentences for the user: trajectories were not simulated in whole, states are without an equation."""
+    if task.solver is not None:
+        yield f"The rows are what {task.solver}, gives of these equations; its errors were taken off them."
     whole = longest(task)
     if whole > task.piece:
         tested = (

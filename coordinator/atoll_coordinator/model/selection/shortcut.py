@@ -70,7 +70,7 @@ def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
     others = select_by_laws(without(task, wrong))
     if others is None:
         return None
-    lists = ranked_candidates(replace(task, laws={**task.laws, wrong: ()}))
+    _, lists = ranked_candidates(replace(task, laws={**task.laws, wrong: ()}))
     whole = _fitted_together(task, lists) if all(lists) else None
     return whole if whole is not None and _is_like_noise(whole) else others
 

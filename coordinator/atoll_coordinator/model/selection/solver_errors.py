@@ -1,0 +1,225 @@
+"""Errors of the solver that computed a table, found by computing the table again, and taken off.
+
+What a solver errs by is a function of the equations, of the first row and of the solver (Zadunaisky 1976, Numerische
+Mathematik 27:21): the same one makes the same errors again. So constants are sought with which it gives the rows
+themselves. Its solutions depend on constants as exact ones do but for a little, hence steps by exact sensitivities
+settle (defect correction, Stetter 1978, Numerische Mathematik 29:425); over few rows at first, since a step that is
+accepted with some constants and rejected with others makes them jump. Equations that are not the law leave as much as
+before, and so does another solver: nothing is taken off then.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from atoll_coordinator.data.recording import Recording, Smoothing
+from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
+from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_of
+
+if TYPE_CHECKING:
+    from atoll_coordinator.model.selection.joint_search import ModellingTask
+
+
+@dataclass(frozen=True)
+class Solver:
+    """A method of scipy.integrate with its tolerances."""
+
+    method: str
+    rtol: float
+    atol: float
+
+    @property
+    def name(self) -> str:
+        """How a user would write it."""
+        return f"scipy.integrate.solve_ivp, {self.method}, rtol={self.rtol:g}, atol={self.atol:g}"
+
+
+_DEFAULT_ATOL: Final = 1e-6
+SOLVERS: Final = tuple(
+    Solver(method, rtol, atol)
+    for rtol, atol in (
+        (1e-3, _DEFAULT_ATOL), (1e-6, _DEFAULT_ATOL), (1e-6, 1e-9), (1e-8, _DEFAULT_ATOL), (1e-8, 1e-8),
+    )
+    for method in ("RK45", "LSODA")
+)  # fmt: skip
+"""Those that are tried: the defaults, and what else is met in programs."""
+
+
+_PATIENCE: Final = 5
+"""Steps that a fit may take without halving what is left: accepted and rejected steps of the solver change at first."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One trajectory: its `times` (R,) and what was `measured` (S, R)."""
+
+    times: FloatArray
+    measured: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """The constants with which a solver gives the rows, as a system, and what it leaves of each state (S,)."""
+
+    solver: Solver
+    system: System
+    left: FloatArray
+
+
+def without_solver_errors(task: "ModellingTask", fit: TrajectoryFit) -> "ModellingTask | None":
+    """Return the task with the errors of the solver taken off that computed the table by the equations of `fit`.
+
+    None where there is no such solver. The first row must be where it began.
+    """
+    recording = task.recording
+    if (
+        not task.is_nearly_clean or recording.order != 1 or recording.inputs or recording.offsets or recording.groups
+        or recording.states != task.variables or fit.system.sharing is not None
+    ):  # fmt: skip
+        return None
+    whole = measurements_of(recording, range(len(task.variables)), piece=max(map(len, _times(recording))))
+    if not np.isfinite(whole.measured[:, whole.bounds[:, 0]]).all():
+        return None
+    found = next((found for solver in SOLVERS if (found := _fitted(task, whole, solver, fit.system))), None)
+    return None if found is None else _corrected(task, found)
+
+
+def _times(recording: Recording) -> Iterator[FloatArray]:
+    return (part.times for part in recording.trajectories if not part.held_out)
+
+
+def _fitted(task: "ModellingTask", whole: Measurements, solver: Solver, system: System) -> _Found | None:
+    """Return the constants with which the solver gives all rows, None when there are none."""
+    at = whole.times + task.recording.offset  # LSODA's first step depends on the time
+    runs = [_Run(at[first:end], whole.measured[:, first:end]) for first, end in whole.bounds.tolist()]
+    longest, rows = max(len(run.times) for run in runs), SETTINGS.shooting.lengths[1]
+    while True:
+        ranges = [
+            (first, min(first + rows, end), owner)
+            for (first, end), owner in zip(whole.bounds.tolist(), whole.owners.tolist(), strict=True)
+        ]
+        system, left, share = _settled(task, whole.pieces(ranges), solver, system, runs)
+        if share > SETTINGS.selection.solver_share:
+            return None
+        if rows >= longest:
+            return _Found(solver, system, left) if share <= SETTINGS.common.negligible else None
+        rows *= 2
+
+
+def _settled(
+    task: "ModellingTask", part: Measurements, solver: Solver, system: System, runs: Sequence[_Run]
+) -> tuple[System, FloatArray, float]:
+    """Return the constants with which a solver leaves the least of the first rows, and that over its errors.
+
+    Between them what it leaves of each state (S,), over its deviation.
+    """
+    estimator = task.compare(part, task.variables, has_noise=False).estimator
+    scales, starts = part.scales[:, None], np.ascontiguousarray(part.measured[:, part.bounds[:, 0]].T)
+    least, share, best, found = np.inf, np.inf, system, np.full(len(part.scales), np.inf)
+    patience = _PATIENCE
+    for _ in range(SETTINGS.effort.steps):
+        fit = estimator.fit(system, None, 0, starts)
+        solved = None if fit is None else _solved(task, solver, system, part, runs)
+        if fit is None or solved is None:
+            break
+        rest, errors = (part.measured - solved) / scales, (solved - fit.simulated) / scales
+        is_known = np.isfinite(rest)
+        left, made = (float(np.sqrt((numbers[is_known] ** 2).mean())) for numbers in (rest, errors))
+        patience = _PATIENCE if left < 0.5 * least else patience - (1 if left < made else 2)
+        if left < least:
+            least, share, best = left, left / made if made > SETTINGS.shooting.exact else np.inf, system
+            found = np.sqrt((np.nan_to_num(rest) ** 2).mean(axis=1))
+        if least <= 0.1 * SETTINGS.shooting.exact or patience <= 0 or not system.count or task.is_over:
+            break
+        slopes = fit.integrated_sensitivities()[:, :, : system.count].transpose(1, 0, 2) / scales[:, :, None]
+        system = _moved(system, slopes[is_known], rest[is_known])
+    return best, found, share
+
+
+def _moved(system: System, slopes: FloatArray, residuals: FloatArray) -> System:
+    """Return the system after a step of least squares by residuals (M,) that depend on constants by `slopes` (M, P).
+
+    Where these tell little of a direction, constants are known as well as from the fit that they come from.
+    """
+    sizes = np.abs(system.values)
+    left, singular, right = np.linalg.svd(slopes * sizes, full_matrices=False)
+    known = (residuals @ residuals) / len(residuals) / SETTINGS.selection.solver_constants**2
+    moves = (residuals @ left) * singular / (singular**2 + known)
+    return system.with_values(system.values + sizes * (moves @ right))
+
+
+def _solved(
+    task: "ModellingTask", solver: Solver, system: System, part: Measurements, runs: Sequence[_Run]
+) -> FloatArray | None:
+    """Return the states (S, N) that the solver gives at the first rows of all runs, None when it fails."""
+    from scipy import integrate
+
+    programs = system.programs
+    order = [part.variables.index(name) for name in task.dataset.names]
+
+    def rates(_: float, state: FloatArray) -> FloatArray:
+        point = state[order][:, None]
+        return np.array([values_of(program, point)[0] for program in programs])
+
+    method, solved = getattr(integrate, solver.method), []
+    for run, (first, end) in zip(runs, part.bounds.tolist(), strict=True):
+        times, done = run.times[: end - first], 1
+        states = np.repeat(run.measured[:, :1], len(times), axis=1)
+        with np.errstate(all="ignore"):
+            steps = method(rates, run.times[0], run.measured[:, 0], run.times[-1], rtol=solver.rtol, atol=solver.atol)
+            for _ in range(SETTINGS.shooting.steps_per_row * len(times)):
+                if done == len(times) or steps.step() is not None:
+                    break
+                reached = int(np.searchsorted(times, steps.t, side="right"))
+                states[:, done:reached] = steps.dense_output()(times[done:reached])
+                done = max(done, reached)
+        if done < len(times) or not np.isfinite(states).all():
+            return None
+        solved.append(states)
+    return np.concatenate(solved, axis=1)
+
+
+def _corrected(task: "ModellingTask", found: _Found) -> "ModellingTask | None":
+    """Return the task with tables that are exact solutions along each piece from its first row."""
+    trajectories = list(task.recording.trajectories)
+    for is_held_out in sorted({part.held_out for part in trajectories}):
+        measurements = task.measurements(task.variables, held_out=is_held_out)
+        places = [place for place, part in enumerate(trajectories) if part.held_out == is_held_out]
+        runs = [
+            _Run(trajectories[place].times + task.recording.offset, trajectories[place].measured) for place in places
+        ]
+        ends = np.cumsum([len(run.times) for run in runs])
+        bounds = np.stack([ends - [len(run.times) for run in runs], ends], axis=1)
+        solved = _solved(task, found.solver, found.system, replace(measurements, bounds=bounds), runs)
+        if solved is None:
+            return None
+        estimator = task.compare(measurements, task.variables, has_noise=False).estimator
+        starts = np.ascontiguousarray(solved[:, measurements.bounds[:, 0]].T)
+        exact = estimator.fit(found.system, None, 0, starts)
+        if exact is None:
+            return None
+        errors = solved - exact.simulated
+        for place, (first, end) in zip(places, bounds.tolist(), strict=True):
+            part = trajectories[place]
+            measured = part.measured - errors[:, first:end]
+            smoothed = np.where(np.isfinite(measured), measured, part.smoothed - errors[:, first:end])
+            trajectories[place] = replace(part, measured=measured, smoothed=smoothed)
+    smoothing = tuple(
+        _without_noise(one, float(left)) for one, left in zip(task.recording.smoothing, found.left, strict=True)
+    )
+    recording = replace(task.recording, trajectories=tuple(trajectories), smoothing=smoothing)
+    return replace(task, recording=recording, solver=found.solver.name)
+
+
+def _without_noise(smoothing: Smoothing, left: float) -> Smoothing:
+    """Return how a state is smoothed of which a share `left` of its deviation are errors."""
+    deviation = smoothing.noise / smoothing.relative_noise if smoothing.relative_noise > 0.0 else 0.0
+    return replace(
+        smoothing, method="interpolation", noise=left * deviation, relative_noise=left, span=None, degree=None
+    )

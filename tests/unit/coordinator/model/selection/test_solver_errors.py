@@ -1,0 +1,85 @@
+"""The errors of the solver that computed a table: found where the equations are the law, and only there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.model.selection.candidates import collect_candidates
+from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_coordinator.model.selection.solver_errors import without_solver_errors
+from atoll_core.config import JobConfig, SpaceConfig
+from atoll_core.data.dataset import FloatArray
+from tests.unit.coordinator.model.shooting.made import Known, pools, table
+
+CONFIG = JobConfig(space=SpaceConfig(operators=("+", "-", "*", "/")))
+TIMES = np.linspace(0.0, 12.0, 120)
+STARTS = [(10.0, 5.0), (3.0, 2.0)]
+LAW = ("1.1*x - 0.4*x*y", "0.1*x*y - 0.4*y")
+
+
+@dataclass(frozen=True)
+class Computed(Known):
+    """Solutions with the errors of a solver."""
+
+    method: str = "RK45"
+    rtol: float = 1e-3
+
+    def values(self, start: Sequence[float], times: FloatArray) -> FloatArray:
+        span = (float(times[0]), float(times[-1]))
+        return solve_ivp(self.rates, span, start, self.method, times, rtol=self.rtol).y
+
+
+def predation(_: float, z: Sequence[float]) -> Sequence[float]:
+    return [1.1 * z[0] - 0.4 * z[0] * z[1], 0.1 * z[0] * z[1] - 0.4 * z[1]]
+
+
+def corrected(known: Known, texts: Sequence[str], noise: float = 0.0) -> ModellingTask | None:
+    """Return the task without the errors of a solver, by these equations fitted to short pieces."""
+    prepared = prepare(table(known, STARTS, TIMES, noise), CONFIG)
+    candidates = collect_candidates(prepared.dataset, CONFIG, pools(prepared, x=("x",), y=("y",)))
+    task = ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates)
+    comparison = task.compare(task.compared_measurements(), task.variables)
+    fit = comparison.fit_model([known.parsed(text) for text in texts], lengths=(10,))
+    return without_solver_errors(task, fit.fit)
+
+
+@pytest.mark.parametrize(("method", "rtol"), [("RK45", 1e-3), ("RK45", 1e-6), ("LSODA", 1e-3)])
+def test_without_the_errors_of_its_solver_a_table_is_the_exact_solution(method, rtol):
+    task = corrected(Computed(("x", "y"), predation, method=method, rtol=rtol), LAW)
+    exact = Known(("x", "y"), predation)
+    assert f"{method}, rtol={rtol:g}" in task.solver
+    for part, start in zip(task.recording.trajectories, STARTS, strict=True):
+        np.testing.assert_allclose(part.measured, exact.values(start, TIMES), rtol=1e-6)
+    assert max(smoothing.relative_noise for smoothing in task.recording.smoothing) < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("known", "texts", "noise"),
+    [
+        (Computed(("x", "y"), predation), ("1.1*x - 0.4*x*y", "0.1*x*y - 0.38*y - 0.002*y**2"), 1e-6),
+        (Computed(("x", "y"), predation), ("1.1*x - 0.4*x*y", "0.02*x*x - 0.4*y"), 0.0),
+        (Computed(("x", "y"), predation, method="Radau"), LAW, 0.0),
+        (Known(("x", "y"), predation), LAW, 0.0),
+    ],
+    ids=["noise", "wrong law", "other solver", "exact"],
+)
+def test_nothing_is_taken_off_where_the_solver_would_not_give_these_rows(known, texts, noise):
+    assert corrected(known, texts, noise) is None
+
+
+@pytest.mark.slow
+def test_terms_that_follow_a_solver_are_left_out_and_it_is_named():
+    known = Computed(("x", "y"), predation)
+    prepared = prepare(table(known, STARTS, TIMES), CONFIG)
+    crumbs = ("1.1*x - 0.4*x*y + 0.002*y", "0.1*x*y - 0.4*y - 0.003*x")
+    pool = pools(prepared, x=(LAW[0], crumbs[0]), y=(LAW[1], crumbs[1]))
+    made = refine_all(prepared, CONFIG, pool)
+    assert [made.equations[name].grade for name in ("x", "y")] == ["exact", "exact"]
+    assert [len(made.equations[name].constants) for name in ("x", "y")] == [2, 2]
+    assert any("RK45" in warning for warning in made.warnings)
+    np.testing.assert_array_equal(made.simulation.trajectories[0].measured, known.values(STARTS[0], TIMES))
