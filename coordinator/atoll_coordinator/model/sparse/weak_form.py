@@ -19,6 +19,7 @@ import numpy as np
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
 from atoll_coordinator.model.structure.term_libraries import Term
+from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
@@ -109,6 +110,26 @@ class WeakForm:
         for square, sums in zip(squares.tolist(), self._sums(self.bump * self.bump, slopes * slopes), strict=True):
             variances += square * sums
         return np.asarray(variances)
+
+    def gradients(self, terms: Sequence[Term]) -> tuple[FloatArray, Ints]:
+        """Return the derivatives (K, V, R) of terms by the variables on some rows, and which rows these are (R,)."""
+        rows = thinned_places(len(self.measured.times), SETTINGS.rows.most)
+        powers = _powers(self.measured.smoothed[:, rows], np.zeros(len(self.measured.noise)), max(map(len, terms)))
+        places = range(len(self.measured.noise))
+        return np.array([[_slope([term], [1.0], powers, place) for place in places] for term in terms]), rows
+
+    def row_weights(self, weights: FloatArray, rows: Ints) -> tuple[FloatArray, FloatArray]:
+        """Return how much errors of some `rows` (R,) count in products of integrals, and in those with left sides.
+
+        Windows have these `weights` (W,); rows stand for all.
+        """
+        sums = np.zeros((2, len(self.measured.times)))
+        for place in range(self.bump.shape[1]):
+            part = weights * self.bump[:, place]
+            np.add.at(sums[0], self.first + place, part * self.bump[:, place])
+            np.add.at(sums[1], self.first + place, part * self.slope[:, place])
+        share = len(self.measured.times) / len(rows)
+        return share * sums[0, rows], share * sums[1, rows]
 
     def _sums(self, factors: FloatArray, values: FloatArray) -> FloatArray:
         sums = np.zeros((len(values), len(self.first)))
