@@ -130,7 +130,7 @@ def find_laws(
     """
     if not _has_like_rows(recording) or not _makes_sums(columns, operators) or recording.order == 2:
         return ()
-    if not problem.target.is_noisy and _is_interpolated(recording):
+    if _is_interpolated(recording) and problem.target.uncertainty <= SETTINGS.inference.largest_uncertainty:
         return tuple(_without_noise(problem, columns))
     return tuple(_with_noise(problem, recording, columns, others))
 
