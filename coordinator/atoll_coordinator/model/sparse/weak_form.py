@@ -16,7 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.data.differentiation.interpolation import predict_left_out
+from atoll_coordinator.data.differentiation.missing_values import make_signal
+from atoll_coordinator.data.differentiation.noise import estimate_value_noise
+from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
 from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
 from atoll_coordinator.model.structure.term_libraries import Term
 from atoll_coordinator.model.thinning import thinned_places
@@ -48,7 +51,7 @@ def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
     states = np.concatenate([part.measured for part in parts], axis=1)
     smoothed = np.concatenate([part.smoothed for part in parts], axis=1)
     inputs = np.concatenate([part.inputs for part in parts], axis=1)
-    noise = [0.0 if smoothing.method == "interpolation" else smoothing.noise for smoothing in recording.smoothing]
+    noise = [_noise(parts, place, smoothing) for place, smoothing in enumerate(recording.smoothing)]
     ends = np.cumsum([len(part.times) for part in parts]).tolist()
     return Measured(
         np.concatenate([part.times for part in parts]),
@@ -57,6 +60,21 @@ def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
         np.concatenate([smoothed, inputs])[places],
         np.array([*noise, *([0.0] * len(inputs))])[places],
     )
+
+
+def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> float:
+    """Return the deviation of a state's errors: the smoother's, or that by which most rows are predicted, if less.
+
+    What a smoother leaves of fast passages is no error.
+    """
+    if smoothing.method == "interpolation" or smoothing.quantisation is not None:
+        return 0.0 if smoothing.method == "interpolation" else smoothing.noise
+    signals = [
+        make_signal(part.times, part.measured[place].copy(), None).measured
+        for part in parts
+        if np.isfinite(part.measured[place]).sum() >= SETTINGS.checks.min_rows
+    ]
+    return min(smoothing.noise, estimate_value_noise(*predict_left_out(signals)))
 
 
 @dataclass(frozen=True, eq=False)
