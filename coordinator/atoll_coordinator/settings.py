@@ -196,6 +196,11 @@ class SparseSettings:
     """Power of the test functions (1 - s^2)^p: the trapezoidal rule errs by its order in the step."""
     step: float = 0.25
     """Windows begin so many of their widths after the one before."""
+    least_half: int = 5
+    """Rows of half of the shortest window: nine rows count."""
+    least_half_noise: float = 0.01
+    """Noise, as a share of the deviation, from which on that one serves: by the trapezoidal rule a left side errs like
+    one of a tenth of that (the transform of (1 - s^2)^4 at one wave a row)."""
     least_windows: int = 4
     """Half widths in the longest trajectory, at least."""
     pursued_rows: int = 256

@@ -476,23 +476,32 @@ def _long_run(final: Final) -> LongRun:
     It is chaotic where initial states are of no use for these, errors growing faster than the trajectories do: growth
     has no attractor to stay on. That a model that is, or may be, does not fit whole trajectories says nothing.
     """
-    fits, fit = _fits_in_whole(final), final.free.fit
+    fit = final.free.fit
+    rate = growth_rate(fit)
+    growths = (rate, rate - speed_growth(fit))
+    fits = None if all(_is_exponential(final, growth) for growth in growths) else _fits_in_whole(final)
     if fits:
         return LongRun(fits, None)
-    rate = growth_rate(fit)
-    is_unstable = all(
-        predictable_rows(fit, final.comparison, growth) < longest(final.task)
-        for growth in (rate, rate - speed_growth(fit))
-    )
-    if is_unstable:
+    if all(predictable_rows(fit, final.comparison, growth) < longest(final.task) for growth in growths):
         return LongRun(None, look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance))
     return LongRun(None if final.task.is_nearly_clean else fits, None)  # errors of a solver add up
+
+
+def _is_exponential(final: Final, rate: float) -> bool:
+    """Tell whether errors that grow at this rate grow more along a trajectory than a power of time does.
+
+    Without exponential growth those of D linear equations grow like t^(D - 1) at most: over N rows less than N^D times.
+    """
+    measurements = final.comparison.estimator.measurements
+    step = float(np.median(np.diff(measurements.times)))
+    rows = longest(final.task)
+    return rate * step * rows > len(measurements.scales) * math.log(rows)
 
 
 def _fits_in_whole(final: Final) -> bool | None:
     """Tell whether equations as they are shown describe whole trajectories up to their noise; None: it was not asked.
 
-    Errors of a phase grow in proportion to time, which is fast at first: that tells it from chaos. The constants are
+    Errors of a phase grow in proportion to time, which is fast at first: that tells it from slow chaos. Constants are
     fitted once more, in pieces that grow to whole trajectories, where there are very many rows to every so-manyth. It
     is not asked of a model that does not describe the pieces, nor when the time is over.
     """

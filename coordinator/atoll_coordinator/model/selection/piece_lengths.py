@@ -174,7 +174,7 @@ def _fitted(
     """Return a system fitted to at most about so many rows, None when it cannot be simulated."""
     measurements = task.measurements(task.variables).thinned(rows)
     comparison = task.compare(measurements, task.variables, is_precise=is_precise)
-    model = comparison.fit_model(programs, lengths=(SETTINGS.shooting.lengths[1], None))
+    model = comparison.fit_model(programs, lengths=(SETTINGS.shooting.lengths[0], None))
     return None if model is None else SelectedModel(task, comparison, model)
 
 

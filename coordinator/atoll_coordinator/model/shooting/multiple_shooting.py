@@ -19,6 +19,7 @@ from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_D
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.fit_cache import FitCache, key_of
+from atoll_coordinator.model.shooting.kernels.condensing import condense
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
@@ -154,6 +155,82 @@ class MultipleShooting:
         with self._lock:
             self.work += done.work
         return done.fit
+
+    def join(self, fit: TrajectoryFit, before: int | None, after: int | None) -> tuple[System, FloatArray] | None:
+        """Return the system, and the initial states (G, D) of longer segments, that make those of a fit continuous.
+
+        The state at the end of a segment tells more of a chaotic trajectory than can be carried there from its
+        beginning. So the fit is moved, by steps of Gauss and Newton, to where each segment begins at the end of the one
+        before, as far as they are parts of a longer one (Bock 1983).
+
+        Args:
+            fit: of segments of about `before` rows.
+            before: what they were called.
+            after: about how many rows the longer ones have; None: whole trajectories.
+
+        Returns:
+            None where the gaps do not close.
+        """
+        layout, begun = self._layout(before), self._layout(after).segments[:, 0]
+        segments, states, fitted = layout.segments, len(fit.system.outputs), fit.system.count
+        is_inner = ~np.isin(segments[:, 0], begun)
+        last = np.flatnonzero(is_inner) - 1
+        if not is_inner.any():
+            return None
+        method, system = self._methods[1 if fit.is_stiff else 0], fit.system
+        starts, pieces = fit.starts[:, :states].copy(), np.cumsum(~is_inner) - 1
+        for _ in range(SETTINGS.effort.brief_steps):
+            carried = self._beyond_ends(method, system, segments, starts, last)
+            if carried is None or self.deadline.is_over:
+                return None
+            simulated, gradients, ends, reached = carried
+            gaps = np.zeros_like(starts)
+            gaps[last] = reached[last] - starts[last + 1]
+            if np.all(np.abs(gaps) <= method.tolerance):
+                return system, np.ascontiguousarray(simulated[:, begun].T)
+            here = self._weighed(
+                simulated, gradients, self._residuals(simulated, starts, segments), layout, fit.errors, fitted
+            )
+            size = fitted + states
+            sums, moves = np.zeros((pieces[-1] + 1, size + 1, size + 1)), np.zeros((len(segments), states, size + 1))
+            normal, gradient = here.normal, here.gradient
+            condense(here.coupling, here.own, here.own_gradient, ends, gaps, pieces, normal, gradient, sums, moves)
+            change, its_own = np.empty(fitted), np.empty((len(sums), states))
+            blocks = (sums[:, :fitted, fitted:-1], sums[:, fitted:-1, fitted:-1])
+            coupling, own = map(np.ascontiguousarray, blocks)
+            own_gradient = np.ascontiguousarray(-sums[:, fitted:-1, -1])
+            if not solve_step(normal, coupling, own, gradient, own_gradient, LEAST_DAMPING, change, its_own):
+                return None
+            system = system.with_values(system.values + change)
+            numbers = np.concatenate([np.tile(change, (len(sums), 1)), its_own, np.ones((len(sums), 1))], axis=1)
+            starts = starts + (moves * numbers[pieces][:, None]).sum(axis=2)
+        return None
+
+    def _beyond_ends(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, last: Ints
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+        """Return states (D, N) and their sensitivities (N, D, P + D), and both where segments end (G, ...).
+
+        Those that are the `last` before another one are carried on to the first row of that; None where one cannot be.
+        """
+        owners = np.repeat(np.arange(len(segments)), segments[:, 1] - segments[:, 0])
+        ends = np.zeros((len(segments), starts.shape[1], system.count + starts.shape[1]))
+        reached, parts = np.zeros_like(starts), []
+        for parity in (0, 1):  # a segment that ends in the first row of the next would be overwritten by that
+            chosen = np.arange(parity, len(segments), 2)
+            longer, inner = segments[chosen], np.intersect1d(chosen, last)
+            longer[np.isin(chosen, last), 1] += 1
+            done, taken, along, slopes = self._integrated(method, system, longer, np.ascontiguousarray(starts[chosen]))
+            with self._lock:
+                self.work += method.work(taken, self.measurements.rows // 2) * (_OVERHEAD_NUMBERS + ends[0].size)
+            if done < len(longer) or not self._steepest(slopes[np.isin(owners, chosen)], system) < _STEEPEST:
+                return None
+            ends[inner], reached[inner] = slopes[segments[inner, 1]], along[:, segments[inner, 1]].T
+            parts.append((along, slopes))
+        (even, even_slopes), (odd, odd_slopes) = parts
+        is_odd = owners % 2 == 1
+        even[:, is_odd], even_slopes[is_odd] = odd[:, is_odd], odd_slopes[is_odd]
+        return even, even_slopes, ends, reached
 
     def of_trajectory(self, owner: int, fit: TrajectoryFit) -> tuple["MultipleShooting", FloatArray]:
         """Return an estimator over one trajectory (an index of `names`), and the initial states there of a `fit`."""
@@ -494,16 +571,18 @@ def fit_in_stages(
 ) -> TrajectoryFit | None:
     """Return `system` fitted to segments of growing `lengths`, each fit begun where the one before ended."""
     fit: TrajectoryFit | None = None
+    before: int | None = None
     for length in _gradual(lengths, estimator.measurements):
-        starts = None
+        starts, errors = None, None
         if fit is not None:
-            starts = np.ascontiguousarray(fit.simulated[:, estimator.measurements.segments(length)[:, 0]].T)
-        following = estimator.fit(
-            system if fit is None else fit.system, length, steps, starts, None if fit is None else fit.errors
-        )
-        if following is None:
+            firsts = estimator.measurements.segments(length)[:, 0]
+            joined = estimator.join(fit, before, length)
+            system, starts = joined or (fit.system, np.ascontiguousarray(fit.simulated[:, firsts].T))
+            errors = fit.errors
+        fit = estimator.fit(system, length, steps, starts, errors)
+        if fit is None:
             return None
-        fit = following
+        before = length
     return fit
 
 

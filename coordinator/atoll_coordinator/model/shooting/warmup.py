@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import System, system_of
 from atoll_core.expression.operators import ADD, CONSTANT, MULTIPLY, VARIABLE
 from atoll_core.expression.program import Program
@@ -26,7 +26,7 @@ def warm_up() -> None:
         return
     measurements, system = _small_measurements(), _small_system()
     for tolerance in TOLERANCES:
-        MultipleShooting(measurements, tolerance).fit(system, 3, 2)
+        fit_in_stages(MultipleShooting(measurements, tolerance), system, (3, None), 2)
 
 
 def _small_system() -> System:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll_coordinator.data.recording import Preparation, Recording, by_group
+from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, by_group
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.refinement import Law, LawsByGroup, may_be_shown
 from atoll_coordinator.model.sparse.products import products_of
@@ -130,7 +130,7 @@ def find_laws(
     """
     if not _has_like_rows(recording) or not _makes_sums(columns, operators) or recording.order == 2:
         return ()
-    if not problem.target.is_noisy and _is_interpolated(recording):
+    if _is_interpolated(recording) and problem.target.uncertainty <= SETTINGS.inference.largest_uncertainty:
         return tuple(_without_noise(problem, columns))
     return tuple(_with_noise(problem, recording, columns, others))
 
@@ -229,7 +229,7 @@ def _with_noise(
     measured = measured_of(recording, problem.names)
     place = recording.states.index(problem.target.variable)
     target = problem.names.index(recording.state_symbols[place])
-    form = weak_form(measured, target, _half(measured, recording.smoothing[place].span, len(columns)))
+    form = weak_form(measured, target, _half(measured, recording.smoothing[place], len(columns)))
     if form is None:
         return
     tried = list(libraries(columns, form.independent))
@@ -256,12 +256,29 @@ def _with_noise(
             yield replace(law, lead=rival - laws[0].nats)
 
 
-def _half(measured: Measured, span: int | None, variables: int) -> int:
-    """Return the rows of half a window: the smoother's span, as far as windows suffice for the largest library."""
+def _half(measured: Measured, smoothing: Smoothing, variables: int) -> int:
+    """Return the rows of half a window: half of the smoother's span, as far as windows suffice for the largest library.
+
+    In windows that are longer, errors of terms that nearly depend on each other are larger beside what tells them
+    apart; in shorter ones those of the trapezoidal rule, of which the noise should be ten times as large.
+    """
     terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
     most = int(len(measured.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(measured.ranges) + 1))
     longest = max(end - start for start, end in measured.ranges)
-    return max(min(span or most, most, longest // SETTINGS.sparse.least_windows), 2 * SETTINGS.sparse.smoothness)
+    half = min(smoothing.span // 2 if smoothing.span else most, most, longest // SETTINGS.sparse.least_windows)
+    return max(half, _least_half(smoothing.relative_noise))
+
+
+def _least_half(noise: float) -> int:
+    """Return the least half of a window in which relative noise hides the errors of the trapezoidal rule.
+
+    Those of the left side fall as h^-(p + 1) with the width h (p: `smoothness`), those of noise as h^-1.5.
+    """
+    half, exponent = SETTINGS.sparse.least_half, 2 * SETTINGS.sparse.smoothness - 1
+    share = SETTINGS.sparse.least_half_noise / max(noise, SETTINGS.selection.least_noise)
+    while (half / SETTINGS.sparse.least_half) ** exponent < share * share:
+        half += 1
+    return half
 
 
 def _nats_of(form: WeakForm, program: Program) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
 from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.sparse.kernels.corrected import eliminate_corrected, sum_error_products
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.weak_form import WeakForm
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, sum_of
@@ -82,6 +83,7 @@ class Regression:
         self._terms = terms
         self._places = {term: place for place, term in enumerate(terms)}
         self._columns, self._sides = form.columns(terms), form.sides
+        self._gradients, self._rows = form.gradients(terms)
         own = constant_nats_of(form.independent)
         self._prices = [structure_length(sum_of([term], [1.5])) + own for term in terms]
 
@@ -120,6 +122,18 @@ class Regression:
         variances = self._form.variances([self._terms[place] for place in places], coefficients)
         return 1.0 / np.sqrt(variances) if (variances > 0.0).all() else None
 
+    def _nats(self, places: Sequence[int], coefficients: Sequence[float]) -> float:
+        """Return the nats of a sum of these terms."""
+        variances = self._form.variances([self._terms[place] for place in places], coefficients)
+        return misfit(self._form, self._left(places, coefficients), variances) + self._price(places)
+
+    def _left(self, places: Sequence[int], coefficients: Sequence[float]) -> FloatArray:
+        """Return what a sum leaves of the left sides (W,)."""
+        left = self._sides.copy()
+        for coefficient, place in zip(coefficients, places, strict=True):
+            left -= coefficient * self._columns[place]
+        return left
+
     def _refitted(self, places: Sequence[int], weights: FloatArray, *, is_tested: bool) -> Law | None:
         """Return the sum of these terms, fitted and weighted by turns.
 
@@ -129,15 +143,14 @@ class Regression:
 
         terms, window_weights = [self._terms[place] for place in places], weights
         for _ in range(SETTINGS.sparse.reweightings - 1):
-            path = eliminated(terms, self._columns[places] * window_weights, self._sides * window_weights)
+            errors = self._errors(window_weights)
+            path = self._path(places, self._columns * window_weights, self._sides * window_weights, errors)
             coefficients = path.coefficients[0].tolist()
             next_weights = self._weights(places, coefficients)
             if next_weights is None:
                 return None
             window_weights = next_weights
-        left = self._sides.copy()
-        for coefficient, place in zip(coefficients, places, strict=True):
-            left -= coefficient * self._columns[place]
+        left = self._left(places, coefficients)
         independent = self._form.independent
         squares = independent * math.fsum((left * left * window_weights * window_weights).tolist()) / len(left)
         degrees_of_freedom = max(independent - len(places), 1.0)
@@ -158,22 +171,45 @@ class Regression:
         and what the sum can then do without eliminated, as long as that is shorter by more than the best of so many
         tries is by chance (Bonferroni).
         """
-        columns, sides = self._columns * weights, self._sides * weights
-        best = self._eliminated(start, columns, sides)
+        weighted = (self._columns * weights, self._sides * weights, self._errors(weights))
+        best = self._eliminated(start, *weighted)
+        least = self._nats(best[1], best[2]) if is_extended else math.inf
         while is_extended:
             others = [place for place in range(len(self._terms)) if place not in best[1]]
-            longer = (self._eliminated(sorted([*best[1], place]), columns, sides) for place in others)
+            longer = (self._eliminated(sorted([*best[1], place]), *weighted) for place in others)
             candidate = min(longer, default=best)
-            if not others or not candidate[0] < best[0] - log(len(others)):
+            nats = self._nats(candidate[1], candidate[2])
+            if not others or not nats < least - log(len(others)):
                 break
-            best = candidate
+            best, least = candidate, nats
         return best[1], best[2]
 
+    def _errors(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the covariances of the errors of terms, summed over windows of these weights, with the sides' last."""
+        form, count = self._form, len(self._terms)
+        squares, halves = form.row_weights(weights * weights, self._rows)
+        products, cross = np.zeros((count, count)), np.zeros(count)
+        variances = form.measured.noise * form.measured.noise
+        sum_error_products(self._gradients, variances, form.target, squares, halves, products, cross)
+        return products, cross
+
+    def _path(
+        self, places: Sequence[int], columns: FloatArray, sides: FloatArray, errors: tuple[FloatArray, FloatArray]
+    ) -> Elimination:
+        """Return the sums on the way from these terms to none, errors of the variables in the terms allowed for."""
+        count, chosen = len(places), np.asarray(places)
+        order, found = np.zeros(count, np.int64), np.zeros((count, count))
+        squares, its_errors = np.zeros((2, count + 1))
+        products, cross = np.ascontiguousarray(errors[0][np.ix_(chosen, chosen)]), errors[1][chosen]
+        eliminate_corrected(columns[chosen], sides, products, cross, order, squares, found, its_errors)
+        beyond = np.maximum(squares - its_errors + its_errors[0], 0.0)
+        return Elimination([self._terms[place] for place in places], order.tolist(), beyond, found)
+
     def _eliminated(
-        self, places: Sequence[int], columns: FloatArray, sides: FloatArray
+        self, places: Sequence[int], columns: FloatArray, sides: FloatArray, errors: tuple[FloatArray, FloatArray]
     ) -> tuple[float, list[int], list[float]]:
         """Return the nats, terms and coefficients of the best sum on the way from these terms to none."""
-        path = eliminated([self._terms[place] for place in places], columns[places], sides)
+        path = self._path(places, columns, sides, errors)
         independent = self._form.independent
         nats = []
         for step in range(len(places)):

@@ -16,9 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.data.differentiation.interpolation import predict_left_out
+from atoll_coordinator.data.differentiation.missing_values import make_signal
+from atoll_coordinator.data.differentiation.noise import estimate_value_noise
+from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
 from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
 from atoll_coordinator.model.structure.term_libraries import Term
+from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
@@ -47,7 +51,7 @@ def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
     states = np.concatenate([part.measured for part in parts], axis=1)
     smoothed = np.concatenate([part.smoothed for part in parts], axis=1)
     inputs = np.concatenate([part.inputs for part in parts], axis=1)
-    noise = [0.0 if smoothing.method == "interpolation" else smoothing.noise for smoothing in recording.smoothing]
+    noise = [_noise(parts, place, smoothing) for place, smoothing in enumerate(recording.smoothing)]
     ends = np.cumsum([len(part.times) for part in parts]).tolist()
     return Measured(
         np.concatenate([part.times for part in parts]),
@@ -56,6 +60,21 @@ def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
         np.concatenate([smoothed, inputs])[places],
         np.array([*noise, *([0.0] * len(inputs))])[places],
     )
+
+
+def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> float:
+    """Return the deviation of a state's errors: the smoother's, or that by which most rows are predicted, if less.
+
+    What a smoother leaves of fast passages is no error.
+    """
+    if smoothing.method == "interpolation" or smoothing.quantisation is not None:
+        return 0.0 if smoothing.method == "interpolation" else smoothing.noise
+    signals = [
+        make_signal(part.times, part.measured[place].copy(), None).measured
+        for part in parts
+        if np.isfinite(part.measured[place]).sum() >= SETTINGS.checks.min_rows
+    ]
+    return min(smoothing.noise, estimate_value_noise(*predict_left_out(signals)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +128,26 @@ class WeakForm:
         for square, sums in zip(squares.tolist(), self._sums(self.bump * self.bump, slopes * slopes), strict=True):
             variances += square * sums
         return np.asarray(variances)
+
+    def gradients(self, terms: Sequence[Term]) -> tuple[FloatArray, Ints]:
+        """Return the derivatives (K, V, R) of terms by the variables on some rows, and which rows these are (R,)."""
+        rows = thinned_places(len(self.measured.times), SETTINGS.rows.most)
+        powers = _powers(self.measured.smoothed[:, rows], np.zeros(len(self.measured.noise)), max(map(len, terms)))
+        places = range(len(self.measured.noise))
+        return np.array([[_slope([term], [1.0], powers, place) for place in places] for term in terms]), rows
+
+    def row_weights(self, weights: FloatArray, rows: Ints) -> tuple[FloatArray, FloatArray]:
+        """Return how much errors of some `rows` (R,) count in products of integrals, and in those with left sides.
+
+        Windows have these `weights` (W,); rows stand for all.
+        """
+        sums = np.zeros((2, len(self.measured.times)))
+        for place in range(self.bump.shape[1]):
+            part = weights * self.bump[:, place]
+            np.add.at(sums[0], self.first + place, part * self.bump[:, place])
+            np.add.at(sums[1], self.first + place, part * self.slope[:, place])
+        share = len(self.measured.times) / len(rows)
+        return share * sums[0, rows], share * sums[1, rows]
 
     def _sums(self, factors: FloatArray, values: FloatArray) -> FloatArray:
         sums = np.zeros((len(values), len(self.first)))

@@ -331,3 +331,21 @@ def test_nothing_is_fitted_to_the_rounding_of_a_solution_in_closed_form(rows):
     once = MultipleShooting(measured, 1e-12)
     once.fit(fit.system, None, 0, fit.starts, fit.errors)
     assert estimator.work <= 3 * 4 * once.work
+
+
+LORENZ = Known(("x", "y", "z"), lambda _, s: (10 * (s[1] - s[0]), s[0] * (28 - s[2]) - s[1], s[0] * s[1] - 2.5 * s[2]))
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_pieces_of_noisy_chaos_are_fitted_to_the_noise_from_short_segments(seed):
+    """A trajectory of 1,200 rows, 20 to a Lyapunov time, with errors of an eighth of a deviation.
+
+    Where it passes the saddle, errors of an initial state grow a thousandfold along a piece of 60 rows.
+    """
+    recorded = recording(LORENZ, [[3.0, 5.0, 25.0]], 0.05 * np.arange(1200.0), noise=1.0, seed=seed)
+    rows = measurements_of(recorded, [0, 1, 2], piece=60)
+    law = system(LORENZ, "9*(y - x)", "26*x - x*z - y", "x*y - 2.4*z")
+    fit = fit_in_stages(MultipleShooting(rows, 1e-3), law, (10, 30, None), 40)
+    worst = max(float(np.mean(fit.residuals[:, first:end] ** 2)) for first, end in fit.segments)
+    assert worst < 1.5
+    assert sizes(fit) == pytest.approx([2.5, 10.0, 28.0], rel=0.03)

@@ -42,6 +42,14 @@ def test_the_terms_of_lorenz_are_found(noise):
         assert best.excess < 1.3
 
 
+def test_the_terms_are_found_where_noise_is_a_fifth_of_the_deviation_and_rows_are_few_to_a_period():
+    preparation = prepared(4000, 0.2, step=0.05, method="DOP853", rtol=1e-6, atol=1e-6)
+    for name in NAMES:
+        best = laws_of(preparation, name)[0]
+        assert terms(best) == TERMS[name], name
+        assert best.excess < 1.1
+
+
 def test_tolerances_of_a_solver_add_no_terms():
     preparation = prepared(1000, 0.0, step=0.02, rtol=1e-6, atol=1e-9, method="RK45")
     for name in NAMES:

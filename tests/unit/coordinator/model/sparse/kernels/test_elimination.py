@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from atoll_coordinator.model.sparse.kernels.corrected import eliminate_corrected
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate, windowed_sums
 
 
@@ -53,3 +54,19 @@ def test_sums_begin_at_the_first_row_of_a_window():
     values = np.array([[1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 1.0, 0.0]])
     windowed_sums(np.array([0, 2]), np.array([[1.0, 10.0], [1.0, 1.0]]), values, sums)
     assert sums.tolist() == [[21.0, 7.0], [0.0, 1.0]]
+
+
+def test_coefficients_are_those_of_the_true_columns_where_errors_of_columns_are_as_large():
+    """Means of 40 draws; least squares gives 0.5 and 0.5."""
+    generator = np.random.default_rng(3)
+    true = np.vstack([generator.normal(size=(2, 4000)), np.zeros((1, 4000))])
+    true[1] += 2.0 * true[0]
+    found = []
+    for _ in range(40):
+        columns = true + generator.normal(size=true.shape)
+        side = 3.0 * true[0] - true[1] + 0.1 * generator.normal(size=4000)
+        order, squares, solved, errors = np.zeros(3, np.int64), np.zeros(4), np.zeros((3, 3)), np.zeros(4)
+        eliminate_corrected(columns, side, 4000.0 * np.eye(3), np.zeros(3), order, squares, solved, errors)
+        assert order[0] == 2
+        found.append(solved[1])
+    assert np.mean(found, axis=0) == pytest.approx([3.0, -1.0, 0.0], abs=0.15)
