@@ -567,6 +567,7 @@ def refined_equation(
         target_r2=1.0 - mse / variance if variance else None,
         residuals=_pieces_of(final.seen_fit.residuals, measurements, index),
         innovations=innovations,
+        solver=final.task.solver,
         parameters=(final.free.fit.system.count + final.seen_fit.starts.size) / len(measurements.observed),
         noise=0.0 if smoothing.method == "interpolation" and smoothing.quantisation is None else noise,
         standard_deviation=_standard_deviation(measurements, index),

@@ -44,7 +44,8 @@ class Evidence:
     many rows long the pieces are that it describes where it does not describe whole trajectories, None where it does or
     that is not known; `passes_pole` tells that its simulation goes through a point where this equation has no finite
     value; `distinct_rows` counts rows that differ by more than rounding, None where that is not known; `is_known` tells
-    that the equation was given; `is_unsimulated` that there are trajectories, along which it was not simulated.
+    that the equation was given; `solver` names the one that computed the table, whose errors are not in the residuals;
+    `is_unsimulated` tells that there are trajectories, along which it was not simulated.
     """
 
     error: float = math.inf
@@ -70,6 +71,7 @@ class Evidence:
     is_known: bool = False
     is_unsimulated: bool = False
     innovations: Sequence[FloatArray] | None = None
+    solver: str | None = None
     convergence_threshold: float = EXACT_ERROR
 
     @property
@@ -106,6 +108,10 @@ def _by_simulation(evidence: Evidence) -> tuple[Grade, str]:
         SETTINGS.inference.exact, 2.0 * evidence.noise / evidence.standard_deviation
     ):
         missed = f"without noise, the simulation misses the measurements by {left:.1g} of their deviation"
+        if evidence.solver is not None:
+            missed = (
+                f"without noise: {evidence.solver}, gives these rows of the equations to {left:.1g} of their deviation"
+            )
         loosest = _loosest(evidence)
         if loosest is None:
             return "exact", _sentence([missed])

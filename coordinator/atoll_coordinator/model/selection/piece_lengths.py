@@ -25,18 +25,18 @@ from atoll_core.expression.program import Program
 
 def select_model(task: ModellingTask) -> SelectedModel | None:
     """Return the best system of equations and the longest pieces it can be fitted to, None if it cannot at all."""
-    selection = _selected(task)
-    return None if selection is None else with_further_operators(selection)
-
-
-def _selected(task: ModellingTask) -> SelectedModel | None:
     if task.recording.offsets:
         task = replace(task, piece=longest(task))
     task = with_laws(task)
     shortcut = select_by_laws(task) or select_without_wrong_law(task)
     if shortcut is not None:
         return shortcut
-    task, lists = ranked_candidates(task)
+    selection = _by_comparison(*ranked_candidates(task))
+    return None if selection is None else with_further_operators(selection)
+
+
+def _by_comparison(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
+    """Return the best system of these candidates and of what is near it, None where none can be simulated."""
     if not all(lists):
         return None
     first = [programs[0] for programs in lists]

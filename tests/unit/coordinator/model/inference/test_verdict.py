@@ -34,6 +34,14 @@ def test_a_simulation_without_noise_and_without_error_is_exact() -> None:
     assert "misses the measurements by 5e-10 of their deviation" in reason
 
 
+def test_a_table_that_a_solver_computed_is_said_to_be_its() -> None:
+    grade, reason = judge(replace(CLEAN, solver="solve_ivp, RK45, rtol=0.001, atol=1e-06"))
+    assert grade == "exact"
+    assert reason.startswith(
+        "Without noise: solve_ivp, RK45, rtol=0.001, atol=1e-06, gives these rows of the equations to "
+    )
+
+
 @pytest.mark.parametrize("part", ["constants", "unit_coefficients"])
 def test_a_term_that_may_follow_errors_of_a_solver_is_not_exact(part: str) -> None:
     crumb = Constant(4.6e-07, 4.6e-07, 4.6e-08, (3.6e-07, 5.6e-07))

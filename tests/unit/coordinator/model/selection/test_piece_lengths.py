@@ -100,7 +100,7 @@ def test_errors_of_the_integration_do_not_show_in_the_constants_of_all_rows():
         return np.abs((model.fit.system.values - exact.fit.system.values) / errors).max()
 
     assert distance(chosen.model) > 0.3
-    assert distance(on_all_rows(chosen).model) < 0.02
+    assert distance(on_all_rows(chosen).model) < 0.05
 
 
 @pytest.mark.parametrize("rows", [6, 7])
