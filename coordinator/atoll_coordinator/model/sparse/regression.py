@@ -143,7 +143,7 @@ class Regression:
 
         terms, window_weights = [self._terms[place] for place in places], weights
         for _ in range(SETTINGS.sparse.reweightings - 1):
-            errors = self._errors(window_weights)
+            errors = self._errors(window_weights, places)
             path = self._path(places, self._columns * window_weights, self._sides * window_weights, errors)
             coefficients = path.coefficients[0].tolist()
             next_weights = self._weights(places, coefficients)
@@ -171,7 +171,8 @@ class Regression:
         and what the sum can then do without eliminated, as long as that is shorter by more than the best of so many
         tries is by chance (Bonferroni).
         """
-        weighted = (self._columns * weights, self._sides * weights, self._errors(weights))
+        needed = range(len(self._terms)) if is_extended else start
+        weighted = (self._columns * weights, self._sides * weights, self._errors(weights, needed))
         best = self._eliminated(start, *weighted)
         least = self._nats(best[1], best[2]) if is_extended else math.inf
         while is_extended:
@@ -184,13 +185,17 @@ class Regression:
             best, least = candidate, nats
         return best[1], best[2]
 
-    def _errors(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the covariances of the errors of terms, summed over windows of these weights, with the sides' last."""
+    def _errors(self, weights: FloatArray, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return the covariances of the errors of these terms, summed over windows of these weights, and with the
+        sides'; 0 of all other terms."""
         form, count = self._form, len(self._terms)
         squares, halves = form.row_weights(weights * weights, self._rows)
-        products, cross = np.zeros((count, count)), np.zeros(count)
+        own_products, own_cross = np.zeros((len(places), len(places))), np.zeros(len(places))
         variances = form.measured.noise * form.measured.noise
-        sum_error_products(self._gradients, variances, form.target, squares, halves, products, cross)
+        gradients = np.ascontiguousarray(self._gradients[list(places)])
+        sum_error_products(gradients, variances, form.target, squares, halves, own_products, own_cross)
+        products, cross = np.zeros((count, count)), np.zeros(count)
+        products[np.ix_(list(places), list(places))], cross[list(places)] = own_products, own_cross
         return products, cross
 
     def _path(
@@ -211,9 +216,11 @@ class Regression:
         """Return the nats, terms and coefficients of the best sum on the way from these terms to none."""
         path = self._path(places, columns, sides, errors)
         independent = self._form.independent
-        nats = []
-        for step in range(len(places)):
-            price = self._price([places[index] for index in path.kept(step)])
-            nats.append(0.5 * independent * log(max(float(path.squares[step]), 1e-300)) + price)
-        step = int(np.argmin(nats))
-        return nats[step], [places[index] for index in path.kept(step)], path.sum(step)[1]
+        squares, price = path.squares.tolist(), 0.0
+        best, least = 0, math.inf
+        for step in reversed(range(len(places))):
+            price += self._prices[places[path.order[step]]]
+            nats = 0.5 * independent * log(max(squares[step], 1e-300)) + price
+            if nats <= least:
+                best, least = step, nats
+        return least, [places[index] for index in path.kept(best)], path.sum(best)[1]
