@@ -11,8 +11,8 @@ It imports no other package of Atoll.
 VERSION = "0.1.0"
 """Version of the distribution; kept equal to pyproject.toml by a test."""
 
-PROTOCOL_VERSION = 7
+PROTOCOL_VERSION = 8
 """Raised whenever a message on the wire changes its shape or meaning."""
 
-ENGINE_REVISION = 7
+ENGINE_REVISION = 8
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""

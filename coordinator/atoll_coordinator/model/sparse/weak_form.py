@@ -72,7 +72,7 @@ def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> flo
     signals = [
         make_signal(part.times, part.measured[place].copy(), None).measured
         for part in parts
-        if np.isfinite(part.measured[place]).sum() >= SETTINGS.checks.min_rows
+        if np.count_nonzero(np.isfinite(part.measured[place])) >= SETTINGS.checks.min_rows
     ]
     return min(smoothing.noise, estimate_value_noise(*predict_left_out(signals)))
 
