@@ -239,8 +239,9 @@ def _with_noise(
     regression = Regression(form, largest)
     written = [collected(program) for program in others]  # without x/x, of which no sum of products is made
     summed = [products_of(program, SETTINGS.sparse.degree) for program in written]
-    begun = {tuple(terms): None for terms in (*(terms for terms, _ in tried), *filter(None, summed))}
-    candidates = [regression.law(terms, is_tested=is_tested) for terms in begun if set(terms) <= set(largest)]
+    own = dict.fromkeys(tuple(terms) for terms in summed if terms and set(terms) <= set(largest))
+    begun = dict.fromkeys((*(tuple(terms) for terms, _ in tried), *list(own)[: SETTINGS.effort.beam]))
+    candidates = [regression.law(terms, is_tested=is_tested) for terms in begun]
     laws = sorted(
         (law for law in candidates if law is not None and len(law.program) <= MAX_NODES), key=lambda law: law.nats
     )
