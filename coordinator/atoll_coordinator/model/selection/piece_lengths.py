@@ -47,7 +47,7 @@ def _by_comparison(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> S
         if selection is None or selection.comparison.is_exact(selection.model):
             return selection
         exact = without_solver_errors(task, selection.model.fit)
-        return selection if exact is None else search_jointly(exact, lists, selection.model.programs)
+        return (None if exact is None else search_jointly(exact, lists, selection.model.programs)) or selection
     selections: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
         selections.append(selection)

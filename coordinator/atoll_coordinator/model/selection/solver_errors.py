@@ -172,6 +172,8 @@ def _solved(
         times, done = run.times[: end - first], 1
         states = np.repeat(run.measured[:, :1], len(times), axis=1)
         with np.errstate(all="ignore"):
+            if not np.isfinite([run.measured[:, 0], rates(run.times[0], run.measured[:, 0])]).all():
+                return None  # a step from there would never end
             steps = method(rates, run.times[0], run.measured[:, 0], run.times[-1], rtol=solver.rtol, atol=solver.atol)
             for _ in range(SETTINGS.shooting.steps_per_row * len(times)):
                 if done == len(times) or steps.step() is not None:

@@ -74,7 +74,7 @@ def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> flo
         for part in parts
         if np.count_nonzero(np.isfinite(part.measured[place])) >= SETTINGS.checks.min_rows
     ]
-    return min(smoothing.noise, estimate_value_noise(*predict_left_out(signals)))
+    return min(smoothing.noise, estimate_value_noise(*predict_left_out(signals))) if signals else smoothing.noise
 
 
 @dataclass(frozen=True, eq=False)
