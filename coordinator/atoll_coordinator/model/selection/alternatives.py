@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from atoll_coordinator.model.criteria import validated_length
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import SelectedModel
 from atoll_coordinator.model.structure.poles import find_poles
@@ -175,7 +175,10 @@ def _all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list
 
 
 def _alternatives(comparison: ModelComparison, best: FittedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
-    """Return what came closest with another equation for one variable, distinct in function, the closest first."""
+    """Return what came closest with another equation for one variable, distinct in function, the closest first.
+
+    Programs of the same misfit say the same in other words, also where groups have constants of their own.
+    """
     tried = sorted(
         (model for (equation, _), model in comparison.tried.items() if equation == index), key=lambda model: model.nats
     )
@@ -188,7 +191,7 @@ def _alternatives(comparison: ModelComparison, best: FittedModel, index: int, in
     )
     functions = [values_of(best.programs[index], inputs)]
     distinct_models: list[FittedModel] = []
-    for model in near:
+    for model in distinct([best, *near])[1:]:
         values = values_of(model.programs[index], inputs)
         if all(_differ(values, function) for function in functions):
             functions.append(values)

@@ -496,7 +496,7 @@ class MultipleShooting:
             all_done += done
             if not len(gradients):
                 continue
-            rows = np.flatnonzero(np.repeat(chosen, segments[:, 1] - segments[:, 0]))
+            rows = np.concatenate([np.arange(first, end) for first, end in own.tolist()])
             for place, (column, multiple) in enumerate(zip(columns, system.sharing.multiples, strict=True)):
                 gradients[rows, :, column] += multiple * narrow[rows, :, place]
         gradients[:, :, system.count : system.count + states] = narrow[:, :, places:]

@@ -207,7 +207,7 @@ class Regression:
         squares, its_errors = np.zeros((2, count + 1))
         products, cross = np.ascontiguousarray(errors[0][np.ix_(chosen, chosen)]), errors[1][chosen]
         eliminate_corrected(columns[chosen], sides, products, cross, order, squares, found, its_errors)
-        beyond = np.maximum(squares - its_errors + its_errors[0], 0.0)
+        beyond = np.maximum(squares - its_errors + its_errors[0], squares[0])  # fewer terms leave no less
         return Elimination([self._terms[place] for place in places], order.tolist(), beyond, found)
 
     def _eliminated(

@@ -349,3 +349,21 @@ def test_pieces_of_noisy_chaos_are_fitted_to_the_noise_from_short_segments(seed)
     worst = max(float(np.mean(fit.residuals[:, first:end] ** 2)) for first, end in fit.segments)
     assert worst < 1.5
     assert sizes(fit) == pytest.approx([2.5, 10.0, 28.0], rel=0.03)
+
+
+def test_segments_of_groups_are_joined_with_the_constants_of_each():
+    """Constants of each group, fitted to segments of a few rows, leave gaps that a step of all constants closes."""
+    rows = measurements(DECAY, [[2.0], [3.0]], 0.1 * np.arange(24.0), noise=0.05)
+    rows = replace(rows, groups=np.array([0, 1], np.int64))
+    one = system(DECAY, "-0.4*x")
+    grouped = one.sharing_numbers(np.tile(one.constants, (2, 1)), ())
+    estimator = MultipleShooting(rows, 1e-8)
+    fit = estimator.fit(grouped, 4, 20)
+    joined = estimator.join(fit, 4, None)
+    assert joined is not None
+    its_system, starts = joined
+    whole = estimator.fit(its_system, None, 0, starts)
+    short = estimator.fit(its_system, 4, 0, np.ascontiguousarray(whole.simulated[:, fit.segments[:, 0]].T))
+    assert short.simulated == pytest.approx(whole.simulated, abs=1e-6)
+    best = estimator.fit(its_system, None, 20, starts)
+    assert estimator.cost(whole) < 1.02 * estimator.cost(replace(best, errors=whole.errors))
