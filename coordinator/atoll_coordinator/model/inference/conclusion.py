@@ -219,19 +219,15 @@ def state_errors(final: Final) -> dict[str, StateErrors]:
     if comparison.is_exact(final.free):
         return {}  # those of the integration, of which nothing is to be said
     bounds = comparison.estimator.measurements.bounds
-    squares, is_sensor = comparison.squares(fit), fit.errors.shares > 0.0
-    rows = np.minimum(comparison.misfit.effective_rows(squares), comparison.counts / fit.errors.lengths)
-    slow = 1.0 - np.minimum(comparison.misfit.high / np.maximum(squares, 1e-300), 1.0)
-    shares = np.where(is_sensor, fit.errors.shares, slow)
-    lengths = np.where(is_sensor, 1.0 / (1.0 - fit.errors.decays), comparison.counts / comparison.pieces)
+    rows = np.minimum(comparison.misfit.effective_rows(comparison.squares(fit)), comparison.counts / fit.errors.lengths)
     errors_by_state = {}
     for index, name in enumerate(final.task.variables):
-        share = float(shares[index])
+        share, decay = float(fit.errors.shares[index]), float(fit.errors.decays[index])
         errors_by_state[name] = StateErrors(
             float(np.sqrt(fit.squares[index])),
             estimate_variance(final.task.recording, final.task.recording.states.index(name)).proportional,
             share,
-            float(lengths[index]) if share else None,
+            1.0 / (1.0 - decay) if share else None,
             float(rows[index]),
             final.are_errors_summed,
             int((bounds[:, 1] - bounds[:, 0]).max()) if final.are_errors_summed else None,
@@ -493,9 +489,8 @@ def _is_exponential(final: Final, rate: float) -> bool:
     Without exponential growth those of D linear equations grow like t^(D - 1) at most: over N rows less than N^D times.
     """
     measurements = final.comparison.estimator.measurements
-    step = float(np.median(np.diff(measurements.times)))
     rows = longest(final.task)
-    return rate * step * rows > len(measurements.scales) * math.log(rows)
+    return rate * measurements.step * rows > len(measurements.scales) * math.log(rows)
 
 
 def _fits_in_whole(final: Final) -> bool | None:

@@ -53,8 +53,8 @@ def check(
         noise: standard deviation of the measurement errors, in the same unit. 0 gives an infinite ratio.
         parameters: p, how many numbers were fitted to these residuals: constants and initial values, by share where
             other states decide as well.
-        innovations: the residuals, what goes together in errors of measurement taken out, for `patterned`; None: such
-            errors are independent.
+        innovations: the residuals, what goes together in errors of measurement taken out, for both probabilities; None:
+            such errors are independent.
         reference: what estimates the noise from the same errors, for `too_large`; None: `noise` is known.
         is_robust: whether there are outliers, which must not decide.
     """
@@ -71,8 +71,9 @@ def check(
     if innovations is None:
         correlations, weights = _correlations(errors, square, rows / free * parameters)
     else:
-        independent = _clip_outliers(innovations) if is_robust else innovations
-        correlations, weights = _correlations(independent, float(sum(part @ part for part in independent)), parameters)
+        errors = _clip_outliers(innovations) if is_robust else innovations
+        square = float(sum(series @ series for series in errors))
+        correlations, weights = _correlations(errors, square, parameters)
     score = sum(correlations) / math.sqrt(sum(weights)) if sum(weights) else 0.0
     return Check(
         standard_deviation,

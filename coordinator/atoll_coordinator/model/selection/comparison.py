@@ -199,6 +199,8 @@ class ModelComparison:
         if admitted is None:
             return None
         fit = fit_in_stages(self.estimator, self.system(admitted), lengths, steps)
+        if fit is not None and self.errors is not None:
+            fit = self._with_errors(fit, self.errors)
         return None if fit is None else self.measure(fit)
 
     def fit_beside(
@@ -316,7 +318,7 @@ class ModelComparison:
         """
         if not self._is_noisy.any():
             return None
-        errors = self.estimator.sensor_errors(fit, self.counts / self.pieces)
+        errors = self.estimator.sensor_errors(fit, self.counts / np.maximum(self.pieces, 1.0))
         shares = np.where(self._is_noisy, errors.shares, 0.0)
         correlated = self._with_errors(fit, replace(errors, shares=shares)) if shares.any() else None
         return None if correlated is None or self._is_refuted(fit, correlated) else correlated

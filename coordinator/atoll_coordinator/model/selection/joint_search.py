@@ -44,13 +44,15 @@ from atoll_core.expression.writing.shortest import shortest
 class SelectedModel:
     """The system that describes the trajectories in the fewest nats: its fit, and the comparison where that was found.
 
-    `lists` are the candidates of each variable that there were to begin with.
+    `lists` are the candidates of each variable that there were to begin with; for the equations of the variables
+    `widened`, operators with which no search began were tried.
     """
 
     task: "ModellingTask"
     comparison: ModelComparison
     model: FittedModel
     lists: Sequence[Sequence[Program]] = ()
+    widened: Sequence[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,6 +314,10 @@ def _pursued(task: ModellingTask, name: str, needed: Collection[int] = (), most:
 def with_further_operators(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description that has operators with which no search began."""
     task, comparison, before = selection.task, selection.comparison, selection.model
+    widened = [name for name in task.variables if _may_be_widened(task, name)]
+    if not widened or task.is_over:
+        return selection
+    selection = replace(selection, widened=widened)
     best = _with_further_sums(task, comparison, before)
     if best is before:
         return selection
@@ -321,14 +327,13 @@ def with_further_operators(selection: SelectedModel) -> SelectedModel:
 
 def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> Iterator[str]:
     """Yield a sentence where equations as `shown`, by variable, have further operators, or none of these has helped."""
-    task, comparison = selection.task, selection.comparison
-    programs = [program for name, program in shown.items() if task.further_operators(name)]
+    programs = [shown[name] for name in selection.widened if name in shown]
     codes = {code for program in programs for code in program.operators.tolist()}
     taken = [name for name in FURTHER_OPERATORS if BY_NAME[name].code in codes]
     begun, further = " ".join(BASE_OPERATORS), ", ".join(FURTHER_OPERATORS)
     if taken:
         yield f"Beside {begun}, {further} were tried; with {', '.join(taken)} the description is shorter."
-    elif programs and comparison.has_room(selection.model) and not comparison.estimator.deadline.has_cut_short:
+    elif programs and selection.comparison.has_room(selection.model):
         yield (
             f"{further} were tried as well, since {begun} leave more than noise; no equation with them makes the "
             "description shorter."
@@ -350,15 +355,19 @@ def _with_further_sums(task: ModellingTask, comparison: ModelComparison, best: F
 def _further_sums(task: ModellingTask, comparison: ModelComparison, best: FittedModel, equation: int) -> list[Program]:
     """Return sums with further operators that are not too long to be better than an equation, the best first."""
     name = task.variables[equation]
-    further = task.further_operators(name)
-    has_law = any(law.is_of_rates for law in task.laws.get(name, ()))  # then it has no other candidates
-    if not further or has_law or equation in comparison.fixed:
+    if not _may_be_widened(task, name):
         return []
     most = comparison.length(best.programs[equation]) + comparison.room(best)
-    sums = _pursued(task, name, further, most)
+    sums = _pursued(task, name, task.further_operators(name), most)
     short = [program for program in sums if comparison.length(program) < most and task.may_be_shown(program)]
     alone = task.compare(task.measurements([name]).thinned(SETTINGS.selection.compared_rows), [name])
     return ranked(alone, task.dataset.problem(name), short, ()) if short else []
+
+
+def _may_be_widened(task: ModellingTask, name: str) -> bool:
+    """Tell whether further operators may be tried for an equation: one with a law of rates has no other candidates."""
+    has_law = any(law.is_of_rates for law in task.laws.get(name, ()))
+    return bool(task.further_operators(name)) and not has_law and name not in task.known
 
 
 def _suffices(task: ModellingTask, comparison: ModelComparison, best: FittedModel) -> bool:

@@ -70,8 +70,8 @@ def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
     others = select_by_laws(without(task, wrong))
     if others is None:
         return None
-    _, lists = ranked_candidates(replace(task, laws={**task.laws, wrong: ()}))
-    whole = _fitted_together(task, lists) if all(lists) else None
+    here, lists = ranked_candidates(replace(task, laws={**task.laws, wrong: ()}))
+    whole = _fitted_together(here, lists) if all(lists) else None
     return whole if whole is not None and _is_like_noise(whole) else others
 
 
@@ -129,8 +129,7 @@ def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison, rate: floa
     """
     measurements = comparison.estimator.measurements
     size = float(np.clip(measurements.relative_noise.max(), _LEAST_SIZE, 0.1))
-    step = float(np.median(np.diff(measurements.times)))
-    return 0.5 * math.log(1.0 / size) / rate / max(step, 1e-300) if rate > 0.0 else math.inf
+    return 0.5 * math.log(1.0 / size) / rate / max(measurements.step, 1e-300) if rate > 0.0 else math.inf
 
 
 def _programs(task: ModellingTask, name: str) -> list[Program]:

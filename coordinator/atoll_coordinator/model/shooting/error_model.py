@@ -119,7 +119,7 @@ class Innovations:
                 shares[state] = decays[state] = 0.0
         found = ErrorModel(sigmas, shares, decays)
         squares, _ = self.squares(residuals, found)
-        return replace(found, sigmas=np.where(shares > 0.0, np.sqrt(squares / self._counts), sigmas))
+        return replace(found, sigmas=np.where(shares > 0.0, np.sqrt(squares / np.maximum(self._counts, 1.0)), sigmas))
 
     def _is_smooth(self, state: int, residuals: FloatArray, share: float, decay: float, turn: float) -> bool:
         """Tell whether a smooth process whose derivative turns in `turn` rows or more is likelier than a rough one."""
@@ -150,7 +150,7 @@ class Innovations:
         too small by (2 d + (1 + d) `fitted`)/n, which is added (for a mean, `fitted` 1, Marriott & Pope 1954).
         """
         shares, decays = np.zeros((2, len(residuals)))
-        for state in range(len(residuals)):
+        for state in np.flatnonzero(self._counts).tolist():
             share, decay = self._estimated(state, residuals)
             missed = (2.0 * decay + (1.0 + decay) * fitted) / float(self._counts[state]) if share else 0.0
             shares[state], decays[state] = share, min(decay + missed, max(decay, self._decays[-1]))

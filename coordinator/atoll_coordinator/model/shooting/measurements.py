@@ -74,6 +74,14 @@ class Measurements:
         """The trajectory (N,) that each row belongs to."""
         return np.repeat(self.owners, self.bounds[:, 1] - self.bounds[:, 0])
 
+    @cached_property
+    def step(self) -> float:
+        """Median step from one row of a piece to the next; 1 where no piece has two."""
+        is_inner = np.ones(self.rows, dtype=bool)
+        is_inner[self.bounds[:, 0]] = False
+        steps = np.diff(self.times, prepend=self.times[0])[is_inner]
+        return float(np.median(steps)) if len(steps) else 1.0
+
     def groups_of(self, segments: Ints) -> Ints:
         """Return the group (G,) of each of these row ranges; 0 where there are no groups."""
         if self.groups is None:

@@ -528,12 +528,8 @@ def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> flo
 
 def row_steps(measurements: Measurements) -> FloatArray:
     """Return the step (N,) to each row from the one before over the median of all; 1 where rows are even."""
-    steps = np.ones(measurements.rows)
-    inner = np.ones(measurements.rows, dtype=bool)
-    inner[measurements.bounds[:, 0]] = False
-    differences = np.diff(measurements.times, prepend=measurements.times[0])[inner]
-    if len(differences):
-        steps[inner] = differences / np.median(differences)
+    steps = np.diff(measurements.times, prepend=measurements.times[0]) / measurements.step
+    steps[measurements.bounds[:, 0]] = 1.0
     steps[np.abs(steps - 1.0) < 1e-6] = 1.0
     return steps
 
@@ -577,9 +573,10 @@ def fit_in_stages(
         if fit is not None:
             firsts = estimator.measurements.segments(length)[:, 0]
             joined = estimator.join(fit, before, length)
-            system, starts = joined or (fit.system, np.ascontiguousarray(fit.simulated[:, firsts].T))
+            system, starts = fit.system, np.ascontiguousarray(fit.simulated[:, firsts].T)
             errors = fit.errors
-        fit = estimator.fit(system, length, steps, starts, errors)
+            fit = None if joined is None else estimator.fit(joined[0], length, steps, joined[1], errors)
+        fit = fit or estimator.fit(system, length, steps, starts, errors)
         if fit is None:
             return None
         before = length

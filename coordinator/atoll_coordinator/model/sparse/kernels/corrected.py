@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from atoll_coordinator.model.sparse.kernels.elimination import triangularize
+from atoll_coordinator.model.sparse.kernels.elimination import invert_triangle, triangularize
 from atoll_core.compilation.jit import allocating_kernel, kernel
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
@@ -121,13 +121,7 @@ def eliminate_corrected(
                 for k in range(size):
                     errors[step] += allowed * values[j] * share[j, k] * values[k]
             half = np.zeros((size, size))  # T^-1
-            for k in range(size - 1, -1, -1):
-                half[k, k] = 1.0 / triangle[k, k]
-                for j in range(k + 1, size):
-                    total = 0.0
-                    for i in range(k + 1, j + 1):
-                        total += triangle[k, i] * half[i, j]
-                    half[k, j] = -total / triangle[k, k]
+            invert_triangle(triangle, half)
             for k in range(size):
                 value, variance = 0.0, 0.0
                 for j in range(k, size):

@@ -69,6 +69,21 @@ def triangularize(columns: FloatArray, side: FloatArray, upper: FloatArray, rota
     return left
 
 
+@kernel
+def invert_triangle(triangle: FloatArray, inverse: FloatArray) -> None:
+    """Write the inverse of an upper triangle (M, M) into zeros; rows whose diagonal is 0 stay 0."""
+    size = triangle.shape[0]
+    for k in range(size - 1, -1, -1):
+        if triangle[k, k] == 0.0:
+            continue
+        inverse[k, k] = 1.0 / triangle[k, k]
+        for j in range(k + 1, size):
+            total = 0.0
+            for i in range(k + 1, j + 1):
+                total += triangle[k, i] * inverse[i, j]
+            inverse[k, j] = -total / triangle[k, k]
+
+
 @allocating_kernel
 def eliminate(columns: FloatArray, side: FloatArray, order: Ints, squares: FloatArray, found: FloatArray) -> None:
     """Fit `side` (N,) by all `columns` (K, N), then leave out the one whose loss costs least, and so on.
@@ -99,16 +114,11 @@ def eliminate(columns: FloatArray, side: FloatArray, order: Ints, squares: Float
         squares[step] = base + triangularize(part, its, triangle, reached)
         inverse = np.zeros((size, size))
         worst, least = 0, math.inf
+        invert_triangle(triangle, inverse)
         for k in range(size - 1, -1, -1):
             if triangle[k, k] == 0.0:
                 worst, least = k, -1.0
                 continue
-            inverse[k, k] = 1.0 / triangle[k, k]
-            for j in range(k + 1, size):
-                total = 0.0
-                for i in range(k + 1, j + 1):
-                    total += triangle[k, i] * inverse[i, j]
-                inverse[k, j] = -total / triangle[k, k]
             value, variance = 0.0, 0.0
             for j in range(k, size):
                 value += inverse[k, j] * reached[j]

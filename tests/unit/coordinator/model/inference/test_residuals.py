@@ -74,12 +74,25 @@ def test_no_residuals_and_no_noise_are_borne() -> None:
     assert check(noise(3), 0.0).ratio == np.inf
 
 
-def test_errors_that_go_together_as_a_sensor_s_are_no_pattern() -> None:
-    white = noise(2, 200)
+def drifting(white: list[FloatArray], neighbours: float) -> list[FloatArray]:
+    """Return AR(1) errors of variance 1 with these innovations, in units of their deviation."""
     errors = [np.array(series) for series in white]
     for series in errors:
         for row in range(1, len(series)):
-            series[row] = 0.8 * series[row - 1] + 0.6 * series[row]
+            series[row] = neighbours * series[row - 1] + np.sqrt(1.0 - neighbours**2) * series[row]
+    return errors
+
+
+def test_a_variance_of_errors_that_go_together_is_judged_by_their_innovations() -> None:
+    made = [noise(seed, 200, 1) for seed in range(200)]
+    checked = [check(drifting(white, 0.95), 1.0, innovations=white) for white in made]
+    assert sum(series.too_large < 0.01 for series in checked) <= 7
+    assert sum(check(drifting(white, 0.95), 1.0).too_large < 0.01 for white in made) > 20
+
+
+def test_errors_that_go_together_as_a_sensor_s_are_no_pattern() -> None:
+    white = noise(2, 200)
+    errors = drifting(white, 0.8)
     assert check(errors, 1.0).patterned < 1e-6
     checked = check(errors, 1.0, innovations=white)
     assert checked.patterned > 0.01

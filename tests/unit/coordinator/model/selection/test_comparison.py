@@ -278,6 +278,9 @@ def test_errors_of_a_sensor_are_held_for_all_systems():
     assert longer.fit.errors.shares.tolist() == comparison.errors.shares.tolist()
     assert longer.nats > model.nats + 4.0
     assert comparison.inflation(model) == pytest.approx(1.0, abs=0.1)
+    anew = comparison.fit_model([DECAY.parsed("-0.4*x")])
+    assert anew.fit.errors.shares.tolist() == comparison.errors.shares.tolist()
+    assert anew.nats == pytest.approx(model.nats, abs=0.01)
 
 
 def test_what_a_law_misses_is_no_error_of_a_sensor():

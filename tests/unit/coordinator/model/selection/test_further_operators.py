@@ -1,5 +1,7 @@
 """Operators with which no search begins: tried where none are named, taken where the description is shorter."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,11 +61,14 @@ def test_operators_of_one_equation_are_kept_to():
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_law_without_them_stays_as_it_is(noise):
     selection = selected(DECAY, "0.4 - 0.9*h", noise)
-    assert with_further_operators(selection) is selection
-    assert remarks(selection) == []
+    widened = with_further_operators(selection)
+    assert widened.model is selection.model
+    assert widened.widened == ["h"]
+    assert remarks(widened) == []
 
 
 def test_that_they_were_tried_in_vain_is_said_where_something_is_left():
     selection = selected(TANK, "0.4 - 0.9*h")
-    (sentence,) = remarks(selection)
+    assert remarks(selection) == []
+    (sentence,) = remarks(replace(selection, widened=["h"]))
     assert "exp, log, sqrt, abs, tanh, pow were tried as well" in sentence

@@ -1,7 +1,7 @@
 """The errors of the solver that computed a table: found where the equations are the law, and only there."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from atoll_core.data.dataset import FloatArray
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
 CONFIG = JobConfig(space=SpaceConfig(operators=("+", "-", "*", "/")))
+ROOTS = JobConfig(space=SpaceConfig(operators=("+", "-", "*", "/", "sqrt")))
 TIMES = np.linspace(0.0, 12.0, 120)
 STARTS = [(10.0, 5.0), (3.0, 2.0)]
 LAW = ("1.1*x - 0.4*x*y", "0.1*x*y - 0.4*y")
@@ -70,6 +71,23 @@ def test_without_the_errors_of_its_solver_a_table_is_the_exact_solution(method, 
 )
 def test_nothing_is_taken_off_where_the_solver_would_not_give_these_rows(known, texts, noise):
     assert corrected(known, texts, noise) is None
+
+
+@pytest.mark.parametrize("first", [np.nan, -1.0])
+def test_a_held_out_trajectory_that_cannot_be_solved_leaves_the_table_as_it_is(first):
+    """Its first row is missing, or the law has no value there: a solver would never end its first step."""
+    known = Computed(("x",), lambda _, z: [0.9 - np.sqrt(z[0])])
+    prepared = prepare(table(known, [(4.0,), (0.2,), (2.0,)], 0.1 * np.arange(80.0)), ROOTS)
+    *others, last = prepared.recording.trajectories
+    last = replace(last, measured=np.where(np.arange(80) == 0, first, last.measured), held_out=True)
+    recording = replace(prepared.recording, trajectories=(*others, last))
+    candidates = collect_candidates(prepared.dataset, ROOTS, pools(prepared, x=("x",)))
+    task = ModellingTask(prepared.dataset, recording, ROOTS, candidates)
+    comparison = task.compare(task.compared_measurements(), task.variables)
+    fit = comparison.fit_model([known.parsed("0.9 - sqrt(x)")], lengths=(10,))
+    assert without_solver_errors(task, fit.fit) is None
+    task = replace(task, recording=prepared.recording)
+    assert without_solver_errors(task, fit.fit) is not None
 
 
 @pytest.mark.slow
