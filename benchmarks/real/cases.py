@@ -11,7 +11,7 @@ import numpy as np
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
-from benchmarks.harness.jobs import configured
+from benchmarks.harness.jobs import configured, table_of_columns
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,8 @@ class Case:
     """A job: `file` in the folder of data, fields of the configuration's data section, and a range of its rows.
 
     `share` is the first and the last row, as shares of all. `operators` are those of the search, none the default ones.
-    `shift` is subtracted from columns: what they are at rest.
+    `shift` is subtracted from columns: what they are at rest. Of a file of arrays, `array` names the one (R, 3) that
+    has the states x, y, z of rows 0.05 apart.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Case:
     share: tuple[float, float] = (0.0, 1.0)
     operators: tuple[str, ...] = ()
     shift: Mapping[str, float] = field(default_factory=dict)
+    array: str | None = None
 
     def config(self, seed: int, max_time: float | None) -> JobConfig:
         """Return the configuration of the job."""
@@ -35,6 +37,10 @@ class Case:
 
     def table(self, folder: Path) -> Table:
         """Return the rows of the job; raises DataError where the file cannot be read."""
+        if self.array is not None:
+            states = np.load(folder / self.file)[self.array]
+            times = np.asarray(0.05 * np.arange(len(states)), dtype=np.float64)
+            return table_of_columns({"t": times, **dict(zip("xyz", states.T, strict=True))}, self.file)
         whole = self._shifted(read_table([folder / self.file], self.config(0, None).data))
         first, last = (round(share * whole.rows) for share in self.share)
         if (first, last) == (0, whole.rows):
@@ -72,6 +78,7 @@ CASES: Final = (
     Case("small swing with tanh, second half", *_PENDULUM, (0.5, 1.0), **_FRICTION),
     Case("Gause", "gause_paramecium.csv", {"trajectory": "run", "time": "day", "missing": "drop"}),
     Case("double pendulum", "double_pendulum.csv", {"trajectory": "run", "order": 2}),
+    *(Case(f"contest {name}", "ctf_lorenz_train.npz", array=name) for name in ("X1", "X2", "X3")),
 )
 """A real pendulum near its rest position, whole and by halves, as measured and with dry friction; three runs of
-Paramecium; a double pendulum."""
+Paramecium; a double pendulum; Lorenz's equations as a contest has them, without noise and with two sizes of it."""

@@ -6,6 +6,7 @@ at each quality, makes a pool of systems near the law, and has each score choose
 
 import sys
 from argparse import Namespace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +15,7 @@ from benchmarks.corpus.cases import Key
 from benchmarks.harness.campaign import journal_of
 from benchmarks.harness.command_line import option, program, seeds, whole, workers
 from benchmarks.harness.parallel import in_parallel
-from benchmarks.scores.outcomes import Outcome, choose, line, table
+from benchmarks.scores.outcomes import SCORES, Outcome, choose, line, table
 
 QUALITIES: Final = (
     "rk45-1e-3", "rk45-1e-6", "noise-0.001", "noise-0.01", "noise-0.05", "ar1-0.01", "proportional-0.01",
@@ -28,6 +29,7 @@ QUALITIES: Final = (
     option("--states", type=whole, nargs="+", default=[1, 2, 3], help="numbers of states (default 1 2 3)"),
     option("--trajectories", type=whole, nargs="+", default=[1, 4], help="numbers of trajectories (default 1 4)"),
     option("--qualities", nargs="+", default=list(QUALITIES), help="kinds of errors (default: seven)"),
+    option("--scores", nargs="+", choices=tuple(SCORES), default=list(SCORES), help="default: all"),
     workers(),
     option("--out", "--resume", type=Path, metavar="FILE", help="file of JSON lines, gone on with"),
 )
@@ -42,7 +44,9 @@ def main(options: Namespace) -> None:
     ]
     journal = journal_of("scores", Outcome, options)
     missing = [key for key in keys if key not in journal.outcomes]
-    for number, outcome in enumerate(in_parallel(choose, missing, options.workers), start=1):
+    for number, outcome in enumerate(
+        in_parallel(partial(choose, names=options.scores), missing, options.workers), start=1
+    ):
         journal.add(outcome)
         note(f"{number} of {len(missing)}: {line(outcome)}")
     say(table([journal.outcomes[key] for key in keys if key in journal.outcomes]))

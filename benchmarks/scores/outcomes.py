@@ -57,19 +57,19 @@ class Outcome:
     choices: Mapping[str, Choice]
 
 
-def choose(key: Key) -> Outcome:
-    """Return what the scores choose for one table of the corpus."""
+def choose(key: Key, names: Sequence[str] = tuple(SCORES)) -> Outcome:
+    """Return what scores of these names choose for one table of the corpus."""
     pool = make_pool(key)
     if pool is None or not pool.is_identifiable:
         return Outcome(key, {})
     scored, seconds = {}, {}
     with np.errstate(all="ignore"):
-        for name, score in SCORES.items():
+        for name in names:
             begun = time.process_time()
-            scored[name] = _finite(score(pool))
+            scored[name] = _finite(SCORES[name](pool))
             seconds[name] = time.process_time() - begun
         is_law = laws_of(pool, scored)
-    return Outcome(key, {name: choice_of(pool, is_law, scored[name], seconds[name]) for name in SCORES})
+    return Outcome(key, {name: choice_of(pool, is_law, scored[name], seconds[name]) for name in names})
 
 
 def _finite(scored: Scored) -> Scored:
@@ -113,7 +113,9 @@ def table(outcomes: Sequence[Outcome]) -> str:
     rows = []
     for quality, alike in [*grouped(judged, lambda outcome: outcome.key.quality).items(), ("all", judged)]:
         for score in SCORES:
-            choices = [outcome.choices[score] for outcome in alike]
+            choices = [outcome.choices[score] for outcome in alike if score in outcome.choices]
+            if not choices:
+                continue
             counts = {kind: sum(choice.chosen == kind for choice in choices) for kind in (*_WRONG, "law")}
             covered, intervals = (sum(getattr(choice, name) for choice in choices) for name in ("covered", "intervals"))
             seconds = [choice.seconds for choice in choices]
