@@ -392,6 +392,13 @@ class ModelComparison:
         noise = self.estimator.measurements.noise
         return noise if errors is None else np.where(errors.shares > 0.0, np.maximum(errors.sigmas, noise), noise)
 
+    def affordable(self, model: FittedModel, equation: int) -> float:
+        """Return the length from which on no program in one equation's place is a description about as short.
+
+        Whatever it explains, it gains no more than the `room` there is.
+        """
+        return self.length(model.programs[equation]) + self.room(model) + SETTINGS.inference.distinct_nats
+
     def _is_explained(self, model: FittedModel) -> bool:
         """Tell whether nearly clean trajectories are simulated so well that no term of a law can be missing.
 

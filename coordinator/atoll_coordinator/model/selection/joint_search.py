@@ -35,7 +35,7 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, JobConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.expression.operators import BY_NAME
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, structure
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
 from atoll_core.expression.writing.shortest import shortest
 
@@ -229,9 +229,15 @@ def ranked_candidates(task: ModellingTask) -> tuple[ModellingTask, list[list[Pro
         further = _with_further_sums(task, comparison, best)
         if further is not best and _is_exact(task, further.programs):
             return task, [[program] for program in further.programs]
-    if best is not None and _suffices(task, comparison, best):
+    if best is None:
+        return task, [settled.get(name) or _compared(task, name, sums) for name in task.variables]
+    best = comparison.calibrate(best)
+    if not comparison.has_room(best) and _are_targets_certain(task):
         return task, nearest
-    return task, [settled.get(name) or _compared(task, name, sums) for name in task.variables]
+    return task, [
+        settled.get(name) or _beside(task, name, sums, nearest[equation], comparison.affordable(best, equation))
+        for equation, name in enumerate(task.variables)
+    ]
 
 
 def _as_solved(
@@ -370,16 +376,24 @@ def _may_be_widened(task: ModellingTask, name: str) -> bool:
     return bool(task.further_operators(name)) and not has_law and name not in task.known
 
 
-def _suffices(task: ModellingTask, comparison: ModelComparison, best: FittedModel) -> bool:
-    """Tell whether a system leaves nothing that a longer one could be worth its length for.
+def _are_targets_certain(task: ModellingTask) -> bool:
+    """Tell whether the search could tell a law from others of the same error: else a shorter one may not be in front.
 
-    Not where targets are too uncertain for the search to tell a law from others of the same error: a shorter one may be
-    missing then (bar magnets at 5 % of noise).
+    Bar magnets at 5 % of noise are an example.
     """
     targets = (task.dataset.problem(name).target for name in task.variables if name not in task.known)
-    if any(target.uncertainty > SETTINGS.inference.largest_uncertainty for target in targets):
-        return False
-    return not comparison.has_room(comparison.calibrate(best))
+    return all(target.uncertainty <= SETTINGS.inference.largest_uncertainty for target in targets)
+
+
+def _beside(
+    task: ModellingTask, name: str, sums: Mapping[str, Sequence[Program]], nearest: list[Program], most: float
+) -> list[Program]:
+    """Return all candidates of one variable whose length is below `most`, behind those that are `nearest`."""
+    if name in task.known or most == math.inf:
+        return _compared(task, name, sums)
+    known = {structure(program) for program in nearest}
+    others = (program for program in _compared(task, name, sums, most=most) if structure(program) not in known)
+    return [*nearest, *others]
 
 
 def search_jointly(
@@ -430,11 +444,13 @@ def _without_noise(
 
 
 def _compared(
-    task: ModellingTask, name: str, sums: Mapping[str, Sequence[Program]], *, is_brief: bool = False
-) -> list[Program]:
+    task: ModellingTask, name: str, sums: Mapping[str, Sequence[Program]], *, is_brief: bool = False,
+    most: float = math.inf,
+) -> list[Program]:  # fmt: skip
     """Return all candidates of one variable, the best first; if it `is_brief`, no libraries and few runners-up.
 
-    `sums` are those of sparse regression, by variable.
+    `sums` are those of sparse regression, by variable. With a length that they have to be below, there are no libraries
+    either: sums with more terms than the law are what these begin with.
     """
     if name in task.known:
         return [task.known[name]]
@@ -444,7 +460,9 @@ def _compared(
     programs += [*(law.program for law in task.laws.get(name, ())), *sums[name]]
     measurements = task.measurements([name]).thinned(SETTINGS.selection.compared_rows)
     comparison = task.compare(measurements, [name])
-    best = ranked(comparison, problem, programs, () if is_brief else _libraries(task, name, measurements))
+    has_libraries = not is_brief and most == math.inf
+    short = [program for program in programs if comparison.length(program) < most] if most < math.inf else programs
+    best = ranked(comparison, problem, short, _libraries(task, name, measurements) if has_libraries else ())
     restrictions = task.restrictions(name)
     admitted = (restrictions.admitted(program) for program in best)
     return [program for program in admitted if program is not None and task.may_be_shown(program)]
@@ -494,8 +512,10 @@ def exchange(comparison: ModelComparison, best: FittedModel, lists: Sequence[Seq
     tried: Sequence[Sequence[Program]] = lists
     while True:
         before = best.nats
-        for equation, programs in enumerate(tried):
-            if len(programs) > 1 or programs[0] is not best.programs[equation]:
+        for equation, others in enumerate(tried):
+            most = comparison.affordable(best, equation)
+            programs = [program for program in others if comparison.length(program) < most]
+            if programs and (len(programs) > 1 or programs[0] is not best.programs[equation]):
                 models = comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, SETTINGS.effort.work)
                 if models and models[0].nats < best.nats - SETTINGS.selection.least_gain:
                     best = models[0]
