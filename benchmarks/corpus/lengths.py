@@ -7,8 +7,8 @@ import numpy as np
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.joint_search import ModellingTask
-from atoll_coordinator.model.selection.stretches import in_stretches
+from atoll_coordinator.model.selection.piece_lengths import in_stretches
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError

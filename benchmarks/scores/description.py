@@ -15,9 +15,8 @@ import numpy as np
 from atoll_coordinator.model.criteria import system_length
 from atoll_coordinator.model.inference.standard_errors import Errors, estimate_errors
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.selection.joint_search import ModellingTask
-from atoll_coordinator.model.selection.shortcut import longest
-from atoll_coordinator.model.selection.stretches import in_stretches
+from atoll_coordinator.model.selection.piece_lengths import in_stretches
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.multiple_shooting import row_steps
 from atoll_coordinator.settings import SETTINGS
@@ -100,7 +99,7 @@ def _compared(pool: Pool) -> Compared | None:
     """Return the systems fitted in the longest pieces in which the best leaves noise alone; None where none can be."""
     done: Compared | None = None
     for task in _tasks(pool):
-        comparison = task.compare(task.compared_measurements(), task.variables)
+        comparison = task.compare(task.compared_measurements, task.variables)
         models = [comparison.fit_model(system) for system in pool.systems]
         fitted = [model for model in models if model is not None]
         if not fitted:
@@ -122,5 +121,5 @@ def _tasks(pool: Pool) -> Iterator[ModellingTask]:
         yield in_stretches(task, pool.systems[0])
         return
     yield task
-    most = min(task.piece, longest(task))
+    most = min(task.piece, task.longest)
     yield from (replace(task, piece=rows) for rows in reversed(SETTINGS.shooting.lengths[1:]) if 2 * rows <= most)

@@ -248,7 +248,7 @@ def compared(pool: Pool) -> Compared | None:
     Were it chosen by its length, a system that leaves something out would come with noise of its own that hides it.
     None where nothing can be filtered.
     """
-    filter_ = Filter(pool.task.compared_measurements(), pool.task.dataset.names)
+    filter_ = Filter(pool.task.compared_measurements, pool.task.dataset.names)
     systems = [filter_.system(programs) for programs in pool.systems]
     counts = np.array([float(system.count) for system in systems])
     structures = np.array([sum(map(structure_length, programs)) for programs in pool.systems])

@@ -10,7 +10,7 @@ import numpy as np
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection.candidates import CandidateSet, form
-from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.structure.moves.extensions import extensions
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions

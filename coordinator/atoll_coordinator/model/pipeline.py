@@ -5,7 +5,7 @@
 3. Without trajectories, each variable's equation is fitted to its target, and that is all (regression/equation.py).
 4. With trajectories, equations of noise-free targets that converged are fitted first, and stand.
 5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model
-   (selection/piece_lengths.py, which goes through selection/joint_search.py and selection/local_search.py).
+   (selection/model_selection.py, which says in which order candidates are proposed and when no more are).
 6. Its constants get errors, it is compared with its alternatives, simulated and judged (inference/conclusion.py).
 """
 
@@ -25,8 +25,8 @@ from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refined, Refinement, Simulation
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
-from atoll_coordinator.model.selection.joint_search import ModellingTask, operator_remarks
-from atoll_coordinator.model.selection.piece_lengths import select_model
+from atoll_coordinator.model.selection.model_selection import operator_remarks, select_model
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
 from atoll_coordinator.model.stochastic.process_choice import ProcessChoice
 from atoll_coordinator.model.structure.constant_units import equation_units

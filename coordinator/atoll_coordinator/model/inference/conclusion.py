@@ -45,10 +45,10 @@ from atoll_coordinator.model.regression.rounding import ERROR_DIGITS
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.candidates import form
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
 from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem, round_shown, round_system
-from atoll_coordinator.model.selection.shortcut import longest, predictable_rows
+from atoll_coordinator.model.selection.shortcut import predictable_rows
+from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.error_growth import growth_rate, speed_growth
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import SharedNumber
@@ -122,7 +122,7 @@ class Final:
     @property
     def are_errors_summed(self) -> bool:
         """Whether the equations are simulated along longer pieces than those that constants are fitted to."""
-        return self.piece < min(self.task.piece, longest(self.task))
+        return self.piece < min(self.task.piece, self.task.longest)
 
     def origin(self, equation: int, program: Program) -> Origin:
         """Return where a program came from, before its constants were made simple."""
@@ -478,7 +478,7 @@ def _long_run(final: Final) -> LongRun:
     fits = None if all(_is_exponential(final, growth) for growth in growths) else _fits_in_whole(final)
     if fits:
         return LongRun(fits, None)
-    if all(predictable_rows(fit, final.comparison, growth) < longest(final.task) for growth in growths):
+    if all(predictable_rows(fit, final.comparison, growth) < final.task.longest for growth in growths):
         return LongRun(None, look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance))
     return LongRun(None if final.task.is_nearly_clean else fits, None)  # errors of a solver add up
 
@@ -489,7 +489,7 @@ def _is_exponential(final: Final, rate: float) -> bool:
     Without exponential growth those of D linear equations grow like t^(D - 1) at most: over N rows less than N^D times.
     """
     measurements = final.comparison.estimator.measurements
-    rows = longest(final.task)
+    rows = final.task.longest
     return rate * measurements.step * rows > len(measurements.scales) * math.log(rows)
 
 
@@ -502,15 +502,15 @@ def _fits_in_whole(final: Final) -> bool | None:
     """
     task, programs = final.task, final.shown
     limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
-    if task.piece >= longest(task) or not final.comparison.excess(final.free) <= limit:
+    if task.piece >= task.longest or not final.comparison.excess(final.free) <= limit:
         return None
     rows, allowed = task.measurements(task.variables).rows, SETTINGS.selection.fitted_sensitivities
     stride = -(-rows // max(allowed // len(task.variables) ** 2, SETTINGS.shooting.piece))
     if stride > 1 and len(final.comparison.estimator.measurements.inputs):
         return None
-    while task.piece < longest(task):
+    while task.piece < task.longest:
         begun = max(task.piece // stride, SETTINGS.shooting.lengths[1])
-        task = replace(task, piece=min(task.piece * SETTINGS.shooting.segment_growth, longest(task)))
+        task = replace(task, piece=min(task.piece * SETTINGS.shooting.segment_growth, task.longest))
         measurements = task.measurements(task.variables).strided(stride)
         comparison = task.compare(measurements, task.variables, is_precise=True, measured_rows=rows)
         model = comparison.fit_model(programs, lengths=(begun, None))

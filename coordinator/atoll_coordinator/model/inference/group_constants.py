@@ -44,9 +44,9 @@ from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.rounding import round_estimates
 from atoll_coordinator.model.selection.alternatives import rank_alternatives
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.selection.joint_search import SelectedModel
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem
+from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
 from atoll_coordinator.model.structure.one_sided import within_bounds

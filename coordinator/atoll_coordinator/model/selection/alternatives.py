@@ -13,7 +13,7 @@ import numpy as np
 from atoll_coordinator.model.criteria import validated_length
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
-from atoll_coordinator.model.selection.joint_search import SelectedModel
+from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray

@@ -5,13 +5,14 @@ They are ranked by the variable's trajectories alone, the other states as smooth
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.selection.comparison import ModelComparison, distinct
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.structure.term_libraries import Term
 from atoll_coordinator.settings import SETTINGS
@@ -91,39 +92,48 @@ def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dic
     }
 
 
-def ranked(
-    comparison: ModelComparison, problem: Problem, programs: Sequence[Program], libraries: Iterable[list[Term]]
-) -> list[Program]:
-    """Return what becomes of `programs` and of `libraries` of terms, the most promising first.
+class RankedCandidates:
+    """Candidates for the equation of one variable, ranked by its trajectories alone."""
 
-    Those that do badly with the other states as smoothed come last, in their old order: with the right equations for
-    these they may do well.
+    def __init__(self, comparison: ModelComparison, problem: Problem) -> None:
+        """`comparison` is for this variable alone; by the `problem` constants are fitted first."""
+        self.comparison: Final = comparison
+        self._problem = problem
+        self._known: set[bytes] = set()
+        self._models: list[FittedModel] = []
+        self._started: list[Program] = []
 
-    Args:
-        comparison: for this variable alone.
-        problem: by which constants are fitted first.
-        programs: candidates; of equal structures the first counts.
-        libraries: terms that are left out one after another.
-    """
-    least_squares = LeastSquares(problem, restrictions=comparison.restrictions(0))
-    unique = {structure(program): program for program in reversed([shortened(candidate) for candidate in programs])}
-    deadline = comparison.estimator.deadline
-    is_pooled = comparison.groups is None  # else constants are fitted group by group
-    polished = [
-        least_squares.fit(program, steps=SETTINGS.effort.steps if is_pooled and not deadline.is_over else 0)
-        for program in reversed(unique.values())
-    ]
-    started = [fitted.program for fitted in polished if np.isfinite(fitted.mse)]
-    steps, (short, longer, _) = SETTINGS.effort.brief_steps, SETTINGS.shooting.lengths
-    models = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (short,)), started)
-    models = models[: SETTINGS.effort.kept]
-    for terms in libraries:
-        if comparison.estimator.work < SETTINGS.effort.work:
-            models += eliminated(comparison, problem, terms)
-    chosen = {structure(model.programs[0]): model.programs[0] for model in models}
-    refitted = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (longer,)), chosen.values())
-    best = [model.programs[0] for model in distinct(refitted)]
-    first = SETTINGS.effort.kept
-    best = [*map(shortest, best[:first]), *best[first:]]
-    known = {structure(program) for program in best}
-    return [*best, *(program for program in started if structure(program) not in known)]
+    def add(self, programs: Iterable[Program], libraries: Iterable[list[Term]] = ()) -> None:
+        """Rank `programs`, of equal structures the first, and what becomes of `libraries` of terms."""
+        comparison, effort = self.comparison, SETTINGS.effort
+        new: dict[bytes, Program] = {}
+        for program in map(shortened, programs):
+            if structure(program) not in self._known:
+                new.setdefault(structure(program), program)
+        self._known |= new.keys()
+        least_squares = LeastSquares(self._problem, restrictions=comparison.restrictions(0))
+        is_fitted = comparison.groups is None and not comparison.estimator.deadline.is_over  # else group by group
+        fitted = [least_squares.fit(program, steps=effort.steps if is_fitted else 0) for program in new.values()]
+        started = [one.program for one in fitted if np.isfinite(one.mse)]
+        steps, (short, longer, _) = effort.brief_steps, SETTINGS.shooting.lengths
+        models = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (short,)), started)
+        models, until = models[: effort.kept], comparison.estimator.work + effort.work
+        for terms in libraries:
+            if comparison.estimator.work < until:
+                models += eliminated(comparison, self._problem, terms)
+        chosen = {structure(model.programs[0]): model.programs[0] for model in models}
+        models = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (longer,)), chosen.values())
+        self._models = distinct(sorted([*self._models, *models], key=lambda model: model.nats))
+        self._started += started
+
+    @property
+    def programs(self) -> list[Program]:
+        """All of them, the most promising first.
+
+        Those that do badly with the other states as smoothed come last, as they were added: with the right equations
+        for these they may do well.
+        """
+        best, first = [model.programs[0] for model in self._models], SETTINGS.effort.kept
+        best = [*map(shortest, best[:first]), *best[first:]]
+        known = {structure(program) for program in best}
+        return [*best, *(program for program in self._started if structure(program) not in known)]

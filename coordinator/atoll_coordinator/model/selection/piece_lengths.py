@@ -8,34 +8,18 @@ longest that can be fitted are taken.
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from atoll_coordinator.model.selection.joint_search import (
-    ModellingTask,
-    SelectedModel,
-    ranked_candidates,
-    search_jointly,
-    with_further_operators,
-)
+import numpy as np
+
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.joint_search import search_jointly
 from atoll_coordinator.model.selection.local_search import LocalSearch
-from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, select_without_wrong_law, with_laws
 from atoll_coordinator.model.selection.solver_errors import without_solver_errors
-from atoll_coordinator.model.selection.stretches import in_stretches
+from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
 
 
-def select_model(task: ModellingTask) -> SelectedModel | None:
-    """Return the best system of equations and the longest pieces it can be fitted to, None if it cannot at all."""
-    if task.recording.offsets:
-        task = replace(task, piece=longest(task))
-    task = with_laws(task)
-    shortcut = select_by_laws(task) or select_without_wrong_law(task)
-    if shortcut is not None:
-        return shortcut
-    selection = _by_comparison(*ranked_candidates(task))
-    return None if selection is None else with_further_operators(selection)
-
-
-def _by_comparison(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
+def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
     """Return the best system of these candidates and of what is near it, None where none can be simulated."""
     if not all(lists):
         return None
@@ -51,7 +35,7 @@ def _by_comparison(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> S
     selections: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
         selections.append(selection)
-        if selection.comparison.excess(selection.model) <= SETTINGS.inference.excess:
+        if selection.is_like_noise:
             return _lengthened(task, selection, lists)
     return selections[0] if selections else None
 
@@ -102,7 +86,7 @@ def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
         if fitted is None:
             continue
         fitted = replace(fitted, model=fitted.comparison.calibrate(fitted.model))
-        if fitted.comparison.excess(fitted.model) <= SETTINGS.inference.excess:
+        if fitted.is_like_noise:
             return fitted
         selections.append(fitted)
     return selections[0] if selections else None
@@ -112,7 +96,7 @@ def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterato
     """Yield sentences for the user: trajectories were not simulated in whole, states are without an equation."""
     if task.solver is not None:
         yield f"The rows are what {task.solver}, gives of these equations; its errors were taken off them."
-    whole = longest(task)
+    whole = task.longest
     if whole > task.piece:
         tested = (
             "with constants fitted to these, the model describes whole ones, too"
@@ -149,11 +133,11 @@ def _ever_shorter(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> It
 
 def _is_better_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
     """Tell whether a system that does not fit well does so in shorter pieces."""
-    if selection.comparison.excess(selection.model) <= SETTINGS.inference.excess:
+    if selection.is_like_noise:
         return False
     rows = selection.comparison.estimator.measurements.rows
     fits = (_fitted(task, selection.model.programs, rows) for task in tasks)
-    return any(fit is not None and fit.comparison.excess(fit.model) <= SETTINGS.inference.excess for fit in fits)
+    return any(fit is not None and fit.is_like_noise for fit in fits)
 
 
 def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[Sequence[Program]]) -> SelectedModel:
@@ -163,7 +147,7 @@ def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[S
         if longer.piece <= selection.task.piece:
             break
         fit = _fitted(longer, selection.model.programs, rows)
-        if fit is not None and fit.comparison.excess(fit.model) <= SETTINGS.inference.excess:
+        if fit is not None and fit.is_like_noise:
             return search_jointly(longer, lists, selection.model.programs) or selection
     return selection
 
@@ -180,5 +164,30 @@ def _fitted(
 
 def _tasks(task: ModellingTask) -> list[ModellingTask]:
     """Return the task with its own pieces, and with shorter ones that are at most half of the longest trajectory."""
-    most = min(task.piece, longest(task))
+    most = min(task.piece, task.longest)
     return [task, *(replace(task, piece=rows) for rows in reversed(SETTINGS.shooting.lengths[1:]) if 2 * rows <= most)]
+
+
+def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingTask:
+    """Return the task with pieces so long that a system describes nearly clean trajectories in the fewest nats.
+
+    Errors of a solver add up along a trajectory; an initial state for each piece, which takes 1/2 ln N for each number,
+    ends that. Of a whole trajectory, terms that do not belong to the law would describe the sum of such errors.
+    """
+    lengths: dict[int, float] = {}
+    for piece in (task.piece, *reversed(SETTINGS.shooting.lengths)):
+        here = replace(task, piece=piece)
+        comparison = here.comparison
+        model = comparison.fit_model(programs)
+        if model is not None:
+            lengths[piece] = _stretch_length(comparison, model) / comparison.estimator.measurements.rows
+    best = min(lengths, key=lambda piece: (lengths[piece], -piece), default=task.piece)
+    return replace(task, piece=best)
+
+
+def _stretch_length(comparison: ModelComparison, model: FittedModel) -> float:
+    """Return the nats of all errors, independent within pieces, and of all initial states."""
+    counts, starts = comparison.counts, model.fit.starts.size
+    free = np.maximum(counts - starts / len(counts), 1.0)
+    variances = np.maximum(model.fit.squares * counts / free, comparison.least_errors**2)
+    return float(0.5 * counts @ np.log(variances)) + starts * comparison.constant_nats

@@ -16,9 +16,10 @@ import numpy as np
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel, exchange, ranked_candidates
+from atoll_coordinator.model.selection.joint_search import fit_jointly
 from atoll_coordinator.model.selection.local_search import LocalSearch
-from atoll_coordinator.model.selection.stretches import in_stretches
+from atoll_coordinator.model.selection.piece_lengths import in_stretches
+from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.error_growth import growth_rate
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.sparse.product_laws import find_all_laws
@@ -45,34 +46,12 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     lists = [_programs(task, name) for name in task.variables]
     if not all(lists) or not task.laws:
         return None
-    selection = _fitted_together(task, lists)
+    selection = fit_laws_together(task, lists)
     if selection is None:
         return None
     if all(task.laws.values()):
-        return selection if _is_like_noise(selection) else None
+        return selection if selection.is_like_noise else None
     return selection if selection.comparison.is_exact(selection.model) else None
-
-
-def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
-    """Return the model of all laws but one among many variables, None where no others leave noise alone.
-
-    One wrong law makes the simulations of all states wrong. Each is left out in turn, its state taken as smoothed: the
-    one is wrong without which the others leave the least. Its state gets the best of its other candidates if the whole
-    system leaves noise alone with it; else it stays without an equation.
-    """
-    names = [name for name, laws in task.laws.items() if laws and laws[0].is_of_rates]
-    if task.recording.groups or len(names) < len(task.variables) or len(names) < 2:
-        return None
-    excesses = {name: _excess_without(task, name) for name in names}
-    wrong = min(excesses, key=lambda name: excesses[name])
-    if not excesses[wrong] <= SETTINGS.inference.excess:
-        return None
-    others = select_by_laws(without(task, wrong))
-    if others is None:
-        return None
-    here, lists = ranked_candidates(replace(task, laws={**task.laws, wrong: ()}))
-    whole = _fitted_together(here, lists) if all(lists) else None
-    return whole if whole is not None and _is_like_noise(whole) else others
 
 
 def without(task: ModellingTask, name: str) -> ModellingTask:
@@ -83,7 +62,7 @@ def without(task: ModellingTask, name: str) -> ModellingTask:
     )
 
 
-def _excess_without(task: ModellingTask, name: str) -> float:
+def excess_without(task: ModellingTask, name: str) -> float:
     """Return the excess that the laws of the others leave; infinite where they cannot be simulated."""
     others = without(replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1])), name)
     lists = [_programs(others, variable) for variable in others.variables]
@@ -91,11 +70,7 @@ def _excess_without(task: ModellingTask, name: str) -> float:
     return math.inf if begun is None else begun.comparison.excess(begun.model)
 
 
-def _is_like_noise(selection: SelectedModel) -> bool:
-    return selection.comparison.excess(selection.model) <= SETTINGS.inference.excess
-
-
-def _fitted_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
+def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
     """Return the best system of these candidates, None where none can be simulated or the long way tells more."""
     short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))
     begun = _begun(short, lists)
@@ -104,21 +79,20 @@ def _fitted_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
     predictable = predictable_rows(begun.model.fit, begun.comparison, growth_rate(begun.model.fit))
     rows = int(min(max(predictable, SETTINGS.shooting.lengths[1]), SETTINGS.shooting.piece))
     is_of_rates = all(laws[0].is_of_rates for laws in task.laws.values() if laws)
-    if _rows(task) <= SETTINGS.selection.compared_rows and rows >= longest(task) and not is_of_rates:
+    if _rows(task) <= SETTINGS.selection.compared_rows and rows >= task.longest and not is_of_rates:
         return None
     task = replace(task, piece=min(task.piece, rows))
     if task.is_nearly_clean:
         task = in_stretches(task, begun.model.programs)
-    comparison = _comparison(task)
-    best = comparison.fit_model(begun.model.programs)
-    if best is None:
+    selection = fit_jointly(task, lists, begun.model.programs)
+    if selection is None:
         return None
-    best = comparison.calibrate(exchange(comparison, comparison.calibrate(best), lists))
+    comparison, best = selection.comparison, selection.model
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.effort.work)
     for equation in range(len(lists)) if not is_of_rates else ():  # those can do without nothing
         if equation not in comparison.fixed:
             best = descent.prune(best, equation)
-    return SelectedModel(task, comparison, comparison.fit_beside(best, best.programs) or best, lists)
+    return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
 
 
 def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison, rate: float) -> float:
@@ -152,19 +126,8 @@ def _programs(task: ModellingTask, name: str) -> list[Program]:
 
 
 def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
-    comparison = _comparison(task)
-    model = comparison.fit_model([programs[0] for programs in lists])
-    return None if model is None else SelectedModel(task, comparison, model)
-
-
-def _comparison(task: ModellingTask) -> ModelComparison:
-    measurements = task.compared_measurements()
-    return task.compare(measurements, task.variables)
-
-
-def longest(task: ModellingTask) -> int:
-    """Return the rows of the longest trajectory that is not held out."""
-    return max(len(trajectory.times) for trajectory in task.recording.trajectories if not trajectory.held_out)
+    model = task.comparison.fit_model([programs[0] for programs in lists])
+    return None if model is None else SelectedModel(task, task.comparison, model)
 
 
 def _rows(task: ModellingTask) -> int:

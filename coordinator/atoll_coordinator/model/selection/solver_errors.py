@@ -10,20 +10,21 @@ before, and so does another solver: nothing is taken off then.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.recording import Recording, Smoothing
+from atoll_coordinator.model.selection.comparison import FittedModel
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
-
-if TYPE_CHECKING:
-    from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_core.expression.program import Program
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class _Found:
     left: FloatArray
 
 
-def without_solver_errors(task: "ModellingTask", fit: TrajectoryFit) -> "ModellingTask | None":
+def without_solver_errors(task: ModellingTask, fit: TrajectoryFit) -> ModellingTask | None:
     """Return the task with the errors of the solver taken off that computed the table by the equations of `fit`.
 
     None where there is no such solver. The first row must be where it began.
@@ -90,11 +91,58 @@ def without_solver_errors(task: "ModellingTask", fit: TrajectoryFit) -> "Modelli
     return None if found is None else _corrected(task, found)
 
 
+def solved_exactly(
+    task: ModellingTask, lists: Sequence[Sequence[Program]]
+) -> tuple[ModellingTask, list[list[Program]]] | None:
+    """Return the task without the errors of a solver, and the candidates, the law first; None where none tells them."""
+    for system in _likely_laws(task, lists):
+        exact = without_solver_errors(task, system.fit)
+        if exact is not None:
+            return exact, [[own, *programs] for own, programs in zip(system.programs, lists, strict=True)]
+    return None
+
+
+def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Iterator[FittedModel]:
+    """Yield systems that may be the law of a table with a solver's errors, fitted to short pieces.
+
+    Along these the errors do not add up, and terms that describe them gain little: first the system of the shortest
+    equations that leaves no more than twice as much of any state as the best of a few, then that.
+    """
+    task = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[0]))
+    comparison = task.comparison
+    steps, longest = SETTINGS.effort.brief_steps, max(map(len, lists))
+    systems = [
+        [programs[min(rank, len(programs) - 1)] for programs in lists]
+        for rank in range(min(longest, SETTINGS.effort.beam))
+    ]
+    begun = best = next(iter(comparison.fit_all(lambda programs: comparison.fit_model(programs, steps), systems)), None)
+    if begun is None or best is None or comparison.is_exact(begun):
+        return
+    most = SETTINGS.selection.solver_as_good**2 * begun.fit.squares
+    while True:
+        before = best
+        for equation, others in enumerate(lists):
+            own = best.programs[equation]
+            shorter = [
+                other
+                for other in (*reductions(own), *others)
+                if comparison.length(other) < comparison.length(own) and equation not in comparison.fixed
+            ]
+            models = comparison.narrow_down(best, equation, shorter, ((steps, len(shorter)),), SETTINGS.effort.work)
+            as_good = [model for model in models if np.all(model.fit.squares <= most)]
+            best = min(as_good, key=lambda model: comparison.length(model.programs[equation]), default=best)
+        if best is before:
+            yield best
+            if best is not begun:
+                yield begun
+            return
+
+
 def _times(recording: Recording) -> Iterator[FloatArray]:
     return (part.times for part in recording.trajectories if not part.held_out)
 
 
-def _fitted(task: "ModellingTask", whole: Measurements, solver: Solver, system: System) -> _Found | None:
+def _fitted(task: ModellingTask, whole: Measurements, solver: Solver, system: System) -> _Found | None:
     """Return the constants with which the solver gives all rows, None when there are none."""
     at = whole.times + task.recording.offset  # LSODA's first step depends on the time
     runs = [_Run(at[first:end], whole.measured[:, first:end]) for first, end in whole.bounds.tolist()]
@@ -113,7 +161,7 @@ def _fitted(task: "ModellingTask", whole: Measurements, solver: Solver, system: 
 
 
 def _settled(
-    task: "ModellingTask", part: Measurements, solver: Solver, system: System, runs: Sequence[_Run]
+    task: ModellingTask, part: Measurements, solver: Solver, system: System, runs: Sequence[_Run]
 ) -> tuple[System, FloatArray, float]:
     """Return the constants with which a solver leaves the least of the first rows, and that over its errors.
 
@@ -155,7 +203,7 @@ def _moved(system: System, slopes: FloatArray, residuals: FloatArray) -> System:
 
 
 def _solved(
-    task: "ModellingTask", solver: Solver, system: System, part: Measurements, runs: Sequence[_Run]
+    task: ModellingTask, solver: Solver, system: System, part: Measurements, runs: Sequence[_Run]
 ) -> FloatArray | None:
     """Return the states (S, N) that the solver gives at the first rows of all runs, None when it fails."""
     from scipy import integrate
@@ -187,7 +235,7 @@ def _solved(
     return np.concatenate(solved, axis=1)
 
 
-def _corrected(task: "ModellingTask", found: _Found) -> "ModellingTask | None":
+def _corrected(task: ModellingTask, found: _Found) -> ModellingTask | None:
     """Return the task with tables that are exact solutions along each piece from its first row."""
     trajectories = list(task.recording.trajectories)
     for is_held_out in sorted({part.held_out for part in trajectories}):

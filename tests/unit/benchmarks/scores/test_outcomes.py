@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.expression.text.parsing import from_infix
 from benchmarks.corpus.cases import Key
 from benchmarks.scores.outcomes import Outcome, choice_of, laws_of, table

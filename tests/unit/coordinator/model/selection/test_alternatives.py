@@ -10,7 +10,7 @@ from atoll_coordinator.model.selection import alternatives as alternatives
 from atoll_coordinator.model.selection.alternatives import rank_alternatives
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
-from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
+from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.expression.program import structure

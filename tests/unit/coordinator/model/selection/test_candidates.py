@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.selection.candidates import ranked
+from atoll_coordinator.model.selection.candidates import RankedCandidates
 from atoll_coordinator.model.structure.term_libraries import libraries
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.operators import BY_NAME
@@ -24,6 +24,12 @@ def alone():
     labels = labels + np.random.default_rng(141).normal(0.0, labels.std(), len(labels))
     problem = Problem(SWING.names, inputs, Target("y", "dy/dt", labels, 0.5, float(labels.std()), NOISE))
     return compare(SWING, measurements_of(whole, [1]), 1e-5), problem
+
+
+def ranked(comparison, problem, programs, libraries):
+    candidates = RankedCandidates(comparison, problem)
+    candidates.add(programs, libraries)
+    return candidates.programs
 
 
 def programs(*texts):

@@ -14,7 +14,7 @@ from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
-from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting

@@ -7,12 +7,8 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection.candidates import collect_candidates
-from atoll_coordinator.model.selection.joint_search import (
-    ModellingTask,
-    SelectedModel,
-    operator_remarks,
-    with_further_operators,
-)
+from atoll_coordinator.model.selection.model_selection import operator_remarks, with_further_operators
+from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_core.config import BASE_OPERATORS, JobConfig, SpaceConfig
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
@@ -28,7 +24,7 @@ def selected(known, text, noise=0.0, config=UNSET):
     prepared = prepare(table(known, ([4.0], [1.0], [0.05]), TIMES, noise, 150), config)
     candidates = collect_candidates(prepared.dataset, config, pools(prepared, h=(text,)))
     task = ModellingTask(prepared.dataset, prepared.recording, config, candidates)
-    comparison = task.compare(task.compared_measurements(), task.variables)
+    comparison = task.compare(task.compared_measurements, task.variables)
     model = comparison.fit_model([candidates["h"].front[0].program])
     return SelectedModel(task, comparison, comparison.calibrate(model))
 

@@ -9,11 +9,11 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Law, Member, Pool, Refined
-from atoll_coordinator.model.selection import joint_search
+from atoll_coordinator.model.selection import proposals
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.joint_search import ModellingTask
-from atoll_coordinator.model.selection.piece_lengths import select_model
-from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, with_laws
+from atoll_coordinator.model.selection.model_selection import select_model
+from atoll_coordinator.model.selection.shortcut import select_by_laws, with_laws
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import PRESETS, JobConfig, SpaceConfig
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
@@ -53,7 +53,7 @@ def test_pieces_are_as_long_as_errors_of_the_size_of_the_noise_stay_small():
 def test_without_a_law_at_the_noise_level_the_long_way_is_taken():
     task = with_laws(task_of(150, 0.05))
     assert select_by_laws(task) is None
-    assert longest(task) == 150
+    assert task.longest == 150
 
 
 @pytest.mark.slow
@@ -110,7 +110,7 @@ def forms(programs):
 
 
 def test_one_wrong_law_gives_way_to_another_candidate_and_leaves_the_others_as_they_are(monkeypatch):
-    monkeypatch.setattr(joint_search, "pursue", lambda *_: [])
+    monkeypatch.setattr(proposals, "pursue", lambda *_: [])
     preparation, laws = ring_with_a_wrong_law()
     candidates = {name: CandidateSet() for name in RING}
     candidates["x2"] = CandidateSet((Member(from_infix("x0*x1 - 0.9*x2", RING), 0.1, 0.01),))

@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.selection.candidates import collect_candidates
-from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.solver_errors import without_solver_errors
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.data.dataset import FloatArray
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
@@ -44,7 +44,7 @@ def corrected(known: Known, texts: Sequence[str], noise: float = 0.0) -> Modelli
     prepared = prepare(table(known, STARTS, TIMES, noise), CONFIG)
     candidates = collect_candidates(prepared.dataset, CONFIG, pools(prepared, x=("x",), y=("y",)))
     task = ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates)
-    comparison = task.compare(task.compared_measurements(), task.variables)
+    comparison = task.compare(task.compared_measurements, task.variables)
     fit = comparison.fit_model([known.parsed(text) for text in texts], lengths=(10,))
     return without_solver_errors(task, fit.fit)
 
@@ -83,7 +83,7 @@ def test_a_held_out_trajectory_that_cannot_be_solved_leaves_the_table_as_it_is(f
     recording = replace(prepared.recording, trajectories=(*others, last))
     candidates = collect_candidates(prepared.dataset, ROOTS, pools(prepared, x=("x",)))
     task = ModellingTask(prepared.dataset, recording, ROOTS, candidates)
-    comparison = task.compare(task.compared_measurements(), task.variables)
+    comparison = task.compare(task.compared_measurements, task.variables)
     fit = comparison.fit_model([known.parsed("0.9 - sqrt(x)")], lengths=(10,))
     assert without_solver_errors(task, fit.fit) is None
     task = replace(task, recording=prepared.recording)

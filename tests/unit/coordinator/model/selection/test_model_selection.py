@@ -5,9 +5,10 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Law, Refined
-from atoll_coordinator.model.selection import joint_search
+from atoll_coordinator.model.selection import model_selection
 from atoll_coordinator.model.selection.candidates import collect_candidates
-from atoll_coordinator.model.selection.joint_search import ModellingTask, ranked_candidates
+from atoll_coordinator.model.selection.model_selection import collect_pool
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import BudgetConfig, JobConfig, SpaceConfig
 from atoll_core.expression.program import structure
 from atoll_core.expression.writing.shortest import shortest
@@ -32,7 +33,7 @@ def candidates(prepared, text):
     (entry,) = entries["v"].front
     settled = {"v": Refined(0, DRAG.parsed(text), entry.error, entry.mse)}
     candidates = collect_candidates(prepared.dataset, CONFIG, entries)
-    _, (ranking,) = ranked_candidates(ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates, settled))
+    _, (ranking,) = collect_pool(ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates, settled))
     return ranking
 
 
@@ -58,7 +59,7 @@ def test_an_equation_among_many_that_has_a_law_has_no_other_candidates_unless_al
     laws = {name: (Law(SPIRAL.parsed("b - 0.3*a"), 10.0, 0.5, is_tested=True, is_of_rates=True),) for name in lawful}
     candidates = collect_candidates(measured.dataset, NO_LIBRARIES, entries)
     task = ModellingTask(measured.dataset, measured.recording, NO_LIBRARIES, candidates, laws=laws)
-    _, lists = ranked_candidates(task)
+    _, lists = collect_pool(task)
     assert tuple(min(len(ranked_list), 2) for ranked_list in lists) == sizes
 
 
@@ -71,10 +72,10 @@ def test_where_no_system_can_be_simulated_no_libraries_are_tried(monkeypatch):
 
     def libraries(*_):
         tried.append(True)
-        return iter(())
+        return (), ()
 
-    monkeypatch.setattr(joint_search, "_libraries", libraries)
+    monkeypatch.setattr(model_selection, "propose_all", libraries)
     for text, is_tried in (("1e9*v*v", False), ("1.5*v - 2.1*v", True)):
         candidates = collect_candidates(measured.dataset, config, pools(measured, v=(text,)))
-        ranked_candidates(ModellingTask(measured.dataset, measured.recording, config, candidates))
+        collect_pool(ModellingTask(measured.dataset, measured.recording, config, candidates))
         assert bool(tried) == is_tried, text

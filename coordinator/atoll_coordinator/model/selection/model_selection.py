@@ -1,0 +1,170 @@
+"""The model: candidates are proposed in stages and compared, until nothing is left that others could explain.
+
+Laws by sparse regression that stand at the noise level come first, then what searches of targets without noise have
+converged to; then fronts, sums by pursuit, all that the search handed on and libraries of terms, each stage only where
+the one before leaves something to explain. The best systems of the pool are searched around, in pieces as long as
+trajectories can be simulated; last come operators with which no search begins.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from atoll_coordinator.model.selection.joint_search import combine, exchange, search_locally
+from atoll_coordinator.model.selection.piece_lengths import search_in_pieces
+from atoll_coordinator.model.selection.pool import CandidatePool
+from atoll_coordinator.model.selection.proposals import (
+    may_be_widened,
+    propose_all,
+    propose_further_sums,
+    propose_nearest,
+    propose_sums,
+)
+from atoll_coordinator.model.selection.shortcut import (
+    excess_without,
+    fit_laws_together,
+    select_by_laws,
+    with_laws,
+    without,
+)
+from atoll_coordinator.model.selection.solver_errors import solved_exactly
+from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import Program
+
+
+def select_model(task: ModellingTask) -> SelectedModel | None:
+    """Return the best system of equations and the longest pieces it can be fitted to, None if it cannot at all."""
+    if task.recording.offsets:
+        task = replace(task, piece=task.longest)
+    task = with_laws(task)
+    by_laws = select_by_laws(task) or select_without_wrong_law(task)
+    if by_laws is not None:
+        return by_laws
+    selection = search_in_pieces(*collect_pool(task))
+    return None if selection is None else with_further_operators(selection)
+
+
+def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
+    """Return the model of all laws but one among many variables, None where no others leave noise alone.
+
+    One wrong law makes the simulations of all states wrong. Each is left out in turn, its state taken as smoothed: the
+    one is wrong without which the others leave the least. Its state gets the best of its other candidates if the whole
+    system leaves noise alone with it; else it stays without an equation.
+    """
+    names = [name for name, laws in task.laws.items() if laws and laws[0].is_of_rates]
+    if task.recording.groups or len(names) < len(task.variables) or len(names) < 2:
+        return None
+    excesses = {name: excess_without(task, name) for name in names}
+    wrong = min(excesses, key=lambda name: excesses[name])
+    if not excesses[wrong] <= SETTINGS.inference.excess:
+        return None
+    others = select_by_laws(without(task, wrong))
+    if others is None:
+        return None
+    here, lists = collect_pool(replace(task, laws={**task.laws, wrong: ()}))
+    whole = fit_laws_together(here, lists) if all(lists) else None
+    return whole if whole is not None and whole.is_like_noise else others
+
+
+def collect_pool(task: ModellingTask) -> tuple[ModellingTask, list[list[Program]]]:
+    """Return the candidates of each variable, the best first, and the task that they are to be compared for.
+
+    That is the one without the errors of a solver where candidates tell these. Where the equations of converged
+    searches, with laws by regression for the rest, give the trajectories up to errors of integration, there are no
+    others; nor where no system can be simulated however short the pieces. Among many variables an equation that has
+    laws has no others, unless all have.
+    """
+    converged = [task.converged(name) for name in task.variables]
+    laws = [next((law.program for law in task.laws.get(name, ())), None) for name in task.variables]
+    programs = [program or law for program, law in zip(converged, laws, strict=True)]
+    whole = [program for program in programs if program is not None]
+    if any(converged) and len(whole) == len(programs) and _is_exact(task, whole):
+        return task, [[program] for program in whole]
+    if task.is_nearly_clean:
+        fronts = [
+            [task.known[name]] if name in task.known else [member.program for member in reversed(candidates.front)]
+            for name, candidates in task.candidates.items()
+        ]
+        solved = solved_exactly(task, fronts) if all(fronts) else None
+        if solved is not None:
+            return solved
+    given = {**_settled(task), **{name: [program] for name, program in task.known.items()}}
+    pool = CandidatePool(task, task.comparison, given)
+    pool.add(propose_nearest)
+    if pool.best is None and not _can_be_simulated(task, pool.lists):
+        return task, pool.lists
+    if not pool.suffices:
+        pool.add(propose_sums)
+    if pool.best is not None and task.is_nearly_clean and not pool.suffices:
+        lists = [[own, *programs] for own, programs in zip(pool.best.programs, pool.lists, strict=True)]
+        solved = solved_exactly(task, lists)
+        if solved is not None:
+            return solved
+        pool.add(propose_further_sums)
+    if not pool.suffices:
+        pool.add(propose_all)
+    return task, pool.lists
+
+
+def _settled(task: ModellingTask) -> dict[str, list[Program]]:
+    """Return the laws of the equations that have some among many variables.
+
+    None where all have: together they have not held, and one of them is wrong.
+    """
+    law_programs = {
+        name: [law.program for law in laws if task.may_be_shown(law.program)]
+        for name, laws in task.laws.items()
+        if laws and laws[0].is_of_rates and laws[0].excess <= SETTINGS.inference.excess
+    }
+    return law_programs if len(law_programs) < len(task.variables) - len(task.known) else {}
+
+
+def _can_be_simulated(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> bool:
+    """Tell whether a few systems of these candidates have one that can be simulated in the shortest pieces."""
+    shortest_pieces = replace(task, piece=min(task.piece, *SETTINGS.shooting.lengths))
+    return all(lists) and combine(shortest_pieces.comparison, lists) is not None
+
+
+def _is_exact(task: ModellingTask, programs: Sequence[Program]) -> bool:
+    """Tell whether these equations give the trajectories up to errors of integration."""
+    comparison = task.compare(task.compared_measurements, task.variables, has_noise=False)
+    model = comparison.fit_model(programs)
+    return model is not None and comparison.is_exact(model)
+
+
+def with_further_operators(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description that has operators with which no search began."""
+    task, comparison, before = selection.task, selection.comparison, selection.model
+    widened = [name for name in task.variables if may_be_widened(task, name)]
+    if not widened or task.is_over:
+        return selection
+    selection = replace(selection, widened=widened)
+    given = {
+        name: [program] for name, program in zip(task.variables, before.programs, strict=True) if name not in widened
+    }
+    pool = CandidatePool(task, comparison, given, before)
+    pool.add(propose_further_sums)
+    if not any(pool.lists[task.variables.index(name)] for name in widened):
+        return selection
+    best = exchange(comparison, before, pool.lists)
+    if best.nats > before.nats - SETTINGS.selection.least_gain:
+        return selection
+    best = search_locally(task, comparison, best, [[program] for program in best.programs])
+    return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
+
+
+def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> Iterator[str]:
+    """Yield a sentence where equations as `shown`, by variable, have further operators, or none of these has helped."""
+    programs = [shown[name] for name in selection.widened if name in shown]
+    codes = {code for program in programs for code in program.operators.tolist()}
+    taken = [name for name in FURTHER_OPERATORS if BY_NAME[name].code in codes]
+    begun, further = " ".join(BASE_OPERATORS), ", ".join(FURTHER_OPERATORS)
+    if taken:
+        yield f"Beside {begun}, {further} were tried; with {', '.join(taken)} the description is shorter."
+    elif programs and selection.comparison.has_room(selection.model):
+        yield (
+            f"{further} were tried as well, since {begun} leave more than noise; no equation with them makes the "
+            "description shorter."
+        )

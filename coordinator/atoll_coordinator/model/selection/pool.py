@@ -1,0 +1,75 @@
+"""The pool of candidates: what is proposed for each equation, ranked, and the best system of a few of them.
+
+Proposals come in stages. As soon as a system leaves noise alone, programs so long that no misfit could make up for it
+are no longer taken in.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Final
+
+from atoll_coordinator.model.selection.candidates import RankedCandidates
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.joint_search import combine
+from atoll_coordinator.model.selection.task import ModellingTask
+from atoll_coordinator.model.structure.term_libraries import Term
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.program import Program
+
+Proposer = Callable[[ModellingTask, str, float], tuple[Iterable[Program], Iterable[list[Term]]]]
+"""Returns programs for the equation of a variable, and libraries of terms, of which only those matter that are shorter
+than so many nats (see `ModelComparison.length`)."""
+
+
+class CandidatePool:
+    """Candidates of every equation, and the `best` system of a few of them, by which errors are calibrated."""
+
+    def __init__(
+        self, task: ModellingTask, comparison: ModelComparison, given: Mapping[str, Sequence[Program]],
+        best: FittedModel | None = None,
+    ) -> None:  # fmt: skip
+        """Candidates of some variables may be `given`: there are no others of these.
+
+        The `best` system, if there is one already, has calibrated the errors of the `comparison`.
+        """
+        self.comparison: Final = comparison
+        self.best = best
+        self._task = task
+        self._given = given
+        self._ranked = {name: _alone(task, name) for name in task.variables if name not in given}
+        self.lists: list[list[Program]] = [list(given.get(name, ())) for name in task.variables]
+
+    def add(self, propose: Proposer) -> None:
+        """Take in what is proposed for each equation."""
+        for equation, name in enumerate(self._task.variables):
+            if name not in self._ranked or self._task.is_over:
+                continue
+            most = math.inf if self.best is None else self.comparison.affordable(self.best, equation)
+            programs, libraries = propose(self._task, name, most)
+            ranked = self._ranked[name]
+            ranked.add((one for one in programs if ranked.comparison.length(one) < most), libraries)
+            restrictions = self._task.restrictions(name)
+            admitted = map(restrictions.admitted, ranked.programs)
+            self.lists[equation] = [one for one in admitted if one is not None and self._task.may_be_shown(one)]
+        if not all(self.lists):
+            return
+        begun = combine(self.comparison, self.lists)
+        if begun is not None and (self.best is None or begun.nats < self.best.nats):
+            self.best = self.comparison.calibrate(begun)
+
+    @property
+    def suffices(self) -> bool:
+        """Whether nothing is left that a longer system could be worth its length for, nor a shorter one missing.
+
+        One may be where targets are too uncertain for the search to tell a law from others of the same error (bar
+        magnets at 5 % of noise).
+        """
+        if self.best is None or self.comparison.has_room(self.best):
+            return False
+        targets = (self._task.dataset.problem(name).target for name in self._ranked)
+        return all(target.uncertainty <= SETTINGS.inference.largest_uncertainty for target in targets)
+
+
+def _alone(task: ModellingTask, name: str) -> RankedCandidates:
+    measurements = task.measurements([name]).thinned(SETTINGS.selection.compared_rows)
+    return RankedCandidates(task.compare(measurements, [name]), task.dataset.problem(name))

@@ -1,0 +1,54 @@
+"""What proposes candidates for an equation; none of it decides between them.
+
+Each takes what is modelled, a variable, and the nats from which on a program is too long to matter (infinite where that
+is not known), and returns programs and libraries of terms.
+"""
+
+import math
+from collections.abc import Collection, Iterable
+from itertools import chain
+
+from atoll_coordinator.model.selection.task import ModellingTask
+from atoll_coordinator.model.sparse.pursuit import pursue
+from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
+from atoll_core.expression.program import Program
+
+Proposals = tuple[Iterable[Program], Iterable[list[Term]]]
+
+
+def propose_nearest(task: ModellingTask, name: str, most: float) -> Proposals:
+    """Return what the search holds for the best, and laws by sparse regression."""
+    del most
+    settled = [task.settled[name].program] if name in task.settled else []
+    laws = (law.program for law in task.laws.get(name, ()))
+    return [*settled, *task.candidates[name].nearest, *laws], ()
+
+
+def propose_sums(task: ModellingTask, name: str, most: float) -> Proposals:
+    """Return sums of a polynomial and of functions, see `pursue`."""
+    return _pursued(task, name, most), ()
+
+
+def propose_all(task: ModellingTask, name: str, most: float) -> Proposals:
+    """Return all that the search handed on; and libraries of terms where longer programs may matter."""
+    columns, operators = task.columns(name), task.operators(name)
+    terms = chain(libraries(columns, operators), fractions(columns, operators, task.sizes))
+    return task.candidates[name].programs, terms if most == math.inf else ()
+
+
+def propose_further_sums(task: ModellingTask, name: str, most: float) -> Proposals:
+    """Return sums with operators with which no search begins."""
+    return _pursued(task, name, most, task.further_operators(name)) if may_be_widened(task, name) else (), ()
+
+
+def may_be_widened(task: ModellingTask, name: str) -> bool:
+    """Tell whether further operators may be tried for an equation: one with a law of rates has no other candidates."""
+    has_law = any(law.is_of_rates for law in task.laws.get(name, ()))
+    return bool(task.further_operators(name)) and not has_law and name not in task.known
+
+
+def _pursued(task: ModellingTask, name: str, most: float, needed: Collection[int] = ()) -> list[Program]:
+    problem = task.dataset.problem(name)
+    parts = [problem.of_group(group) for group in range(len(task.recording.groups))] or [problem]
+    operators = task.operators(name) | set(needed)
+    return [program for part in parts for program in pursue(part, task.columns(name), operators, needed, most)]

@@ -1,0 +1,199 @@
+"""What is modelled: the measurements and the candidates (`ModellingTask`); and the system that is chosen."""
+
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.refinement import Law, LawsByGroup, Refined, may_be_shown
+from atoll_coordinator.model.selection.candidates import CandidateSet
+from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
+from atoll_coordinator.model.selection.grouped_rows import GroupedRows
+from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.model.shooting.system import variable_program
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import Program
+from atoll_core.expression.restrictions import Restrictions, restrictions_of
+from atoll_core.expression.writing.shortest import shortest
+
+
+@dataclass(frozen=True, eq=False)
+class ModellingTask:
+    """What is modelled: the variables that have `candidates`, in the order of the equations.
+
+    `settled` are equations that were fitted to noise-free targets; `executor` has the threads that fit systems, none
+    when they are fitted one after another; `piece` is how many rows are simulated at a stretch, at most; after the
+    `deadline` nothing new is tried; `solver` names the one whose errors have been taken off the recording.
+    `among_many` are laws that preparing has found already (None: it has not looked).
+    """
+
+    dataset: Dataset
+    recording: Recording
+    config: JobConfig
+    candidates: Mapping[str, CandidateSet]
+    settled: Mapping[str, Refined] = field(default_factory=dict)
+    executor: Executor | None = None
+    piece: int = SETTINGS.shooting.piece
+    laws: Mapping[str, Sequence[Law]] = field(default_factory=dict)
+    deadline: Deadline | None = None
+    solver: str | None = None
+    among_many: LawsByGroup | None = None
+    _restrictions: dict[str, Restrictions] = field(default_factory=dict, repr=False)
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the equations."""
+        return tuple(self.candidates)
+
+    @cached_property
+    def known(self) -> dict[str, Program]:
+        """The equations that are given."""
+        return {
+            name: equation_candidates.known
+            for name, equation_candidates in self.candidates.items()
+            if equation_candidates.known is not None
+        }
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing new is to be begun."""
+        return self.deadline is not None and self.deadline.is_over
+
+    @property
+    def is_nearly_clean(self) -> bool:
+        """Whether the independent errors of all states are too small to hide a term of a law."""
+        return all(smoothing.relative_noise < SETTINGS.selection.least_noise for smoothing in self.recording.smoothing)
+
+    def may_be_shown(self, program: Program) -> bool:
+        """Tell whether the job's equations may be as large as `program`."""
+        return may_be_shown(program, self.config.space.max_size)
+
+    def operators(self, variable: str) -> frozenset[int]:
+        """Return the codes of the operators that the equation of `variable` may be made of."""
+        return frozenset(BY_NAME[name].code for name in self.config.space.operators_for(variable))
+
+    def further_operators(self, variable: str) -> frozenset[int]:
+        """Return the codes of the operators with which no search began and that may be tried for that equation."""
+        return frozenset(BY_NAME[name].code for name in self.config.space.further_operators_for(variable))
+
+    def columns(self, variable: str) -> tuple[int, ...]:
+        """Return the indices of the variables that the equation of `variable` may use."""
+        return self.config.space.columns_for(variable, self.dataset.names)
+
+    def converged(self, name: str) -> Program | None:
+        """Return the equation that is known, or that a search of a target without noise has converged to."""
+        if name in self.known:
+            return self.known[name]
+        target = self.dataset.problem(name).target
+        if name in self.settled and not target.is_noisy and not self.recording.groups:
+            refined = self.settled[name]
+            if refined.error <= target.convergence_error(self.config.budget.target_error):
+                return shortest(refined.program)
+        return None
+
+    def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> Measurements:
+        """Return the measurements of a system for these variables."""
+        states = [self.recording.states.index(name) for name in variables]
+        return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
+
+    @property
+    def longest(self) -> int:
+        """The rows of the longest trajectory that is not held out."""
+        return max(len(part.times) for part in self.recording.trajectories if not part.held_out)
+
+    @cached_property
+    def compared_measurements(self) -> Measurements:
+        """The measurements of all variables on as many rows as systems of so many are compared on."""
+        settings = SETTINGS.selection
+        rows = min(settings.compared_rows, settings.compared_numbers // max(len(self.variables), 1))
+        return self.measurements(self.variables).thinned(rows)
+
+    @cached_property
+    def sizes(self) -> list[float]:
+        """The size of each variable of the dataset."""
+        measurements = self.compared_measurements
+        sizes = dict(zip(measurements.variables, measurements.sizes.tolist(), strict=True))
+        return [sizes[name] for name in self.dataset.names]
+
+    @cached_property
+    def comparison(self) -> ModelComparison:
+        """The one over these, for all that is tried with pieces of this length: nothing is fitted twice."""
+        return self.compare(self.compared_measurements, self.variables)
+
+    def compare(
+        self, measurements: Measurements, variables: Sequence[str], *, is_precise: bool = False,
+        has_noise: bool = True, measured_rows: int = 0,
+    ) -> ModelComparison:  # fmt: skip
+        """Return a comparison over these measurements, which may stand for more `measured_rows` of the same time.
+
+        Steps of the integration err by a share of the noise, or as if there were none unless it `has_noise`. They all
+        may err to one side, while the noise is averaged over the rows: where it `is_precise`, that share is the one of
+        their sum along a piece over the standard error of a mean, and noise is what was found of it, not what an
+        interpolation may err by.
+        """
+        noise = float(measurements.relative_noise.min()) if has_noise else 0.0
+        if is_precise and not any(self.dataset.problem(name).target.is_noisy for name in self.candidates):
+            noise = 0.0
+        error = SETTINGS.selection.tolerated_noise * max(noise, SETTINGS.shooting.exact)
+        if is_precise:
+            longest = int((measurements.bounds[:, 1] - measurements.bounds[:, 0]).max())
+            error /= longest * max(1.0, measured_rows / measurements.rows) * math.sqrt(measurements.rows)
+        tolerance = max(error, SETTINGS.selection.tolerated_noise * SETTINGS.shooting.exact)
+        fixed = [index for index, name in enumerate(variables) if name in self.known]
+        restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
+        restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
+        return ModelComparison(
+            MultipleShooting(measurements, tolerance, self.deadline, measured_rows), self.dataset.names, fixed,
+            self.leading(variables), self.executor, Constraints(restrictions, self.grouped_rows(variables)),
+        )  # fmt: skip
+
+    def restrictions(self, variable: str) -> Restrictions:
+        """Return what the equation of `variable` must keep to."""
+        if variable not in self._restrictions:
+            self._restrictions[variable] = restrictions_of(self.config, variable, self.dataset.names)
+        return self._restrictions[variable]
+
+    def grouped_rows(self, variables: Sequence[str]) -> GroupedRows | None:
+        """Return the rows by group, where groups of trajectories have constants of their own."""
+        count = len(self.recording.groups)
+        if not count:
+            return None
+        problems = [
+            [] if name in self.known else [self.dataset.problem(name).of_group(group) for group in range(count)]
+            for name in variables
+        ]
+        return GroupedRows(count, problems, {index: self.restrictions(name) for index, name in enumerate(variables)})
+
+    def leading(self, variables: Sequence[str]) -> list[Program]:
+        """Return the equations of the positions, whose rates are the velocities; none with order 1."""
+        if self.recording.order == 1:
+            return []
+        velocities = [self.recording.velocity_symbols[self.recording.states.index(name)] for name in variables]
+        return [variable_program(self.dataset.names.index(velocity)) for velocity in velocities]
+
+
+@dataclass(frozen=True, eq=False)
+class SelectedModel:
+    """The system that describes the trajectories in the fewest nats: its fit, and the comparison where that was found.
+
+    `lists` are the candidates of each variable that there were to begin with; for the equations of the variables
+    `widened`, operators with which no search began were tried.
+    """
+
+    task: ModellingTask
+    comparison: ModelComparison
+    model: FittedModel
+    lists: Sequence[Sequence[Program]] = ()
+    widened: Sequence[str] = ()
+
+    @property
+    def is_like_noise(self) -> bool:
+        """Whether the system leaves about as much of every state as its noise."""
+        return self.comparison.excess(self.model) <= SETTINGS.inference.excess
