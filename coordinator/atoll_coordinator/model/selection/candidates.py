@@ -3,9 +3,9 @@
 They are ranked by the variable's trajectories alone, the other states as smoothed.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -97,17 +97,22 @@ class RankedCandidates:
 
     def __init__(self, comparison: ModelComparison, problem: Problem) -> None:
         """`comparison` is for this variable alone; by the `problem` constants are fitted first."""
-        self.comparison: Final = comparison
+        self._comparison = comparison
         self._problem = problem
         self._known: set[bytes] = set()
         self._models: list[FittedModel] = []
         self._started: list[Program] = []
 
-    def add(self, programs: Iterable[Program], libraries: Iterable[list[Term]] = ()) -> None:
-        """Rank `programs`, of equal structures the first, and what becomes of `libraries` of terms."""
-        comparison, effort = self.comparison, SETTINGS.effort
+    def add(
+        self, programs: Iterable[Program], libraries: Iterable[list[Term]] = (), most: float = math.inf
+    ) -> None:  # fmt: skip
+        """Rank `programs`, of equal structures the first, and what becomes of `libraries` of terms.
+
+        None whose length is `most` nats or more.
+        """
+        comparison, effort = self._comparison, SETTINGS.effort
         new: dict[bytes, Program] = {}
-        for program in map(shortened, programs):
+        for program in map(shortened, (one for one in programs if comparison.length(one) < most)):
             if structure(program) not in self._known:
                 new.setdefault(structure(program), program)
         self._known |= new.keys()
@@ -120,7 +125,8 @@ class RankedCandidates:
         models, until = models[: effort.kept], comparison.estimator.work + effort.work
         for terms in libraries:
             if comparison.estimator.work < until:
-                models += eliminated(comparison, self._problem, terms)
+                sums = eliminated(comparison, self._problem, terms)
+                models += [model for model in sums if comparison.length(model.programs[0]) < most]
         chosen = {structure(model.programs[0]): model.programs[0] for model in models}
         models = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (longer,)), chosen.values())
         self._models = distinct(sorted([*self._models, *models], key=lambda model: model.nats))

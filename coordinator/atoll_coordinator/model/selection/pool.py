@@ -47,7 +47,7 @@ class CandidatePool:
             most = math.inf if self.best is None else self.comparison.affordable(self.best, equation)
             programs, libraries = propose(self._task, name, most)
             ranked = self._ranked[name]
-            ranked.add((one for one in programs if ranked.comparison.length(one) < most), libraries)
+            ranked.add(programs, libraries, most)
             restrictions = self._task.restrictions(name)
             admitted = map(restrictions.admitted, ranked.programs)
             self.lists[equation] = [one for one in admitted if one is not None and self._task.may_be_shown(one)]

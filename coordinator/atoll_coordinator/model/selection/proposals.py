@@ -4,7 +4,6 @@ Each takes what is modelled, a variable, and the nats from which on a program is
 is not known), and returns programs and libraries of terms.
 """
 
-import math
 from collections.abc import Collection, Iterable
 from itertools import chain
 
@@ -33,7 +32,7 @@ def propose_all(task: ModellingTask, name: str, most: float) -> Proposals:
     """Return all that the search handed on; and libraries of terms where longer programs may matter."""
     columns, operators = task.columns(name), task.operators(name)
     terms = chain(libraries(columns, operators), fractions(columns, operators, task.sizes))
-    return task.candidates[name].programs, terms if most == math.inf else ()
+    return task.candidates[name].programs, terms
 
 
 def propose_further_sums(task: ModellingTask, name: str, most: float) -> Proposals:
