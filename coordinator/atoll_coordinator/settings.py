@@ -192,6 +192,9 @@ class SparseSettings:
     """Larger libraries are not tried: eliminating their terms costs the fourth power of their number."""
     rows_per_term: float = 2.0
     """Independent rows that each term of a library takes: with fewer, a full library fits anything."""
+    most_rows: int = 20_000
+    """Of more rows, stretches of a thousand stand for all: a law of a hundred products takes a few hundred windows."""
+    stretch: int = 1_000
     smoothness: int = 4
     """Power of the test functions (1 - s^2)^p: the trapezoidal rule errs by its order in the step."""
     step: float = 0.25

@@ -30,7 +30,9 @@ from atoll_core.expression.kernels.tape import Ints
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """All rows of the trajectories that are not held out: `times` (N,), `ranges` of rows, one for each trajectory.
+    """Rows of the trajectories that are not held out: `times` (N,), `ranges` of rows that follow one another.
+
+    Of very many rows they are stretches, spread evenly.
 
     `values` (V, N) are the variables as measured, smoothed where nothing was; `smoothed` (V, N); `noise` (V,) the
     standard deviations of the errors, 0 for inputs and for states that were interpolated.
@@ -52,14 +54,28 @@ def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
     smoothed = np.concatenate([part.smoothed for part in parts], axis=1)
     inputs = np.concatenate([part.inputs for part in parts], axis=1)
     noise = [_noise(parts, place, smoothing) for place, smoothing in enumerate(recording.smoothing)]
-    ends = np.cumsum([len(part.times) for part in parts]).tolist()
+    stretches = _stretches([len(part.times) for part in parts])
+    rows = np.concatenate([np.arange(first, end) for first, end in stretches])
+    ends = np.cumsum([end - first for first, end in stretches]).tolist()
     return Measured(
-        np.concatenate([part.times for part in parts]),
+        np.concatenate([part.times for part in parts])[rows],
         tuple(zip([0, *ends[:-1]], ends, strict=True)),
-        np.concatenate([np.where(np.isfinite(states), states, smoothed), inputs])[places],
-        np.concatenate([smoothed, inputs])[places],
+        np.concatenate([np.where(np.isfinite(states), states, smoothed), inputs])[places][:, rows],
+        np.concatenate([smoothed, inputs])[places][:, rows],
         np.array([*noise, *([0.0] * len(inputs))])[places],
     )
+
+
+def _stretches(lengths: Sequence[int]) -> list[tuple[int, int]]:
+    """Return first row and end of the stretches that stand for trajectories of these `lengths`: whole ones if few."""
+    parts = -(-sum(lengths) // SETTINGS.sparse.most_rows)
+    stretch = SETTINGS.sparse.stretch if parts > 1 else max(lengths)
+    ends = np.cumsum(lengths).tolist()
+    return [
+        (first, min(first + stretch, end))
+        for begun, end in zip([0, *ends[:-1]], ends, strict=True)
+        for first in range(begun, end, stretch)
+    ][::parts]
 
 
 def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> float:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.sparse.weak_form import Measured, weak_form
+from atoll_coordinator.model.sparse.weak_form import Measured, _stretches, weak_form
 from atoll_coordinator.model.structure.term_libraries import Factor
+from atoll_coordinator.settings import SETTINGS
 
 X, Y = Factor(0), Factor(1)
 
@@ -44,3 +45,18 @@ def test_the_variance_is_that_of_what_the_law_leaves():
     expected = form.variances([(Y,)], [1.0])
     assert np.array(left).var(axis=0) == pytest.approx(expected, rel=0.35)
     assert np.array(left).var() == pytest.approx(expected.mean(), rel=0.1)
+
+
+@pytest.mark.parametrize("lengths", [[100_000], [30_000, 10], [100] * 500])
+def test_stretches_spread_over_all_trajectories_stand_for_very_many_rows(lengths):
+    stretches = _stretches(lengths)
+    rows, ends = sum(end - first for first, end in stretches), np.cumsum(lengths)
+    assert SETTINGS.sparse.most_rows / 2 < rows <= SETTINGS.sparse.most_rows
+    assert all(
+        np.searchsorted(ends, first, "right") == np.searchsorted(ends, end - 1, "right") for first, end in stretches
+    )
+    assert stretches[-1][1] > 0.9 * sum(lengths)
+
+
+def test_of_few_rows_trajectories_are_whole():
+    assert _stretches([5_000, 15_000]) == [(0, 5_000), (5_000, 20_000)]
