@@ -53,7 +53,7 @@ def search_jointly(
         return None
     comparison, best = selection.comparison, selection.model
     if comparison.is_exact(best):
-        best = _reduced(comparison, best)
+        best = reduce_all(comparison, best)
     elif not is_hopeless(selection):
         best = search_locally(task, comparison, best, lists)
     return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
@@ -151,10 +151,10 @@ def search_locally(
     for equation in equations if has_room else ():
         best = _restarted(comparison, descent, best, equation, lists[equation])
     best = exchange(comparison, best, lists)
-    return _reduced(comparison, best)
+    return reduce_all(comparison, best)
 
 
-def _reduced(comparison: ModelComparison, best: FittedModel) -> FittedModel:
+def reduce_all(comparison: ModelComparison, best: FittedModel) -> FittedModel:
     """Return a system with whatever its equations can do without left out."""
     last = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.effort.work)
     for equation in range(len(best.programs)):

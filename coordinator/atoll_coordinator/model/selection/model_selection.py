@@ -138,7 +138,7 @@ def with_further_operators(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description that has operators with which no search began."""
     task, comparison, before = selection.task, selection.comparison, selection.model
     widened = [name for name in task.variables if may_be_widened(task, name)]
-    if not widened or task.is_over:
+    if not widened or task.is_over or task.solver is not None:
         return selection
     selection = replace(selection, widened=widened)
     given = {

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.selection.joint_search import search_jointly
+from atoll_coordinator.model.selection.joint_search import fit_jointly, reduce_all, search_jointly
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.solver_errors import without_solver_errors
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
@@ -25,19 +25,32 @@ def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
         return None
     first = [programs[0] for programs in lists]
     if task.solver is not None:
-        return search_jointly(task, lists, first)
+        return _as_solved(task, lists, first)
     if task.is_nearly_clean:
         selection = search_jointly(in_stretches(task, first), lists)
         if selection is None or selection.comparison.is_exact(selection.model):
             return selection
         exact = without_solver_errors(task, selection.model.fit)
-        return (None if exact is None else search_jointly(exact, lists, selection.model.programs)) or selection
+        return (None if exact is None else _as_solved(exact, lists, selection.model.programs)) or selection
     selections: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
         selections.append(selection)
         if selection.is_like_noise:
             return _lengthened(task, selection, lists)
     return selections[0] if selections else None
+
+
+def _as_solved(
+    task: ModellingTask, lists: Sequence[Sequence[Program]], programs: Sequence[Program]
+) -> SelectedModel | None:
+    """Return the system of which a solver gives the rows, without what it can do without.
+
+    Nothing else is tried: only of the law does the solver give them.
+    """
+    selection = fit_jointly(task, [[program] for program in programs], programs)
+    if selection is None:
+        return None
+    return replace(selection, model=reduce_all(selection.comparison, selection.model), lists=lists)
 
 
 def in_whole(task: ModellingTask) -> ModellingTask:
