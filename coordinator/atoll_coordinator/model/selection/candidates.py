@@ -4,7 +4,7 @@ They are ranked by the variable's trajectories alone, the other states as smooth
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from atoll_coordinator.model.structure.term_libraries import Term
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
-from atoll_core.expression.program import Program, structure
+from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.writing.shortest import collected, shortened, shortest
 
 
@@ -112,7 +112,7 @@ class RankedCandidates:
         """
         comparison, effort = self._comparison, SETTINGS.effort
         new: dict[bytes, Program] = {}
-        for program in map(shortened, (one for one in programs if comparison.length(one) < most)):
+        for program in self._short(programs, most):
             if structure(program) not in self._known:
                 new.setdefault(structure(program), program)
         self._known |= new.keys()
@@ -126,11 +126,19 @@ class RankedCandidates:
         for terms in libraries:
             if comparison.estimator.work < until:
                 sums = eliminated(comparison, self._problem, terms)
-                models += [model for model in sums if comparison.length(model.programs[0]) < most]
+                models += [model for model in sums if any(self._short(model.programs, most))]
         chosen = {structure(model.programs[0]): model.programs[0] for model in models}
         models = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (longer,)), chosen.values())
         self._models = distinct(sorted([*self._models, *models], key=lambda model: model.nats))
         self._started += started
+
+    def _short(self, programs: Iterable[Program], most: float) -> Iterator[Program]:
+        """Yield programs in a short writing, as far as their length is below `most`; constants alone tell of many."""
+        for program in programs:
+            if self._comparison.constant_nats * len(constant_places(program)) < most:
+                brief = shortened(program)
+                if self._comparison.length(brief) < most:
+                    yield brief
 
     @property
     def programs(self) -> list[Program]:
