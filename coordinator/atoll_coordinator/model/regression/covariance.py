@@ -144,7 +144,7 @@ def _bounded(
     lower, upper = ranges
     values = fitted.program.constants[constant_places(fitted.program)]
     variance = criterion.variance(fitted.mse * criterion.rows / max(degrees_of_freedom, 1))
-    likelier = None if fitted.gradient is None else -fitted.gradient / variance
+    likelier = -fitted.gradient / variance
     reaches = one_sided_reaches(fitted.normal / variance, likelier, _on_bounds(values.tolist(), ranges))
     written = [
         within_bounds(constant, float(low), float(high), reaches.get(number))
