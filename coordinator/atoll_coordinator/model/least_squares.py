@@ -114,3 +114,13 @@ def coefficients_of(columns: FloatArray, target: FloatArray) -> FloatArray:
 
 _DEPENDENT: Final = 1e-12
 """Share of unit columns beyond others that is rounding."""
+
+
+def inverse(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:
+    """Return the pseudoinverse (K, K) of a symmetric matrix in units in which its diagonal is one.
+
+    With a `ridge`, which is added there, it is huge and not zero in directions that the matrix does not determine.
+    """
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-200))
+    unit = matrix / np.outer(scale, scale) + ridge * np.eye(len(scale))
+    return np.asarray(np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale))

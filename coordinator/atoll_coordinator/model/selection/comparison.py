@@ -20,6 +20,7 @@ from atoll_coordinator.model.criteria import (
     structure_length,
     system_length,
 )
+from atoll_coordinator.model.regression.rounding import quadratic_form
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
@@ -229,10 +230,7 @@ class ModelComparison:
         moved = fit.system.values - begun.system.values
         if not moved.any():
             return False
-        spread = self._inflation(begun) * bounded_covariance(begun)
-        scale = spread.diagonal() ** 0.5
-        unit = np.linalg.pinv(spread / np.outer(scale, scale), hermitian=True)
-        distance = float((moved / scale) @ unit @ (moved / scale))
+        distance = 2.0 * quadratic_form(moved, self._inflation(begun) * bounded_covariance(begun))
         return bool(special.chdtrc(len(moved), distance) < SETTINGS.inference.improbable)
 
     def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
-from atoll_coordinator.model.least_squares import Solver, coefficients_of, minimize, solver
+from atoll_coordinator.model.least_squares import Solver, coefficients_of, inverse, minimize, solver
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes, sum_program
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
@@ -289,12 +289,10 @@ class _Pursuit:
         yield candidate
         while len(candidate.terms) > 1:
             jacobian = self._jacobian(candidate)
-            sizes = np.sqrt((jacobian**2).sum(axis=1))
-            unit = jacobian / sizes[:, None]
-            if not np.isfinite(unit).all():
+            if not np.isfinite(jacobian).all():
                 return
-            variances = np.diag(np.linalg.pinv(unit @ unit.T, hermitian=True))[: len(candidate.terms)]
-            gains = (candidate.coefficients * sizes[: len(candidate.terms)]) ** 2 / np.maximum(variances, 1e-300)
+            variances = np.diag(inverse(jacobian @ jacobian.T))[: len(candidate.terms)]
+            gains = candidate.coefficients**2 / np.maximum(variances, 1e-300)
             following = self._fitted(*candidate.without(int(np.argmin(gains))))
             if following is None:
                 return

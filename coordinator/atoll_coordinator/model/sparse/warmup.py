@@ -31,6 +31,6 @@ def warm_up() -> None:
     error_products(first, np.ones((3, 1)), np.ones((3, 1)), np.ones((2, 1, 1)), np.ones(1), 0, products, cross)
     measure(
         np.arange(2), values, np.array([1.0, 3.0, 7.0]), products, cross, np.ones(3), 1.0, np.zeros(2), np.zeros(3),
-        np.zeros((2, 2)), np.zeros(2), True,
+        np.zeros((2, 2)), np.zeros(2),
     )  # fmt: skip
     solve_damped(np.eye(2), 0.0, np.zeros(2))

@@ -20,7 +20,7 @@ from functools import cache
 import numpy as np
 
 from atoll_coordinator.data.increments.steps import Steps
-from atoll_coordinator.model.least_squares import Solver, minimize, solver
+from atoll_coordinator.model.least_squares import Solver, inverse, minimize, solver
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic.discretisation import Discretisation
 from atoll_coordinator.stochastic.moments import Pair, StepMoments, step_moments
@@ -116,10 +116,7 @@ class FittedProcess:
         Nothing determines those by which the likelihood has no finite derivative: the model ends next to them.
         """
         known = np.isfinite(np.diag(self.information))
-        information = np.where(np.outer(known, known), self.information, 0.0)
-        scale = np.sqrt(np.maximum(np.diag(information), 1e-200))
-        unit = information / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
-        return np.asarray(np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale))
+        return inverse(np.where(np.outer(known, known), self.information, 0.0), ridge=1e-12)
 
 
 class ProcessLikelihood:

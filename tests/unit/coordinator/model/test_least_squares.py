@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.least_squares import coefficients_of, minimize, solver
+from atoll_coordinator.model.least_squares import coefficients_of, inverse, minimize, solver
 
 START = np.array([-1.2, 1.0])
 
@@ -79,3 +79,10 @@ def test_coefficients_do_not_depend_on_the_units_of_columns():
     assert coefficients_of(columns, target) == pytest.approx([2.0, -1.0])
     assert coefficients_of(columns * [[1e9], [1e-9]], target) == pytest.approx([2e-9, -1e9])
     assert coefficients_of(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]), target) == pytest.approx([0.0, 3.0])
+
+
+def test_an_inverse_is_that_of_any_units_and_huge_where_a_ridge_alone_decides():
+    matrix, units = np.array([[2.0, 1.0], [1.0, 3.0]]), np.array([1e8, 1e-8])
+    assert inverse(matrix * np.outer(units, units)) == pytest.approx(np.linalg.inv(matrix) / np.outer(units, units))
+    assert inverse(np.ones((2, 2))) == pytest.approx(np.full((2, 2), 0.25))
+    assert inverse(np.ones((2, 2)), ridge=1e-12)[0, 0] > 1e11

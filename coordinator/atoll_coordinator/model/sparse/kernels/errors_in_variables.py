@@ -52,7 +52,6 @@ def error_products(
 def measure(
     kept: Ints, columns: FloatArray, side: FloatArray, products: FloatArray, cross: FloatArray, least: FloatArray,
     typical: float, coefficients: FloatArray, scaled: FloatArray, normal: FloatArray, gradient: FloatArray,
-    has_slopes: bool,
 ) -> float:  # fmt: skip
     """Write what the sum leaves, in standard errors, `scaled` (W,); return its mean loss.
 
@@ -69,16 +68,14 @@ def measure(
         typical: s^2.
         coefficients: (M,).
         scaled: takes what is left.
-        normal: takes the matrix of the normal equations (M, M), where it `has_slopes`.
+        normal: takes the matrix of the normal equations (M, M).
         gradient: takes their right side (M,): minus the gradient of the sum of losses.
-        has_slopes: whether the last two are asked for.
     """
     count, windows = len(kept), len(side)
     slopes, moved = np.empty(count), np.empty(count)
     loss = 0.0
-    if has_slopes:
-        normal[:] = 0.0
-        gradient[:] = 0.0
+    normal[:] = 0.0
+    gradient[:] = 0.0
     for w in range(windows):
         left, variance = side[w], least[w]
         for a in range(count):
@@ -93,14 +90,13 @@ def measure(
         scaled[w] = share
         far = share / CAUCHY
         loss += 0.5 * CAUCHY * CAUCHY * math.log1p(far * far) + 0.5 * math.log1p((variance - least[w]) / typical)
-        if has_slopes:
-            weight, pull = 1.0 / (1.0 + far * far), 1.0 / max(typical + variance - least[w], 1e-300)
-            for a in range(count):
-                slopes[a] = (columns[kept[a], w] + share / deviation * moved[a]) / deviation
-                gradient[a] += weight * slopes[a] * share - pull * moved[a]
-                for b in range(a + 1):
-                    normal[a, b] += weight * slopes[a] * slopes[b] + pull * products[w, kept[a], kept[b]]
-    for a in range(count if has_slopes else 0):
+        weight, pull = 1.0 / (1.0 + far * far), 1.0 / max(typical + variance - least[w], 1e-300)
+        for a in range(count):
+            slopes[a] = (columns[kept[a], w] + share / deviation * moved[a]) / deviation
+            gradient[a] += weight * slopes[a] * share - pull * moved[a]
+            for b in range(a + 1):
+                normal[a, b] += weight * slopes[a] * slopes[b] + pull * products[w, kept[a], kept[b]]
+    for a in range(count):
         for b in range(a):
             normal[b, a] = normal[a, b]
     return loss / windows

@@ -10,12 +10,12 @@ Letters: K terms of a library, M terms of a sum, W windows.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
 from atoll_coordinator.model.criteria import log
-from atoll_coordinator.model.least_squares import Solver, minimize, solver
+from atoll_coordinator.model.least_squares import Solver, inverse, minimize, solver
 from atoll_coordinator.model.sparse.kernels.errors_in_variables import measure
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION, robust_fit
 from atoll_coordinator.model.sparse.rates.rate_sums import Atom
@@ -119,7 +119,7 @@ Columns = tuple[FloatArray, FloatArray, FloatArray]
 class _Misfit:
     """What windows are left with (W,) by coefficients (M,), in standard errors, and that in nats.
 
-    With its gradient (M,) and the matrix (M, M) of the normal equations, both zero where they are not asked for.
+    With its gradient (M,) and the matrix (M, M) of the normal equations.
     """
 
     coefficients: FloatArray
@@ -129,10 +129,7 @@ class _Misfit:
     normal: FloatArray
 
 
-def _misfit(
-    rows: WindowRows, columns: Columns, variances: FloatArray, kept: Ints, coefficients: FloatArray,
-    *, has_slopes: bool = True,
-) -> _Misfit:  # fmt: skip
+def _misfit(rows: WindowRows, columns: Columns, variances: FloatArray, kept: Ints, coefficients: FloatArray) -> _Misfit:
     """Return the misfit of a sum of the columns `kept` (M,) with these `coefficients` (M,).
 
     The `variances` (W,) are those of what windows are left with beside the errors of columns.
@@ -140,9 +137,8 @@ def _misfit(
     values, products, cross = columns
     scaled, pull, normal = np.zeros(len(variances)), np.zeros(len(kept)), np.zeros((len(kept), len(kept)))
     loss = measure(
-        kept, values, rows.sides[0], products, cross, variances, rows.typical, coefficients, scaled, normal, pull,
-        has_slopes,
-    )  # fmt: skip
+        kept, values, rows.sides[0], products, cross, variances, rows.typical, coefficients, scaled, normal, pull
+    )
     share = rows.independent / len(variances)
     return _Misfit(coefficients, scaled, rows.independent * loss, -share * pull, share * normal)
 
@@ -151,17 +147,13 @@ def _moved(terms: Terms, places: Ints, begun: FloatArray, quadrature: FloatArray
     rows = terms.rows
     misfit = partial(_misfit, rows, (terms.integrals[0], *terms.errors), rows.own + quadrature, places)
 
-    linearised = cache(lambda at: misfit(at.coefficients))
-
-    def linearise(at: _Misfit) -> Solver[FloatArray]:
-        return solver(linearised(at).normal, linearised(at).gradient)
-
     def move(at: _Misfit, step: FloatArray) -> tuple[_Misfit, float]:
-        there = misfit(at.coefficients + step, has_slopes=False)
+        there = misfit(at.coefficients + step)
         return there, at.nats - there.nats
 
-    end = minimize(misfit(begun, has_slopes=False), linearise, move, lambda _: SETTINGS.selection.least_gain, rounds)
-    end = linearised(end)
+    end = minimize(
+        misfit(begun), lambda at: solver(at.normal, at.gradient), move, lambda _: SETTINGS.selection.least_gain, rounds
+    )
     price = math.fsum(terms.price(place) for place in places.tolist())
     nats = end.nats + rows.independent * _unresolved(terms, places, end.coefficients, quadrature) + price
     return WindowSum(terms, tuple(places.tolist()), end.coefficients, end.scaled, end.normal, quadrature, nats)
@@ -206,12 +198,10 @@ def improved(best: WindowSum) -> WindowSum:
 
 
 def _without_least(window_sum: WindowSum) -> WindowSum | None:
-    sizes = np.sqrt(np.maximum(np.diag(window_sum.normal), 1e-300))
-    covariance = np.linalg.pinv(window_sum.normal / np.outer(sizes, sizes), hermitian=True)
+    covariance = inverse(window_sum.normal)
     variances = np.maximum(np.diag(covariance), 1e-300)
-    scaled = window_sum.coefficients * sizes
-    least = int(np.argmin(scaled**2 / variances))
-    moved = (scaled - covariance[:, least] / variances[least] * scaled[least]) / sizes
+    least = int(np.argmin(window_sum.coefficients**2 / variances))
+    moved = window_sum.coefficients - covariance[:, least] / variances[least] * window_sum.coefficients[least]
     near = replace(window_sum, coefficients=moved)
     kept = window_sum.kept[:least] + window_sum.kept[least + 1 :]
     return fitted(
@@ -241,10 +231,10 @@ def _promising(window_sum: WindowSum) -> list[int]:
     normal, slope = here.normal, here.gradient
     kept = list(window_sum.kept)
     others = [place for place in range(count) if place not in window_sum.kept]
-    inverse = np.linalg.pinv(normal[np.ix_(kept, kept)], hermitian=True)
     beside = normal[np.ix_(others, kept)]
-    free = np.diag(normal)[others] - ((beside @ inverse) * beside).sum(axis=1)
-    pull = slope[others] - beside @ inverse @ slope[kept]
+    carried = beside @ inverse(normal[np.ix_(kept, kept)])
+    free = np.diag(normal)[others] - (carried * beside).sum(axis=1)
+    pull = slope[others] - carried @ slope[kept]
     gains = np.where(free > 1e-9 * np.diag(normal)[others], pull**2 / np.maximum(free, 1e-300), 0.0)
     return [others[place] for place in np.argsort(-gains, kind="stable")[: SETTINGS.windows.promising].tolist()]
 

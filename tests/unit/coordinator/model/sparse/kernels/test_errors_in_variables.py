@@ -34,15 +34,15 @@ def fitted(begun, *misfit):
     """Return the coefficients of least mean loss near `begun`, by the slopes that `measure` writes; and that loss."""
     kept, windows = np.arange(len(begun)), misfit[1].size
 
-    def measured_at(at, has_slopes=False):
+    def measured_at(at):
         normal, pull = np.zeros((2, 2)), np.zeros(2)
-        loss = measure(kept, *misfit, at, np.zeros(windows), normal, pull, has_slopes)
+        loss = measure(kept, *misfit, at, np.zeros(windows), normal, pull)
         return windows * loss, normal, -pull
 
     def move(at, step):
         return at + step, measured_at(at)[0] - measured_at(at + step)[0]
 
-    end = minimize(begun, lambda at: solver(*measured_at(at, has_slopes=True)[1:]), move, lambda _: 1e-9)
+    end = minimize(begun, lambda at: solver(*measured_at(at)[1:]), move, lambda _: 1e-9)
     return end, measured_at(end)[0] / windows
 
 
@@ -69,7 +69,7 @@ def test_measure_takes_the_columns_that_are_kept():
     scaled = np.zeros(side.size)
     loss = measure(
         np.array([1]), columns, side, products, cross, least, 2.0, np.array([0.5]), scaled, np.zeros((1, 1)),
-        np.zeros(1), False,
+        np.zeros(1),
     )  # fmt: skip
     assert loss == pytest.approx(loss_of(np.array([0.0, 0.5]), columns, side, products, cross, least, 2.0))
     assert scaled == pytest.approx((side - 0.5 * columns[1]) / np.sqrt(least + 0.25 * products[:, 1, 1]))
