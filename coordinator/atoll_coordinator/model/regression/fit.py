@@ -79,7 +79,7 @@ class LeastSquares:
             return Fitted(program, math.inf, np.zeros((0, 0)), np.zeros(0))
         program = admitted if self.restrictions.bounds is None else self.restrictions.bounds.clipped(admitted)
         places = [place for place in constant_places(program) if place not in fixed]
-        lower, upper = self._ranges(program, places)
+        lower, upper = self.restrictions.ranges(program, fixed)
         begun = self._linearised(program, places, np.inf)
         if not places or not math.isfinite(begun.mse):
             return begun
@@ -103,15 +103,6 @@ class LeastSquares:
         return minimize(
             begun, linearise, move, lambda fitted: SETTINGS.effort.settled * half * fitted.mse, steps, is_hopeless
         )
-
-    def _ranges(self, program: Program, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the least and largest values (K,) of the constants at these nodes."""
-        bounds = self.restrictions.bounds
-        ranges = None if bounds is None else bounds.ranges(program)
-        if ranges is None:
-            return np.full(len(places), -np.inf), np.full(len(places), np.inf)
-        chosen = [place in places for place in constant_places(program)]
-        return ranges[0][chosen], ranges[1][chosen]
 
     def _linearised(self, program: Program, places: list[int], limit: float) -> Fitted:
         """Return the program as it is, with its normal equations, which are empty beyond the error `limit`."""

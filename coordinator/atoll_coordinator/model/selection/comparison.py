@@ -176,18 +176,12 @@ class ModelComparison:
         self, programs: Sequence[Program], fixed: Sequence[Collection[int]]
     ) -> tuple[FloatArray | None, FloatArray | None]:
         """Return bounds (P,) on the constants that are fitted, None without any."""
-        if all(self.restrictions(index).bounds is None for index in range(len(programs))):
+        restrictions = [self.restrictions(index) for index in range(len(programs))]
+        if all(one.bounds is None for one in restrictions):
             return None, None
-        lower: list[float] = []
-        upper: list[float] = []
-        for index, (program, held) in enumerate(zip(programs, fixed, strict=True)):
-            bounds, places = self.restrictions(index).bounds, constant_places(program)
-            bounded_ranges = None if bounds is None else bounds.ranges(program)
-            ranges = bounded_ranges or (np.full(len(places), -np.inf), np.full(len(places), np.inf))
-            is_free = [place not in held for place in places]
-            lower += ranges[0][is_free].tolist()
-            upper += ranges[1][is_free].tolist()
-        return np.array(lower, dtype=np.float64), np.array(upper, dtype=np.float64)
+        triples = zip(restrictions, programs, fixed, strict=True)
+        lower, upper = np.concatenate([one.ranges(program, held) for one, program, held in triples], axis=1)
+        return lower, upper
 
     def fit_model(
         self,

@@ -26,7 +26,7 @@ from atoll_coordinator.stochastic.discretisation import Discretisation
 from atoll_coordinator.stochastic.moments import Pair, StepMoments, step_moments
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants
-from atoll_core.expression.restrictions import Restrictions
+from atoll_core.expression.restrictions import NONE, Restrictions
 
 _DIFFERENCE = 1e-5
 """Share of a constant by which it is moved to find derivatives: central differences err by its square."""
@@ -232,18 +232,12 @@ class ProcessLikelihood:
         end = minimize(begun, linearise, move, lambda _: settled, is_over=is_hopeless)
         return FittedProcess(end.model, end.whitened.misfit, derivatives(end)[1])
 
-    def _ranges(self, model: ProcessModel, free: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the least and the largest value (K,) that each parameter may have."""
-        count = len(model.parameters(free))
-        lower, upper, first = np.full(count, -math.inf), np.full(count, math.inf), 0
-        for number in free:
-            places = constant_places(model.programs[number])
-            bounds = self._restrictions[number].bounds if self._restrictions else None
-            ranges = None if bounds is None else bounds.ranges(model.programs[number])
-            if ranges is not None:
-                lower[first : first + len(places)], upper[first : first + len(places)] = ranges
-            first += len(places)
-        return lower, upper
+    def _ranges(self, model: ProcessModel, free: Sequence[int]) -> FloatArray:
+        """Return the least and the largest values (2, K) that parameters may have."""
+        restrictions = self._restrictions or [NONE] * len(model.programs)
+        ranges = [restrictions[number].ranges(model.programs[number]) for number in free]
+        noise = np.repeat([[-np.inf], [np.inf]], np.count_nonzero(model.noise), axis=1)
+        return np.concatenate([*ranges, noise], axis=1)
 
     def _derivatives(self, at: _Point, free: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Return the gradient (K,) of the misfit by the parameters and their information (K, K)."""
