@@ -36,7 +36,7 @@ def minimize(
     begun: Point,
     linearise: Callable[[Point], Solver[Step]],
     move: Callable[[Point, Step], tuple[Point, float] | None],
-    settled: Callable[[Point], float],
+    settled: Callable[[Point], float] = lambda point: SETTINGS.selection.least_gain,
     steps: int = SETTINGS.effort.steps,
     is_over: Callable[[Point, float, int], bool] = lambda point, promise, taken: False,
 ) -> Point:
@@ -47,7 +47,7 @@ def minimize(
         linearise: makes the equations of steps from a point.
         move: takes a step; returns the point there and by how much the cost has fallen, None where there is no cost.
         settled: the fall of the cost at a point below which a step is none: one that promises less is not tried, and
-            after one that lowers it by less the fit ends.
+            after one that lowers it by less the fit ends. Of costs in nats, what counts in a description.
         steps: most steps, successful or not.
         is_over: whether to end the fit at a point, given what the next step promises and how many were tried.
     """

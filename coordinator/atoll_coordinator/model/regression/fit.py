@@ -97,8 +97,9 @@ class LeastSquares:
 
         def is_hopeless(fitted: Fitted, promise: float, taken: int) -> bool:
             """Tell whether steps that are all as good as the next one do not get there."""
-            left = max(1.0 - promise / (half * fitted.mse), 0.0) ** (steps - taken)
-            return taken > SETTINGS.effort.brief_steps and fitted.mse * left > enough > 0.0
+            if taken <= SETTINGS.effort.brief_steps or not enough > 0.0:
+                return False
+            return bool(fitted.mse * max(1.0 - promise / (half * fitted.mse), 0.0) ** (steps - taken) > enough)
 
         return minimize(
             begun, linearise, move, lambda fitted: SETTINGS.effort.settled * half * fitted.mse, steps, is_hopeless

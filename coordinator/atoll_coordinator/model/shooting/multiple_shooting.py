@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.least_squares import LEAST_DAMPING, Solver, minimize, without
@@ -286,9 +285,6 @@ class MultipleShooting:
             return None
         rounding = self._rounding(segments)
 
-        def linearise(at: _Point) -> Solver[_Step]:
-            return _solver(at.here, at.system.held(at.here.gradient))
-
         def move(at: _Point, step: _Step) -> tuple[_Point, float] | None:
             moved, moved_starts = at.system.with_values(at.system.values + step[0]), at.starts + step[1]
             there, _ = self._equations(method, moved, layout, moved_starts, at.errors, at.here.cost)
@@ -300,7 +296,7 @@ class MultipleShooting:
             return max(SETTINGS.effort.settled * at.here.cost, float((rounding / at.errors.sigmas**2).sum()))
 
         begun = _Point(system, starts, errors, here)
-        end = minimize(begun, linearise, move, settled, steps, lambda *_: self.deadline.is_over)
+        end = minimize(begun, _solver, move, settled, steps, lambda *_: self.deadline.is_over)
         here = end.here
         squares = self.squares(here.residuals)
         return TrajectoryFit(
@@ -546,8 +542,9 @@ def row_steps(measurements: Measurements) -> FloatArray:
     return steps
 
 
-def _solver(here: _Equations, held: npt.NDArray[np.bool_] | None) -> Solver[_Step]:
-    """Return what solves for steps of the constants (P,), those `held` excepted, and of the initial states (G, D)."""
+def _solver(at: _Point) -> Solver[_Step]:
+    """Return what solves for steps of the constants (P,), which keep to their bounds, and of initial states (G, D)."""
+    here, held = at.here, at.system.held(at.here.gradient)
     normal, gradient, coupling = here.normal, here.gradient, here.coupling
     if held is not None and held.any():
         normal, gradient = without(normal, gradient, held)

@@ -337,7 +337,7 @@ class _Pursuit:
             following = self._solved(terms, moved)
             return None if following is None else (following, self._misfit(at) - self._misfit(following))
 
-        return minimize(begun, linearise, move, lambda at: SETTINGS.selection.least_gain)
+        return minimize(begun, linearise, move)
 
     def _solved(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
         """Return the sum with the coefficients of least squares at these inner constants."""

@@ -226,10 +226,10 @@ class ProcessLikelihood:
             moved = _Point(tried, at.values + step, self.whitened(tried))
             return moved, at.whitened.misfit - moved.whitened.misfit
 
-        def is_hopeless(at: _Point, promise: float, _: int) -> bool:
+        def is_over(at: _Point, promise: float, _: int) -> bool:
             return at.whitened.misfit - promise > limit
 
-        end = minimize(begun, linearise, move, lambda _: settled, is_over=is_hopeless)
+        end = minimize(begun, linearise, move, lambda _: settled, is_over=is_over)
         return FittedProcess(end.model, end.whitened.misfit, derivatives(end)[1])
 
     def _ranges(self, model: ProcessModel, free: Sequence[int]) -> FloatArray:

@@ -139,4 +139,4 @@ def polished(rows: RateRows, rate_sum: RateSum) -> RateSum:
         following = fitted(rows, atoms, at.weights)
         return None if following is None else (following, at.nats - following.nats)
 
-    return minimize(rate_sum, linearise, move, lambda _: SETTINGS.selection.least_gain) if inner else rate_sum
+    return minimize(rate_sum, linearise, move) if inner else rate_sum

@@ -151,9 +151,7 @@ def _moved(terms: Terms, places: Ints, begun: FloatArray, quadrature: FloatArray
         there = misfit(at.coefficients + step)
         return there, at.nats - there.nats
 
-    end = minimize(
-        misfit(begun), lambda at: solver(at.normal, at.gradient), move, lambda _: SETTINGS.selection.least_gain, rounds
-    )
+    end = minimize(misfit(begun), lambda at: solver(at.normal, at.gradient), move, steps=rounds)
     price = math.fsum(terms.price(place) for place in places.tolist())
     nats = end.nats + rows.independent * _unresolved(terms, places, end.coefficients, quadrature) + price
     return WindowSum(terms, tuple(places.tolist()), end.coefficients, end.scaled, end.normal, quadrature, nats)
@@ -269,4 +267,4 @@ def polished(window_sum: WindowSum) -> WindowSum:
         following = fitted(terms, range(count), near)
         return None if following is None else (following, at.nats - following.nats)
 
-    return minimize(begun, linearise, move, lambda _: SETTINGS.selection.least_gain)
+    return minimize(begun, linearise, move)
