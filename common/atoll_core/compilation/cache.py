@@ -26,6 +26,7 @@ ALL: Final = (*WORKER, "atoll_coordinator")
 _COMPILED_IN: Final = {
     "atoll_core": ("compilation/jit.py", "search/seeding.py", "expression/operators.py"),
     "atoll_island_worker": ("evolution/structures.py",),
+    "atoll_coordinator": ("model/cholesky.py",),
 }
 """Files beside the kernels whose constants and types are compiled into them."""
 

@@ -1,12 +1,15 @@
 """What an equation must keep to, whatever it is made of: bounds on its constants, variables that it must have."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.bounds import EquationBounds, equation_bounds
 from atoll_core.expression.operators import VARIABLE
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, constant_places
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +33,16 @@ class Restrictions:
     def are_kept(self, program: Program) -> bool:
         """Tell whether a program, with its constants as they stand, keeps to everything."""
         return self.has_required(program) and (self.bounds is None or self.bounds.are_kept(program))
+
+    def ranges(self, program: Program, fixed: Collection[int] = ()) -> FloatArray:
+        """Return the least and largest values (2, K) of the constants of a program that was admitted.
+
+        Of those at the nodes `fixed` there are none; without bounds the others are infinite.
+        """
+        places = constant_places(program)
+        found = None if self.bounds is None else self.bounds.ranges(program)
+        ranges = np.repeat([[-np.inf], [np.inf]], len(places), axis=1) if found is None else np.array(found)
+        return ranges[:, np.array([place not in fixed for place in places], np.bool_)]
 
     def has_required(self, program: Program) -> bool:
         """Tell whether all variables that an equation must have are in `program`."""

@@ -6,7 +6,7 @@
 - `criteria`: the description lengths, side by side
 - `deadline`: the end that ``--max-time`` sets
 - `thinning`: which of many rows stand for all
-- `damping`, `cholesky`: numerics of least-squares steps
+- `least_squares`, `cholesky`: the driver of every fit by damped steps, and its linear equations
 - `structure`: programs rewritten, changed in one place, made of libraries of terms. Algebra without data
 - `regression`: the equation of one variable fitted to its target
 - `sparse`: laws of one variable as sparse sums of products, by regression alone

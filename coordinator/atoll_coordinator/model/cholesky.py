@@ -2,7 +2,9 @@
 
 import math
 
-from atoll_core.compilation.jit import kernel
+import numpy as np
+
+from atoll_core.compilation.jit import allocating_kernel, kernel
 from atoll_core.data.dataset import FloatArray
 
 SMALLEST = 1e-200
@@ -51,3 +53,16 @@ def substitute(factor: FloatArray, size: int, scale: FloatArray, vector: FloatAr
         vector[i] = total / factor[i, i]
     for i in range(size):
         vector[i] /= scale[i]
+
+
+@allocating_kernel
+def solve_damped(matrix: FloatArray, damping: float, vector: FloatArray) -> bool:
+    """Overwrite `vector` (K,) by the solution of the system of `matrix` (K, K), diagonal raised by a share `damping`.
+
+    Returns False, and leaves the vector as it is, when that is not positive definite.
+    """
+    factor, scale = matrix.copy(), np.empty(len(vector))
+    if not factorize(factor, len(vector), scale, damping):
+        return False
+    substitute(factor, len(vector), scale, vector)
+    return True

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.model.criteria import RegressionCriterion
+from atoll_coordinator.model.least_squares import inverse
 from atoll_coordinator.model.refinement import Constant, SimpleNumber, UnitCoefficient
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import fitted_length
@@ -26,7 +27,6 @@ from atoll_core.expression.unit_coefficients import (
 )
 
 _RIDGE: Final = 1e-14
-_FLAT: Final = 1e-100
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,7 @@ def covariance_of(fitted: Fitted, criterion: RegressionCriterion) -> FloatArray:
     square of the target's uncertainty if that is larger.
     """
     degrees_of_freedom = max(criterion.rows - len(fitted.normal), 1)
-    scale = np.sqrt(np.diag(fitted.normal))
-    scale[scale < _FLAT] = _FLAT
-    unit = fitted.normal / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
-    inverse = np.linalg.pinv(unit, hermitian=True)
-    variance = criterion.variance(fitted.mse * criterion.rows / degrees_of_freedom)
-    return np.asarray(variance * inverse / np.outer(scale, scale))
+    return criterion.variance(fitted.mse * criterion.rows / degrees_of_freedom) * inverse(fitted.normal, _RIDGE)
 
 
 def standard_errors(fitted: Fitted, criterion: RegressionCriterion) -> list[float]:
@@ -144,7 +139,7 @@ def _bounded(
     lower, upper = ranges
     values = fitted.program.constants[constant_places(fitted.program)]
     variance = criterion.variance(fitted.mse * criterion.rows / max(degrees_of_freedom, 1))
-    likelier = None if fitted.gradient is None else -fitted.gradient / variance
+    likelier = -fitted.gradient / variance
     reaches = one_sided_reaches(fitted.normal / variance, likelier, _on_bounds(values.tolist(), ranges))
     written = [
         within_bounds(constant, float(low), float(high), reaches.get(number))

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
+from atoll_coordinator.model.least_squares import Solver, minimize, solver
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
 from atoll_core.expression.evaluation import values_and_gradient, values_of
@@ -34,7 +34,7 @@ class Fitted:
     program: Program
     mse: float
     normal: FloatArray
-    gradient: FloatArray | None = None
+    gradient: FloatArray
 
 
 class LeastSquares:
@@ -76,91 +76,53 @@ class LeastSquares:
         """
         admitted = self.restrictions.admitted(program)
         if admitted is None or (fixed and admitted is not program):
-            return Fitted(program, math.inf, np.zeros((0, 0)))
+            return Fitted(program, math.inf, np.zeros((0, 0)), np.zeros(0))
         program = admitted if self.restrictions.bounds is None else self.restrictions.bounds.clipped(admitted)
         places = [place for place in constant_places(program) if place not in fixed]
-        lower, upper = self._ranges(program, places)
-        mse, gradient, normal = self._equations(program, places, np.inf)
-        if not places or not math.isfinite(mse):
-            return Fitted(program, mse, normal, gradient)
-        damping = FIRST_DAMPING
-        for step in range(steps):
-            constants = program.constants.copy()
-            moves = _solved(*_free(normal, gradient, constants[places], lower, upper), damping)
-            constants[places] = np.clip(constants[places] + moves, lower, upper)
-            moved = replace(program, constants=constants)
-            new_mse, new_gradient, new_normal = self._equations(moved, places, mse)
-            if not new_mse <= mse:
-                damping *= 10.0
-                if damping > MOST_DAMPING:
-                    break
-                continue
-            is_settled = new_mse >= mse * (1.0 - SETTINGS.effort.settled)
-            is_hopeless = step >= SETTINGS.effort.brief_steps and _projected(mse, new_mse, steps - step) > enough > 0.0
-            program, mse, gradient, normal = moved, new_mse, new_gradient, new_normal
-            damping = max(0.1 * damping, LEAST_DAMPING)
-            if is_settled or is_hopeless:
-                break
-        return Fitted(program, mse, normal, gradient)
+        lower, upper = self.restrictions.ranges(program, fixed)
+        begun = self._linearised(program, places, np.inf)
+        if not places or not math.isfinite(begun.mse):
+            return begun
+        half = 0.5 * len(self._target)  # half the sum of squares over the mean
 
-    def _ranges(self, program: Program, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the least and largest values (K,) of the constants at these nodes."""
-        bounds = self.restrictions.bounds
-        ranges = None if bounds is None else bounds.ranges(program)
-        if ranges is None:
-            return np.full(len(places), -np.inf), np.full(len(places), np.inf)
-        chosen = [place in places for place in constant_places(program)]
-        return ranges[0][chosen], ranges[1][chosen]
+        def linearise(fitted: Fitted) -> Solver[FloatArray]:
+            values = fitted.program.constants[places]
+            return solver(fitted.normal, fitted.gradient, (lower - values, upper - values))
 
-    def _equations(self, program: Program, places: list[int], limit: float) -> tuple[float, FloatArray, FloatArray]:
-        """Return mean squared error, gradient (K,) and normal matrix (K, K); the latter two empty beyond `limit`."""
+        def move(fitted: Fitted, step: FloatArray) -> tuple[Fitted, float]:
+            constants = fitted.program.constants.copy()
+            constants[places] = np.clip(constants[places] + step, lower, upper)
+            moved = self._linearised(replace(program, constants=constants), places, fitted.mse)
+            return moved, half * (fitted.mse - moved.mse)
+
+        def is_hopeless(fitted: Fitted, promise: float, taken: int) -> bool:
+            """Tell whether steps that are all as good as the next one do not get there."""
+            if taken <= SETTINGS.effort.brief_steps or not enough > 0.0:
+                return False
+            return bool(fitted.mse * max(1.0 - promise / (half * fitted.mse), 0.0) ** (steps - taken) > enough)
+
+        return minimize(
+            begun, linearise, move, lambda fitted: SETTINGS.effort.settled * half * fitted.mse, steps, is_hopeless
+        )
+
+    def _linearised(self, program: Program, places: list[int], limit: float) -> Fitted:
+        """Return the program as it is, with its normal equations, which are empty beyond the error `limit`."""
         values, slopes = values_and_gradient(program, self._inputs, places)
         with np.errstate(all="ignore"):
             errors = self._weighed(values - self._target)
         self.evaluations += len(errors) + _OVERHEAD_ROWS
         mse = _mse(errors)
         if not mse <= limit or math.isinf(mse):
-            return mse, np.zeros(0), np.zeros((0, 0))
+            return Fitted(program, mse, np.zeros((0, 0)), np.zeros(0))
         self.evaluations += 2 * len(errors)
         with np.errstate(all="ignore"):
             slopes = self._weighed(slopes)
             gradient, normal = slopes @ errors, slopes @ slopes.T
         is_finite = bool(np.isfinite(gradient).all() and np.isfinite(normal).all())
-        return mse if is_finite else math.inf, gradient, normal
+        return Fitted(program, mse if is_finite else math.inf, normal, gradient)
 
 
 def _mse(errors: FloatArray) -> float:
     with np.errstate(all="ignore"):
         mse = float(errors @ errors) / len(errors)
     return mse if math.isfinite(mse) else math.inf
-
-
-def _projected(before: float, after: float, steps: int) -> float:
-    """Return the mean squared error after as many `steps` as good as the last one."""
-    return float(after * (after / before) ** steps) if before > 0.0 else 0.0
-
-
-def _free(
-    normal: FloatArray, gradient: FloatArray, values: FloatArray, lower: FloatArray, upper: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the normal equations in which constants on their bounds do not move beyond them."""
-    held = ((values <= lower) & (gradient >= 0.0)) | ((values >= upper) & (gradient <= 0.0))
-    if not held.any():
-        return normal, gradient
-    normal, gradient = normal.copy(), gradient.copy()
-    normal[held, :] = normal[:, held] = gradient[held] = 0.0
-    normal[held, held] = 1.0
-    return normal, gradient
-
-
-def _solved(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
-    """Return the step of (N + damping diag N) step = -gradient, in units in which the diagonal of N is one."""
-    scale = np.sqrt(np.diag(normal))
-    scale[scale == 0.0] = 1.0
-    unit = normal / np.outer(scale, scale)
-    np.fill_diagonal(unit, 1.0 + damping)
-    try:
-        step = np.linalg.solve(unit, -gradient / scale)
-    except np.linalg.LinAlgError:
-        return np.zeros_like(gradient)
-    return np.asarray(step / scale)

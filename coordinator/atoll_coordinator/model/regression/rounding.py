@@ -23,6 +23,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.criteria import RegressionCriterion
+from atoll_coordinator.model.least_squares import inverse
 from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.covariance import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
@@ -161,10 +162,7 @@ def round_constants(fitted: Fitted, criterion: RegressionCriterion, least_square
 
 def quadratic_form(away: FloatArray, covariance: FloatArray) -> float:
     """Return by how many nats the misfit grows when constants move away (K,) from their estimates, near its minimum."""
-    least = np.finfo(np.float64).tiny
-    scale = np.sqrt(np.maximum(np.diag(covariance), least))
-    unit = np.linalg.pinv(covariance / np.outer(scale, scale), hermitian=True)
-    return 0.5 * float((away / scale) @ unit @ (away / scale))
+    return 0.5 * float(away @ inverse(covariance) @ away)
 
 
 def _singled_out(odds: Mapping[tuple[int, float], float]) -> dict[int, float]:

@@ -20,6 +20,7 @@ from atoll_coordinator.model.criteria import (
     structure_length,
     system_length,
 )
+from atoll_coordinator.model.regression.rounding import quadratic_form
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
@@ -175,18 +176,12 @@ class ModelComparison:
         self, programs: Sequence[Program], fixed: Sequence[Collection[int]]
     ) -> tuple[FloatArray | None, FloatArray | None]:
         """Return bounds (P,) on the constants that are fitted, None without any."""
-        if all(self.restrictions(index).bounds is None for index in range(len(programs))):
+        restrictions = [self.restrictions(index) for index in range(len(programs))]
+        if all(one.bounds is None for one in restrictions):
             return None, None
-        lower: list[float] = []
-        upper: list[float] = []
-        for index, (program, held) in enumerate(zip(programs, fixed, strict=True)):
-            bounds, places = self.restrictions(index).bounds, constant_places(program)
-            bounded_ranges = None if bounds is None else bounds.ranges(program)
-            ranges = bounded_ranges or (np.full(len(places), -np.inf), np.full(len(places), np.inf))
-            is_free = [place not in held for place in places]
-            lower += ranges[0][is_free].tolist()
-            upper += ranges[1][is_free].tolist()
-        return np.array(lower, dtype=np.float64), np.array(upper, dtype=np.float64)
+        triples = zip(restrictions, programs, fixed, strict=True)
+        lower, upper = np.concatenate([one.ranges(program, held) for one, program, held in triples], axis=1)
+        return lower, upper
 
     def fit_model(
         self,
@@ -229,10 +224,7 @@ class ModelComparison:
         moved = fit.system.values - begun.system.values
         if not moved.any():
             return False
-        spread = self._inflation(begun) * bounded_covariance(begun)
-        scale = spread.diagonal() ** 0.5
-        unit = np.linalg.pinv(spread / np.outer(scale, scale), hermitian=True)
-        distance = float((moved / scale) @ unit @ (moved / scale))
+        distance = 2.0 * quadratic_form(moved, self._inflation(begun) * bounded_covariance(begun))
         return bool(special.chdtrc(len(moved), distance) < SETTINGS.inference.improbable)
 
     def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from atoll_coordinator.model.least_squares import coefficients_of
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, column_of, sum_of
@@ -29,8 +30,7 @@ def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term])
         columns = np.array([column_of(term, problem.inputs) for term in terms])
         if not np.isfinite(columns).all():
             break
-        scales = [max(float(np.abs(column).max()), 1e-300) for column in columns]
-        coefficients = _fitted(columns, scales, problem.target.values)
+        coefficients = _fitted(columns, problem.target.values)
         program = sum_of(terms, coefficients)
         model = comparison.fit_model([program], SETTINGS.effort.brief_steps, SETTINGS.shooting.lengths[:1])
         if model is not None:
@@ -69,12 +69,11 @@ def _below(program: Program) -> set[int]:
     return {index for index in nodes if program.operators[index] == CONSTANT}
 
 
-def _fitted(columns: FloatArray, scales: Sequence[float], target: FloatArray) -> list[float]:
+def _fitted(columns: FloatArray, target: FloatArray) -> list[float]:
     """Return least-squares coefficients, a little off the numbers that would not stay."""
-    unit = columns / np.array(scales)[:, None]
-    solution, *_ = np.linalg.lstsq(unit.T, target, rcond=1e-10)
-    return [float(value / scale) + 1e-9 * float(np.abs(target).max()) / scale
-            for value, scale in zip(solution, scales, strict=True)]  # fmt: skip
+    beside = 1e-9 * np.abs(target).max() / np.maximum(np.abs(columns).max(axis=1), 1e-300)
+    coefficients: list[float] = (coefficients_of(columns, target) + beside).tolist()
+    return coefficients
 
 
 def _least(model: FittedModel | None, columns: FloatArray, coefficients: Sequence[float]) -> int:

@@ -9,14 +9,12 @@ import math
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
 from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.least_squares import LEAST_DAMPING, Solver, minimize, without
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.fit_cache import FitCache, key_of
 from atoll_coordinator.model.shooting.kernels.condensing import condense
@@ -65,6 +63,20 @@ class _Equations:
     gradient: FloatArray
     own_gradient: FloatArray
     gradients: FloatArray
+
+
+_Step = tuple[FloatArray, FloatArray]
+"""Of the constants (P,), and of the initial states (G, D)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Point:
+    """Where a fit is: constants, initial states, errors, and the equations by these."""
+
+    system: System
+    starts: FloatArray
+    errors: ErrorModel
+    here: _Equations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,29 +283,25 @@ class MultipleShooting:
         here, method = self._begun(system, layout, starts, errors, may_be_stiff=may_be_stiff)
         if here is None:
             return None
-        damping, rounding = FIRST_DAMPING, self._rounding(segments)
-        for _ in takewhile(lambda _: not self.deadline.is_over, range(steps)):
-            least = max(SETTINGS.effort.settled * here.cost, float((rounding / errors.sigmas**2).sum()))
-            step = _solved(here, damping, least, system.held(here.gradient))
-            there = None
-            if step is not None:
-                moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
-                there, _ = self._equations(method, moved, layout, new_starts, errors, here.cost)
+        rounding = self._rounding(segments)
+
+        def move(at: _Point, step: _Step) -> tuple[_Point, float] | None:
+            moved, moved_starts = at.system.with_values(at.system.values + step[0]), at.starts + step[1]
+            there, _ = self._equations(method, moved, layout, moved_starts, at.errors, at.here.cost)
             if there is None:
-                damping *= 10.0
-                if damping > MOST_DAMPING:
-                    break
-                continue
-            is_settled = there.cost >= here.cost * (1.0 - SETTINGS.effort.settled)
-            system, starts, here = moved, new_starts, there
-            damping = max(damping * 0.1, LEAST_DAMPING)
-            errors, here = self._reweighted(here, layout, errors)
-            if is_settled:
-                break
+                return None
+            return _Point(moved, moved_starts, *self._reweighted(there, layout, at.errors)), at.here.cost - there.cost
+
+        def settled(at: _Point) -> float:
+            return max(SETTINGS.effort.settled * at.here.cost, float((rounding / at.errors.sigmas**2).sum()))
+
+        begun = _Point(system, starts, errors, here)
+        end = minimize(begun, _solver, move, settled, steps, lambda *_: self.deadline.is_over)
+        here = end.here
         squares = self.squares(here.residuals)
         return TrajectoryFit(
-            system, segments, starts, here.simulated, here.residuals, errors, squares, here.normal, here.coupling,
-            here.own, self, method is self._methods[1], here.gradient,
+            end.system, segments, end.starts, here.simulated, here.residuals, end.errors, squares, here.normal,
+            here.coupling, here.own, self, method is self._methods[1], here.gradient,
         )  # fmt: skip
 
     def _layout(self, length: int | None) -> Innovations:
@@ -534,32 +542,22 @@ def row_steps(measurements: Measurements) -> FloatArray:
     return steps
 
 
-def _solved(
-    here: _Equations, damping: float, least: float, held: npt.NDArray[np.bool_] | None = None
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the step of the constants (P,) and of the initial states (G, D); None when there is none worth a look.
-
-    Constants that are `held` do not move.
-
-    Were the equations linear, it would lower the cost by twice its product with the gradient at most; it is worth a
-    look where that is `least` or more.
-    """
+def _solver(at: _Point) -> Solver[_Step]:
+    """Return what solves for steps of the constants (P,), which keep to their bounds, and of initial states (G, D)."""
+    here, held = at.here, at.system.held(at.here.gradient)
+    normal, gradient, coupling = here.normal, here.gradient, here.coupling
     if held is not None and held.any():
-        here = _without(here, held)
-    change, moves = np.empty_like(here.gradient), np.empty_like(here.own_gradient)
-    solved = solve_step(
-        here.normal, here.coupling, here.own, here.gradient, here.own_gradient, damping, change, moves
-    )  # fmt: skip
-    promise = 2.0 * float((here.gradient * change).sum() + (here.own_gradient * moves).sum()) if solved else 0.0
-    return (change, moves) if least <= promise < math.inf else None
+        normal, gradient = without(normal, gradient, held)
+        coupling = coupling.copy()
+        coupling[:, held, :] = 0.0
 
+    def solve(damping: float) -> tuple[_Step, float] | None:
+        change, moves = np.empty_like(gradient), np.empty_like(here.own_gradient)
+        if not solve_step(normal, coupling, here.own, gradient, here.own_gradient, damping, change, moves):
+            return None
+        return (change, moves), 2.0 * float((gradient * change).sum() + (here.own_gradient * moves).sum())
 
-def _without(here: _Equations, held: npt.NDArray[np.bool_]) -> _Equations:
-    """Return the equations in which some constants are no unknowns: their step is zero."""
-    normal, coupling, gradient = here.normal.copy(), here.coupling.copy(), here.gradient.copy()
-    normal[held, :] = normal[:, held] = coupling[:, held, :] = gradient[held] = 0.0
-    normal[held, held] = 1.0
-    return replace(here, normal=normal, coupling=coupling, gradient=gradient)
+    return solve
 
 
 def fit_in_stages(

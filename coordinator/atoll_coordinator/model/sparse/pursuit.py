@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
-from atoll_coordinator.model.damping import FIRST_DAMPING
+from atoll_coordinator.model.least_squares import Solver, coefficients_of, inverse, minimize, solver
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes, sum_program
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
@@ -275,20 +275,24 @@ class _Pursuit:
         return sorted(unique.values(), key=self._length)
 
     def _length(self, candidate: _Sum) -> float:
-        misfit = 0.5 * len(self._target) * math.log(max(candidate.square, self._limit, 1e-300))
-        return misfit + float(self._prices[list(candidate.terms)].sum())
+        return self._misfit(candidate) + float(self._prices[list(candidate.terms)].sum())
+
+    def _misfit(self, candidate: _Sum) -> float:
+        return 0.5 * len(self._target) * math.log(self._counted(candidate))
+
+    def _counted(self, candidate: _Sum) -> float:
+        """Return the sum of squares that it leaves; less than the target's uncertainty does says nothing."""
+        return max(candidate.square, self._limit, 1e-300)
 
     def _eliminated(self, candidate: _Sum) -> Iterator[_Sum]:
         """Yield the sum, and those on the way to a single term, the least significant going first (Wald's test)."""
         yield candidate
         while len(candidate.terms) > 1:
             jacobian = self._jacobian(candidate)
-            sizes = np.sqrt((jacobian**2).sum(axis=1))
-            unit = jacobian / sizes[:, None]
-            if not np.isfinite(unit).all():
+            if not np.isfinite(jacobian).all():
                 return
-            variances = np.diag(np.linalg.pinv(unit @ unit.T, hermitian=True))[: len(candidate.terms)]
-            gains = (candidate.coefficients * sizes[: len(candidate.terms)]) ** 2 / np.maximum(variances, 1e-300)
+            variances = np.diag(inverse(jacobian @ jacobian.T))[: len(candidate.terms)]
+            gains = candidate.coefficients**2 / np.maximum(variances, 1e-300)
             following = self._fitted(*candidate.without(int(np.argmin(gains))))
             if following is None:
                 return
@@ -317,37 +321,23 @@ class _Pursuit:
         return self._fits[key]
 
     def _fit(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
-        """Return the fitted sum: Levenberg's method for inner constants, coefficients solved for at each step."""
+        """Return the fitted sum: damped steps of inner constants, coefficients solved for at each."""
+        begun = self._solved(terms, constants)
         inner = [place for place, term in enumerate(terms) if self._shapes[term].has_constant]
-        fit = self._solved(terms, constants)
-        damping = FIRST_DAMPING
-        for _ in range(SETTINGS.effort.steps if inner else 0):
-            if fit is None:
-                break
-            jacobian = self._jacobian(fit)
-            normal = jacobian @ jacobian.T
-            sizes = np.sqrt(np.diag(normal))
-            if not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
-                break
-            unit = normal / np.outer(sizes, sizes)
-            np.fill_diagonal(unit, 1.0 + damping)
-            try:
-                step = np.linalg.solve(unit, jacobian @ fit.left / sizes) / sizes
-            except np.linalg.LinAlgError:
-                break
-            moved = fit.constants.copy()
+        if begun is None or not inner:
+            return begun
+
+        def linearise(at: _Sum) -> Solver[FloatArray]:
+            jacobian, unit = self._jacobian(at), len(self._target) / self._counted(at)  # nats for half a square
+            return solver(unit * (jacobian @ jacobian.T), -unit * (jacobian @ at.left))
+
+        def move(at: _Sum, step: FloatArray) -> tuple[_Sum, float] | None:
+            moved = at.constants.copy()
             moved[inner] += step[len(terms) :]
             following = self._solved(terms, moved)
-            if following is None or not following.square < fit.square:
-                damping *= 10.0
-                if damping > 1.0:
-                    break
-                continue
-            is_settled = following.square > 0.999 * fit.square
-            fit, damping = following, 0.1 * damping
-            if is_settled:
-                break
-        return fit
+            return None if following is None else (following, self._misfit(at) - self._misfit(following))
+
+        return minimize(begun, linearise, move)
 
     def _solved(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
         """Return the sum with the coefficients of least squares at these inner constants."""
@@ -355,7 +345,7 @@ class _Pursuit:
         sizes = np.sqrt((columns**2).sum(axis=1))
         if not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
             return None
-        coefficients = np.linalg.lstsq((columns / sizes[:, None]).T, self._target, rcond=1e-12)[0] / sizes
+        coefficients = coefficients_of(columns, self._target)
         return _Sum(terms, constants, coefficients, self._target - coefficients @ columns)
 
     def _made(self, candidate: _Sum) -> Program:

@@ -4,9 +4,10 @@ import os
 
 import numpy as np
 
+from atoll_coordinator.model.cholesky import solve_damped
 from atoll_coordinator.model.sparse.kernels.corrected import eliminate_corrected, sum_error_products
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate, windowed_sums
-from atoll_coordinator.model.sparse.kernels.errors_in_variables import error_products, fit_errors_in_variables
+from atoll_coordinator.model.sparse.kernels.errors_in_variables import error_products, measure
 from atoll_coordinator.model.sparse.kernels.robust import robust_fit, select_forward
 
 
@@ -28,7 +29,8 @@ def warm_up() -> None:
     )  # fmt: skip
     products, cross, first = np.zeros((3, 2, 2)), np.zeros((3, 2)), np.zeros(3, np.int64)
     error_products(first, np.ones((3, 1)), np.ones((3, 1)), np.ones((2, 1, 1)), np.ones(1), 0, products, cross)
-    fit_errors_in_variables(
-        np.arange(2), values, np.array([1.0, 3.0, 7.0]), products, cross, np.ones(3), 1.0, 1, 0.0, np.zeros(2),
-        np.zeros(3), np.zeros((2, 2)),
+    measure(
+        np.arange(2), values, np.array([1.0, 3.0, 7.0]), products, cross, np.ones(3), 1.0, np.zeros(2), np.zeros(3),
+        np.zeros((2, 2)), np.zeros(2),
     )  # fmt: skip
+    solve_damped(np.eye(2), 0.0, np.zeros(2))

@@ -15,18 +15,18 @@ of z and of l: for the covariance part, E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2. 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from atoll_coordinator.data.increments.steps import Steps
-from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
+from atoll_coordinator.model.least_squares import Solver, inverse, minimize, solver
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic.discretisation import Discretisation
 from atoll_coordinator.stochastic.moments import Pair, StepMoments, step_moments
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants
-from atoll_core.expression.restrictions import Restrictions
+from atoll_core.expression.restrictions import NONE, Restrictions
 
 _DIFFERENCE = 1e-5
 """Share of a constant by which it is moved to find derivatives: central differences err by its square."""
@@ -93,6 +93,15 @@ class Whitened:
 
 
 @dataclass(frozen=True, eq=False)
+class _Point:
+    """A model on the way of a fit, the values of its parameters (K,), and what it leaves."""
+
+    model: ProcessModel
+    values: FloatArray
+    whitened: Whitened
+
+
+@dataclass(frozen=True, eq=False)
 class FittedProcess:
     """A model with its constants fitted: its `misfit` in nats, and the `information` (K, K) of its parameters."""
 
@@ -107,10 +116,7 @@ class FittedProcess:
         Nothing determines those by which the likelihood has no finite derivative: the model ends next to them.
         """
         known = np.isfinite(np.diag(self.information))
-        information = np.where(np.outer(known, known), self.information, 0.0)
-        scale = np.sqrt(np.maximum(np.diag(information), 1e-200))
-        unit = information / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
-        return np.asarray(np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale))
+        return inverse(np.where(np.outer(known, known), self.information, 0.0), ridge=1e-12)
 
 
 class ProcessLikelihood:
@@ -205,81 +211,48 @@ class ProcessLikelihood:
         The fit ends where a step promises or gains less than `settled`, in nats, and where the misfit is not going to
         come below `limit`.
         """
-        values, at, damping = model.parameters(free), self.whitened(model), FIRST_DAMPING
-        if not math.isfinite(at.misfit):
-            return FittedProcess(model, math.inf, np.zeros((len(values), len(values))))
+        begun = _Point(model, model.parameters(free), self.whitened(model))
+        if not math.isfinite(begun.whitened.misfit):
+            return FittedProcess(model, math.inf, np.zeros((len(begun.values), len(begun.values))))
         lower, upper = self._ranges(model, free)
-        gradient, information = self._derivatives(model, at, free, values)
-        for _ in range(SETTINGS.effort.steps if len(values) else 0):
-            is_held = ((values <= lower) & (gradient > 0.0)) | ((values >= upper) & (gradient < 0.0))
-            step = np.clip(values + _solved(information, gradient, damping, is_held), lower, upper) - values
-            promised = -0.5 * float(gradient @ step)
-            if not promised > settled or at.misfit - promised > limit:
-                break
-            tried = model.with_parameters(free, values + step)
-            whitened = self.whitened(tried)
-            if not whitened.misfit < at.misfit:
-                damping *= 10.0
-                if damping > MOST_DAMPING:
-                    break
-                continue
-            is_settled = at.misfit - whitened.misfit < settled
-            model, values, at, damping = tried, values + step, whitened, max(0.1 * damping, LEAST_DAMPING)
-            if is_settled:
-                break
-            gradient, information = self._derivatives(model, at, free, values)
-        return FittedProcess(model, at.misfit, information)
+        derivatives = cache(lambda at: self._derivatives(at, free))
 
-    def _ranges(self, model: ProcessModel, free: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the least and the largest value (K,) that each parameter may have."""
-        count = len(model.parameters(free))
-        lower, upper, first = np.full(count, -math.inf), np.full(count, math.inf), 0
-        for number in free:
-            places = constant_places(model.programs[number])
-            bounds = self._restrictions[number].bounds if self._restrictions else None
-            ranges = None if bounds is None else bounds.ranges(model.programs[number])
-            if ranges is not None:
-                lower[first : first + len(places)], upper[first : first + len(places)] = ranges
-            first += len(places)
-        return lower, upper
+        def linearise(at: _Point) -> Solver[FloatArray]:
+            gradient, information = derivatives(at)
+            return solver(information, gradient, (lower - at.values, upper - at.values))
 
-    def _derivatives(
-        self, model: ProcessModel, at: Whitened, free: Sequence[int], values: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+        def move(at: _Point, step: FloatArray) -> tuple[_Point, float]:
+            tried = model.with_parameters(free, at.values + step)
+            moved = _Point(tried, at.values + step, self.whitened(tried))
+            return moved, at.whitened.misfit - moved.whitened.misfit
+
+        def is_over(at: _Point, promise: float, _: int) -> bool:
+            return at.whitened.misfit - promise > limit
+
+        end = minimize(begun, linearise, move, lambda _: settled, is_over=is_over)
+        return FittedProcess(end.model, end.whitened.misfit, derivatives(end)[1])
+
+    def _ranges(self, model: ProcessModel, free: Sequence[int]) -> FloatArray:
+        """Return the least and the largest values (2, K) that parameters may have."""
+        restrictions = self._restrictions or [NONE] * len(model.programs)
+        ranges = [restrictions[number].ranges(model.programs[number]) for number in free]
+        noise = np.repeat([[-np.inf], [np.inf]], np.count_nonzero(model.noise), axis=1)
+        return np.concatenate([*ranges, noise], axis=1)
+
+    def _derivatives(self, at: _Point, free: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Return the gradient (K,) of the misfit by the parameters and their information (K, K)."""
-        residuals, logarithms = [], []
+        residuals, logarithms, values = [], [], at.values
         for k, value in enumerate(values.tolist()):
             step = np.zeros(len(values))
             step[k] = _DIFFERENCE * max(abs(value), _DIFFERENCE)
-            up, down = (self.whitened(model.with_parameters(free, values + sign * step)) for sign in (1.0, -1.0))
+            up, down = (self.whitened(at.model.with_parameters(free, values + sign * step)) for sign in (1.0, -1.0))
             residuals.append((up.residuals - down.residuals).ravel() / (2.0 * step[k]))
             logarithms.append((up.logarithms - down.logarithms).ravel() / (2.0 * step[k]))
-        shape = (len(values), at.residuals.size)
+        shape = (len(values), at.whitened.residuals.size)
         slopes = np.array(residuals).reshape(shape), np.array(logarithms).reshape(shape)
         with np.errstate(all="ignore"):
-            gradient = slopes[0] @ at.residuals.ravel() + slopes[1].sum(axis=1)
+            gradient = slopes[0] @ at.whitened.residuals.ravel() + slopes[1].sum(axis=1)
             return gradient, slopes[0] @ slopes[0].T + slopes[1] @ slopes[1].T
-
-
-def _solved(
-    information: FloatArray, gradient: FloatArray, damping: float, is_held: npt.NDArray[np.bool_]
-) -> FloatArray:
-    """Return the step of (I + damping diag I) step = - gradient; none where a derivative is not finite.
-
-    Parameters that are held at a bound (K,) have no step, and others theirs without them (Bertsekas 1982).
-    """
-    if is_held.any():
-        step, rest = np.zeros_like(gradient), np.flatnonzero(~is_held)
-        part = information[np.ix_(rest, rest)]
-        step[rest] = _solved(part, gradient[rest], damping, is_held[rest]) if len(rest) else 0.0
-        return step
-    scale = np.sqrt(np.diag(information))
-    scale[scale == 0.0] = 1.0
-    unit = information / np.outer(scale, scale)
-    np.fill_diagonal(unit, 1.0 + damping)
-    if not (np.isfinite(unit).all() and np.isfinite(scale).all() and np.isfinite(gradient).all()):
-        return np.zeros_like(gradient)
-    return np.asarray(np.linalg.lstsq(unit, -gradient / scale, rcond=None)[0] / scale)
 
 
 def _independent(residuals: FloatArray, covariance: FloatArray) -> Whitened:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.model.least_squares import inverse
 from atoll_coordinator.model.refinement import Constant
 from atoll_core.data.dataset import FloatArray
 
@@ -28,8 +29,7 @@ def one_sided_reaches(
     free, reaches = np.flatnonzero(~held), {}
     for number in np.flatnonzero(held).tolist():
         chosen = np.array([*free, number])
-        inverse = np.linalg.pinv(information[np.ix_(chosen, chosen)], hermitian=True)
-        error = math.sqrt(max(float(inverse[-1, -1]), 0.0))
+        error = math.sqrt(max(float(inverse(information[np.ix_(chosen, chosen)])[-1, -1]), 0.0))
         beyond = 0.0 if gradient is None else abs(float(gradient[number])) * error
         tail = math.log(0.05) + float(special.log_ndtr(-beyond))  # of all that lies beyond the centre
         reach = error * (-float(special.ndtri_exp(tail)) - beyond)

@@ -49,6 +49,14 @@ def test_editing_a_kernel_that_workers_run_changes_their_fingerprint(copied: Pat
     assert source_digest(WORKER) != fingerprint
 
 
+def test_editing_what_kernels_of_the_model_are_made_with_changes_their_digest(copied: Path) -> None:
+    fingerprint, everything = source_digest(WORKER), source_digest(ALL)
+    with (copied / "atoll_coordinator" / "model" / "cholesky.py").open("a") as file:
+        file.write("# edited\n")
+    assert source_digest(WORKER) == fingerprint
+    assert source_digest(ALL) != everything
+
+
 @pytest.mark.slow
 def test_every_kernel_in_the_fingerprint_is_one_that_an_island_runs() -> None:
     unused = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True, timeout=120)

@@ -11,14 +11,10 @@ import math
 
 import numpy as np
 
-from atoll_coordinator.model.cholesky import factorize, substitute
 from atoll_coordinator.model.sparse.kernels.robust import CAUCHY
 from atoll_core.compilation.jit import allocating_kernel, kernel
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
-
-_MOST_DAMPING = 1e4
-"""Numerics: steps that are damped more no longer move."""
 
 
 @kernel
@@ -56,7 +52,6 @@ def error_products(
 def measure(
     kept: Ints, columns: FloatArray, side: FloatArray, products: FloatArray, cross: FloatArray, least: FloatArray,
     typical: float, coefficients: FloatArray, scaled: FloatArray, normal: FloatArray, gradient: FloatArray,
-    has_slopes: bool,
 ) -> float:  # fmt: skip
     """Write what the sum leaves, in standard errors, `scaled` (W,); return its mean loss.
 
@@ -73,16 +68,14 @@ def measure(
         typical: s^2.
         coefficients: (M,).
         scaled: takes what is left.
-        normal: takes the matrix of the normal equations (M, M), where it `has_slopes`.
-        gradient: takes their right side (M,).
-        has_slopes: whether the last two are asked for.
+        normal: takes the matrix of the normal equations (M, M).
+        gradient: takes their right side (M,): minus the gradient of the sum of losses.
     """
     count, windows = len(kept), len(side)
     slopes, moved = np.empty(count), np.empty(count)
     loss = 0.0
-    if has_slopes:
-        normal[:] = 0.0
-        gradient[:] = 0.0
+    normal[:] = 0.0
+    gradient[:] = 0.0
     for w in range(windows):
         left, variance = side[w], least[w]
         for a in range(count):
@@ -97,57 +90,13 @@ def measure(
         scaled[w] = share
         far = share / CAUCHY
         loss += 0.5 * CAUCHY * CAUCHY * math.log1p(far * far) + 0.5 * math.log1p((variance - least[w]) / typical)
-        if has_slopes:
-            weight, pull = 1.0 / (1.0 + far * far), 1.0 / max(typical + variance - least[w], 1e-300)
-            for a in range(count):
-                slopes[a] = (columns[kept[a], w] + share / deviation * moved[a]) / deviation
-                gradient[a] += weight * slopes[a] * share - pull * moved[a]
-                for b in range(a + 1):
-                    normal[a, b] += weight * slopes[a] * slopes[b] + pull * products[w, kept[a], kept[b]]
-    for a in range(count if has_slopes else 0):
+        weight, pull = 1.0 / (1.0 + far * far), 1.0 / max(typical + variance - least[w], 1e-300)
+        for a in range(count):
+            slopes[a] = (columns[kept[a], w] + share / deviation * moved[a]) / deviation
+            gradient[a] += weight * slopes[a] * share - pull * moved[a]
+            for b in range(a + 1):
+                normal[a, b] += weight * slopes[a] * slopes[b] + pull * products[w, kept[a], kept[b]]
+    for a in range(count):
         for b in range(a):
             normal[b, a] = normal[a, b]
     return loss / windows
-
-
-@allocating_kernel
-def fit_errors_in_variables(
-    kept: Ints, columns: FloatArray, side: FloatArray, products: FloatArray, cross: FloatArray, least: FloatArray,
-    typical: float, rounds: int, settled: float, coefficients: FloatArray, scaled: FloatArray, normal: FloatArray,
-) -> float:  # fmt: skip
-    """Move `coefficients` (M,) to a least mean loss nearby, which is returned: steps of Levenberg and Marquardt.
-
-    Arguments are as for `measure`; `settled` is the gain of a step below which it ends.
-    """
-    count = len(kept)
-    gradient, trial, others = np.zeros(count), np.zeros(count), scaled.copy()
-    factor, step, sizes = np.zeros((count, count)), np.zeros(count), np.zeros(count)
-    loss = measure(kept, columns, side, products, cross, least, typical, coefficients, scaled, normal, gradient, True)
-    damping = 1e-3
-    for _ in range(rounds):
-        gain = -1.0
-        while damping <= _MOST_DAMPING:
-            factor[:] = normal
-            if factorize(factor, count, sizes, damping):
-                step[:] = gradient
-                substitute(factor, count, sizes, step)
-                for a in range(count):
-                    trial[a] = coefficients[a] + step[a]
-                following = measure(
-                    kept, columns, side, products, cross, least, typical, trial, others, normal, gradient, False
-                )
-                gain = loss - following
-                if gain > 0.0:
-                    break
-            damping *= 10.0
-        if not gain > 0.0:
-            break
-        for a in range(count):
-            coefficients[a] = trial[a]
-        loss = measure(
-            kept, columns, side, products, cross, least, typical, coefficients, scaled, normal, gradient, True
-        )
-        damping = max(0.1 * damping, 1e-9)
-        if gain < settled:
-            break
-    return loss

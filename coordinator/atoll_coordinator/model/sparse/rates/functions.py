@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
+from atoll_coordinator.model.least_squares import coefficients_of
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
 from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, fitted, polished
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
@@ -98,7 +99,7 @@ class Beside:
         missing, weights = float(values.std()), np.ones(len(values))
         for _ in range(SETTINGS.effort.steps):
             weights = 1.0 / np.sqrt(errors**2 + missing**2)
-            left = values - _solved(columns, values, weights) @ columns
+            left = values - coefficients_of(columns * weights, values * weights) @ columns
             square = (float(np.median(np.abs(left))) / _NORMAL) ** 2 - float(np.median(errors)) ** 2
             before, missing = missing, math.sqrt(max(square, 0.0))
             if abs(missing - before) <= 1e-2 * before:
@@ -200,10 +201,3 @@ def _least(value: Callable[[float], float], low: float, high: float) -> float:
             upper = low + _GOLDEN * (high - low)
             at_upper = value(upper)
     return 0.5 * (low + high)
-
-
-def _solved(columns: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
-    sizes = np.sqrt(((columns * weights) ** 2).sum(axis=1))
-    sizes = np.where(sizes > 0.0, sizes, 1.0)
-    unit = columns * weights / sizes[:, None]
-    return np.asarray(np.linalg.lstsq(unit.T, values * weights, rcond=1e-12)[0] / sizes)

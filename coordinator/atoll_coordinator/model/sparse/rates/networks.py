@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from atoll_coordinator.model.least_squares import Solver, coefficients_of, minimize, solver
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
 from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, fitted
 from atoll_coordinator.model.sparse.shapes import SCALED, Shape
@@ -56,15 +57,23 @@ class _Node:
     def begun(self, weights: FloatArray) -> FloatArray:
         """Return the numbers for these weights (V,) of the sum, the others by least squares."""
         columns = np.vstack([self.beside, np.tanh(weights @ self.inputs)])
-        return np.concatenate([np.asarray(np.linalg.lstsq(columns.T, self.values)[0], np.float64), weights])
+        return np.concatenate([coefficients_of(columns, self.values), weights])
 
     def fit(self, numbers: FloatArray) -> FloatArray:
         """Return the numbers of least Cauchy loss nearby."""
-        from scipy.optimize import least_squares
 
-        return np.asarray(
-            least_squares(self.left, numbers, self.slopes, loss="cauchy", max_nfev=SETTINGS.effort.steps).x
-        )
+        def loss(at: FloatArray) -> float:
+            return 0.5 * float(np.log1p(self.left(at) ** 2).sum())
+
+        def linearise(at: FloatArray) -> Solver[FloatArray]:
+            left, slopes = self.left(at), self.slopes(at)
+            weighted = slopes / (1.0 + left * left)[:, None]
+            return solver(weighted.T @ slopes, weighted.T @ left)
+
+        def move(at: FloatArray, step: FloatArray) -> tuple[FloatArray, float]:
+            return at + step, loss(at) - loss(at + step)
+
+        return minimize(numbers, linearise, move, lambda at: SETTINGS.effort.settled * loss(at))
 
 
 def with_network(rows: RateRows, begun: Sequence[Atom], columns: Sequence[int]) -> list[Atom]:
@@ -91,7 +100,7 @@ def _starts(rows: RateRows, columns: Sequence[int]) -> Iterator[FloatArray]:
     values = rows.inputs[list(columns)]
     means, sizes = values.mean(axis=1), values.std(axis=1)
     unit = (values - means[:, None]) / np.where(sizes > 0.0, sizes, 1.0)[:, None]
-    directions = [np.linalg.lstsq(unit.T, rows.values - rows.values.mean())[0]]
+    directions = [coefficients_of(unit, rows.values - rows.values.mean())]
     directions += list(np.random.default_rng(0).standard_normal((SETTINGS.effort.beam, len(columns))))
     for direction in directions:
         spread = float((direction @ unit).std())

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
+from atoll_coordinator.model.least_squares import Solver, minimize, solver
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.kernels.robust import robust_fit
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
@@ -31,6 +32,11 @@ class Atom:
 
     shape: Shape
     constant: float = 1.0
+
+    def moved(self, step: float) -> "Atom":
+        """Return the term with its inner constant after a step, which changes it by half at most."""
+        limit = 0.5 * abs(self.constant)
+        return Atom(self.shape, self.constant + min(max(step, -limit), limit))
 
     def price(self, rows: int) -> float:
         """Return the nats of the term in a sum: its structure, and 1/2 ln N for each constant."""
@@ -116,43 +122,21 @@ def pruned(rows: RateRows, best: RateSum) -> RateSum:
 
 
 def polished(rows: RateRows, rate_sum: RateSum) -> RateSum:
-    """Return the sum with its inner constants fitted: Gauss and Newton's steps, halved until the scale is less."""
+    """Return the sum with its inner constants fitted, weights of rows as they are in each step."""
     inner = [place for place, atom in enumerate(rate_sum.atoms) if atom.shape.has_constant]
-    for _ in range(SETTINGS.effort.steps if inner else 0):
-        following = _stepped(rows, rate_sum, inner)
-        if following is None:
-            break
-        is_settled = following.scale > (1.0 - SETTINGS.common.negligible) * rate_sum.scale
-        rate_sum = following
-        if is_settled:
-            break
-    return rate_sum
 
+    def linearise(at: RateSum) -> Solver[FloatArray]:
+        columns = np.array([atom.shape.value(atom.constant) for atom in at.atoms])
+        slopes = [at.coefficients[place] * at.atoms[place].shape.slope(at.atoms[place].constant) for place in inner]
+        left = (rows.values - at.coefficients @ columns) * at.weights / rows.errors
+        jacobian = np.array([*columns, *slopes]) * at.weights / rows.errors
+        unit = SETTINGS.selection.systematic_numbers / max(float(left @ left), 1e-300)  # nats for half a square
+        return solver(unit * (jacobian @ jacobian.T), -unit * (jacobian @ left))
 
-def _stepped(rows: RateRows, rate_sum: RateSum, inner: Sequence[int]) -> RateSum | None:
-    """Return the sum after one step of its inner constants, None where no step makes the scale less."""
-    columns = [atom.shape.value(atom.constant) for atom in rate_sum.atoms]
-    slopes = [
-        rate_sum.coefficients[place] * rate_sum.atoms[place].shape.slope(rate_sum.atoms[place].constant)
-        for place in inner
-    ]
-    jacobian = np.array([*columns, *slopes])
-    if not np.isfinite(jacobian).all():
-        return None
-    left = rows.values - rate_sum.coefficients @ np.array(columns)
-    moves = np.zeros(len(jacobian))
-    robust_fit(jacobian, left, rows.errors, 1, moves, rate_sum.weights.copy())
-    for halving in range(_HALVINGS):
-        atoms = list(rate_sum.atoms)
-        for place, move in zip(inner, moves[len(columns) :].tolist(), strict=True):
-            atom = atoms[place]
-            limit = 0.5 * abs(atom.constant)
-            atoms[place] = Atom(atom.shape, atom.constant + min(max(move, -limit), limit) * 0.5**halving)
-        following = fitted(rows, atoms, rate_sum.weights)
-        if following is not None and following.scale < rate_sum.scale:
-            return following
-    return None
+    def move(at: RateSum, step: FloatArray) -> tuple[RateSum, float] | None:
+        moves = dict(zip(inner, step[len(at.atoms) :].tolist(), strict=True))
+        atoms = [atom.moved(moves.get(place, 0.0)) for place, atom in enumerate(at.atoms)]
+        following = fitted(rows, atoms, at.weights)
+        return None if following is None else (following, at.nats - following.nats)
 
-
-_HALVINGS = 4
-"""Numerics: a step that is too long is halved so many times at most."""
+    return minimize(rate_sum, linearise, move) if inner else rate_sum

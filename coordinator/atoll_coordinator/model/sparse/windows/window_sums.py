@@ -10,23 +10,23 @@ Letters: K terms of a library, M terms of a sum, W windows.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from atoll_coordinator.model.criteria import log
-from atoll_coordinator.model.sparse.kernels.errors_in_variables import fit_errors_in_variables, measure
+from atoll_coordinator.model.least_squares import Solver, inverse, minimize, solver
+from atoll_coordinator.model.sparse.kernels.errors_in_variables import measure
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION, robust_fit
 from atoll_coordinator.model.sparse.rates.rate_sums import Atom
 from atoll_coordinator.model.sparse.shapes import sum_program
 from atoll_coordinator.model.sparse.windows.terms import Terms, covariances, gradient
+from atoll_coordinator.model.sparse.windows.window_rows import WindowRows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 from atoll_core.expression.program import Program
 from atoll_core.expression.writing.shortest import collected
-
-_SETTLED = 1e-1
-"""Numerics: nats below which a step of a fit gains nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,19 +111,50 @@ def _quadrature(terms: Terms, places: Ints, coefficients: FloatArray) -> FloatAr
     return rows.spread(left[0] - left[1]) ** 2
 
 
-def _moved(terms: Terms, places: Ints, begun: FloatArray, quadrature: FloatArray, rounds: int) -> WindowSum:
-    rows, count = terms.rows, len(places)
-    products, cross = terms.errors
-    coefficients, scaled, normal = begun.copy(), np.zeros(len(rows.first)), np.zeros((count, count))
-    loss = fit_errors_in_variables(
-        places, terms.integrals[0], rows.sides[0], products, cross, rows.own + quadrature, rows.typical, rounds,
-        _SETTLED / rows.independent, coefficients, scaled, normal,
-    )  # fmt: skip
-    loss += _unresolved(terms, places, coefficients, quadrature)
-    price = math.fsum(terms.price(place) for place in places.tolist())
-    return WindowSum(
-        terms, tuple(places.tolist()), coefficients, scaled, normal, quadrature, rows.independent * loss + price
+Columns = tuple[FloatArray, FloatArray, FloatArray]
+"""Integrals (K, W), the covariances of their errors (W, K, K), and those with the errors of the sides (W, K)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Misfit:
+    """What windows are left with (W,) by coefficients (M,), in standard errors, and that in nats.
+
+    With its gradient (M,) and the matrix (M, M) of the normal equations.
+    """
+
+    coefficients: FloatArray
+    scaled: FloatArray
+    nats: float
+    gradient: FloatArray
+    normal: FloatArray
+
+
+def _misfit(rows: WindowRows, columns: Columns, variances: FloatArray, kept: Ints, coefficients: FloatArray) -> _Misfit:
+    """Return the misfit of a sum of the columns `kept` (M,) with these `coefficients` (M,).
+
+    The `variances` (W,) are those of what windows are left with beside the errors of columns.
+    """
+    values, products, cross = columns
+    scaled, pull, normal = np.zeros(len(variances)), np.zeros(len(kept)), np.zeros((len(kept), len(kept)))
+    loss = measure(
+        kept, values, rows.sides[0], products, cross, variances, rows.typical, coefficients, scaled, normal, pull
     )
+    share = rows.independent / len(variances)
+    return _Misfit(coefficients, scaled, rows.independent * loss, -share * pull, share * normal)
+
+
+def _moved(terms: Terms, places: Ints, begun: FloatArray, quadrature: FloatArray, rounds: int) -> WindowSum:
+    rows = terms.rows
+    misfit = partial(_misfit, rows, (terms.integrals[0], *terms.errors), rows.own + quadrature, places)
+
+    def move(at: _Misfit, step: FloatArray) -> tuple[_Misfit, float]:
+        there = misfit(at.coefficients + step)
+        return there, at.nats - there.nats
+
+    end = minimize(misfit(begun), lambda at: solver(at.normal, at.gradient), move, steps=rounds)
+    price = math.fsum(terms.price(place) for place in places.tolist())
+    nats = end.nats + rows.independent * _unresolved(terms, places, end.coefficients, quadrature) + price
+    return WindowSum(terms, tuple(places.tolist()), end.coefficients, end.scaled, end.normal, quadrature, nats)
 
 
 def _unresolved(terms: Terms, places: Ints, coefficients: FloatArray, quadrature: FloatArray) -> float:
@@ -165,12 +196,10 @@ def improved(best: WindowSum) -> WindowSum:
 
 
 def _without_least(window_sum: WindowSum) -> WindowSum | None:
-    sizes = np.sqrt(np.maximum(np.diag(window_sum.normal), 1e-300))
-    covariance = np.linalg.pinv(window_sum.normal / np.outer(sizes, sizes), hermitian=True)
+    covariance = inverse(window_sum.normal)
     variances = np.maximum(np.diag(covariance), 1e-300)
-    scaled = window_sum.coefficients * sizes
-    least = int(np.argmin(scaled**2 / variances))
-    moved = (scaled - covariance[:, least] / variances[least] * scaled[least]) / sizes
+    least = int(np.argmin(window_sum.coefficients**2 / variances))
+    moved = window_sum.coefficients - covariance[:, least] / variances[least] * window_sum.coefficients[least]
     near = replace(window_sum, coefficients=moved)
     kept = window_sum.kept[:least] + window_sum.kept[least + 1 :]
     return fitted(
@@ -195,82 +224,47 @@ def _promising(window_sum: WindowSum) -> list[int]:
     terms, count = window_sum.terms, len(window_sum.terms.atoms)
     coefficients = np.zeros(count)
     coefficients[list(window_sum.kept)] = window_sum.coefficients
-    products, cross = terms.errors
-    normal, slope = np.zeros((count, count)), np.zeros(count)
-    measure(
-        np.arange(count), terms.integrals[0], terms.rows.sides[0], products, cross,
-        terms.rows.own + window_sum.quadrature, terms.rows.typical, coefficients, np.zeros(len(terms.rows.first)),
-        normal, slope, True,
-    )  # fmt: skip
+    columns, variances = (terms.integrals[0], *terms.errors), terms.rows.own + window_sum.quadrature
+    here = _misfit(terms.rows, columns, variances, np.arange(count), coefficients)
+    normal, slope = here.normal, here.gradient
     kept = list(window_sum.kept)
     others = [place for place in range(count) if place not in window_sum.kept]
-    inverse = np.linalg.pinv(normal[np.ix_(kept, kept)], hermitian=True)
     beside = normal[np.ix_(others, kept)]
-    free = np.diag(normal)[others] - ((beside @ inverse) * beside).sum(axis=1)
-    pull = slope[others] - beside @ inverse @ slope[kept]
+    carried = beside @ inverse(normal[np.ix_(kept, kept)])
+    free = np.diag(normal)[others] - (carried * beside).sum(axis=1)
+    pull = slope[others] - carried @ slope[kept]
     gains = np.where(free > 1e-9 * np.diag(normal)[others], pull**2 / np.maximum(free, 1e-300), 0.0)
     return [others[place] for place in np.argsort(-gains, kind="stable")[: SETTINGS.windows.promising].tolist()]
 
 
 def polished(window_sum: WindowSum) -> WindowSum:
-    """Return the sum with its inner constants fitted, as a library of its own: steps, halved until it is shorter."""
-    best: WindowSum | None = fitted(Terms(window_sum.terms.rows, window_sum.atoms), range(len(window_sum.kept)))
-    if best is None:
-        return window_sum
-    for _ in range(SETTINGS.effort.steps if any(atom.shape.has_constant for atom in best.atoms) else 0):
-        following = _stepped(best)
-        if following is None:
-            break
-        is_settled = following.nats > best.nats - _SETTLED
-        best = following
-        if is_settled:
-            break
-    return best
-
-
-def _stepped(window_sum: WindowSum) -> WindowSum | None:
-    """Return the sum after one step of its inner constants, None where none makes it shorter.
+    """Return the sum with its inner constants fitted, as a library of its own.
 
     The slopes of terms by their inner constants are terms themselves here, with errors of their own.
     """
-    moves = _moves(window_sum)
-    for halving in range(_HALVINGS):
-        atoms = []
-        for atom, move in zip(window_sum.atoms, moves, strict=True):
-            limit = 0.5 * abs(atom.constant)
-            atoms.append(Atom(atom.shape, atom.constant + min(max(move, -limit), limit) * 0.5**halving))
-        terms = Terms(window_sum.terms.rows, tuple(atoms))
-        following = fitted(terms, range(len(atoms)), replace(window_sum, terms=terms))
-        if following is not None and following.nats < window_sum.nats:
-            return following
-    return None
-
-
-_HALVINGS = 4
-"""Numerics: a step that is too long is halved so many times at most."""
-
-
-def _moves(window_sum: WindowSum) -> list[float]:
-    """Return the step of each term's inner constant, 0 where it has none."""
-    rows, count = window_sum.terms.rows, len(window_sum.kept)
+    begun = fitted(Terms(window_sum.terms.rows, window_sum.atoms), range(len(window_sum.kept)))
     inner = [place for place, atom in enumerate(window_sum.atoms) if atom.shape.has_constant]
-    factors = window_sum.coefficients[inner][:, None]
-    slopes = factors * np.array(
-        [window_sum.atoms[place].shape.slope(window_sum.atoms[place].constant) for place in inner]
-    )
-    gradients = np.array([gradient(atom, rows) for atom in window_sum.atoms])
-    others = factors[:, :, None] * np.array([gradient(window_sum.atoms[place], rows, is_slope=True) for place in inner])
-    columns = np.concatenate([window_sum.terms.integrals[0], rows.integrals(slopes)])
-    products, cross = covariances(rows, np.concatenate([gradients, others]))
-    if not (np.isfinite(columns).all() and np.isfinite(products).all() and np.isfinite(cross).all()):
-        return [0.0] * count
-    coefficients, total = np.concatenate([window_sum.coefficients, np.zeros(len(inner))]), count + len(inner)
-    fit_errors_in_variables(
-        np.arange(total), columns, rows.sides[0], products, cross, rows.own + window_sum.quadrature,
-        rows.typical, SETTINGS.windows.brief_rounds, 0.0, coefficients, np.zeros(len(rows.first)),
-        np.zeros((total, total)),
-    )  # fmt: skip
-    moves = [0.0] * count
-    for place, move in zip(inner, coefficients[count:].tolist(), strict=True):
-        moves[place] = move
-    return moves
+    if begun is None or not inner:
+        return begun or window_sum
+    rows, count = window_sum.terms.rows, len(window_sum.kept)
+    every = np.arange(count + len(inner))
+
+    def linearise(at: WindowSum) -> Solver[FloatArray]:
+        chosen, factors = [at.atoms[place] for place in inner], at.coefficients[inner][:, None]
+        slopes = factors * np.array([atom.shape.slope(atom.constant) for atom in chosen])
+        others = factors[:, :, None] * np.array([gradient(atom, rows, is_slope=True) for atom in chosen])
+        columns = np.concatenate([at.terms.integrals[0], rows.integrals(slopes)])
+        errors = covariances(rows, np.concatenate([[gradient(atom, rows) for atom in at.atoms], others]))
+        coefficients = np.concatenate([at.coefficients, np.zeros(len(inner))])
+        here = _misfit(rows, (columns, *errors), rows.own + at.quadrature, every, coefficients)
+        return solver(here.normal, here.gradient)
+
+    def move(at: WindowSum, step: FloatArray) -> tuple[WindowSum, float] | None:
+        moves = dict(zip(inner, step[count:].tolist(), strict=True))
+        atoms = tuple(atom.moved(moves.get(place, 0.0)) for place, atom in enumerate(at.atoms))
+        terms = Terms(rows, atoms)
+        near = replace(at, terms=terms, coefficients=at.coefficients + step[:count])
+        following = fitted(terms, range(count), near)
+        return None if following is None else (following, at.nats - following.nats)
+
+    return minimize(begun, linearise, move)

@@ -110,7 +110,7 @@ def test_the_probability_of_any_number_is_that_of_the_simple_ones_of_its_decade(
 def test_a_simple_number_with_which_there_is_no_finite_value_is_not_taken():
     program = from_infix("1.2*exp(709.0*x)", ("x",))
     problem = Problem(("x",), np.linspace(0.0, 1.0, 5)[None], Target("x", "dx/dt", np.zeros(5), 0.0, 1.0))
-    fitted = Fitted(program, 1.0, np.diag([1e9, 4.0]))
+    fitted = Fitted(program, 1.0, np.diag([1e9, 4.0]), np.zeros(2))
     kept = round_constants(fitted, RegressionCriterion(5, 1e-12), LeastSquares(problem))
     assert np.all(np.isfinite(values_of(kept.program, problem.inputs)))
 

@@ -45,7 +45,7 @@ def test_where_a_sum_cannot_be_simulated_the_smallest_term_goes(monkeypatch):
     monkeypatch.setattr(alone, "fit_model", lambda *_: None)
     seen = []
     monkeypatch.setattr(
-        elimination, "_fitted", lambda columns, scales, target: seen.append(len(scales)) or [1.0] * len(scales)
+        elimination, "_fitted", lambda columns, target: seen.append(len(columns)) or [1.0] * len(columns)
     )
     assert eliminated(alone, problem, [(), (X,), (Y,)]) == []
     assert seen == [3, 2, 1]

@@ -1,0 +1,126 @@
+"""Least squares and likelihoods by damped steps: one driver of every fit, and the linear equations of its steps.
+
+Near a point with the gradient g, a cost is about that of the normal equations N s = -g: half a sum of squares with the
+derivatives J of what is left has N = J'J, a likelihood has Fisher's information. A step s solves them with the diagonal
+raised by a share, the damping (Levenberg 1944, Marquardt 1963). One that does not lower the cost is tried again, damped
+more. Letters: K numbers that are fitted, R rows.
+"""
+
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll_coordinator.model.cholesky import solve_damped
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+
+FIRST_DAMPING: Final = 1e-3
+"""Of the first step."""
+LEAST_DAMPING: Final = 1e-12
+"""Below, a step is Newton's."""
+MOST_DAMPING: Final = 1e9
+"""Guard: a fit ends whose equations have no solution up to here. Steps promise too little long before."""
+_FACTOR: Final = 10.0
+"""A step that fails takes so many times the damping, one that does not as small a share."""
+
+Point = TypeVar("Point")
+Step = TypeVar("Step")
+Solver = Callable[[float], tuple[Step, float] | None]
+"""What solves for the step of a damping. It comes with its promise: were the cost as its equations have it, the step
+would lower it by that at most. None where there is no solution."""
+
+
+def minimize(
+    begun: Point,
+    linearise: Callable[[Point], Solver[Step]],
+    move: Callable[[Point, Step], tuple[Point, float] | None],
+    settled: Callable[[Point], float] = lambda point: SETTINGS.selection.least_gain,
+    steps: int = SETTINGS.effort.steps,
+    is_over: Callable[[Point, float, int], bool] = lambda point, promise, taken: False,
+) -> Point:
+    """Return the point of least cost that damped steps from `begun` lead to.
+
+    Args:
+        begun: where the fit begins.
+        linearise: makes the equations of steps from a point.
+        move: takes a step; returns the point there and by how much the cost has fallen, None where there is no cost.
+        settled: the fall of the cost at a point below which a step is none: one that promises less is not tried, and
+            after one that lowers it by less the fit ends. Of costs in nats, what counts in a description.
+        steps: most steps, successful or not.
+        is_over: whether to end the fit at a point, given what the next step promises and how many were tried.
+    """
+    point, solve, damping = begun, None, FIRST_DAMPING
+    for taken in range(steps):
+        solve = solve or linearise(point)
+        solved, least, moved = solve(damping), settled(point), None
+        if solved is not None and np.isfinite(solved[1]):
+            if solved[1] <= least or is_over(point, solved[1], taken):
+                break
+            moved = move(point, solved[0])
+        if moved is None or not moved[1] >= 0.0:
+            damping *= _FACTOR
+            if damping > MOST_DAMPING:
+                break
+            continue
+        (point, gain), solve, damping = moved, None, max(damping / _FACTOR, LEAST_DAMPING)
+        if gain <= least:
+            break
+    return point
+
+
+def solver(
+    normal: FloatArray, gradient: FloatArray, reach: tuple[FloatArray, FloatArray] | None = None
+) -> Solver[FloatArray]:
+    """Return what solves for steps (K,) by the matrix (K, K) of the normal equations and the `gradient` (K,).
+
+    Args:
+        normal: the matrix.
+        gradient: of the cost.
+        reach: least and largest step (K,) of each number. Those that cannot go where the gradient wants them stay, and
+            the others move as they would without them (Bertsekas 1982).
+    """
+    if reach is not None:
+        held = ((reach[0] >= 0.0) & (gradient >= 0.0)) | ((reach[1] <= 0.0) & (gradient <= 0.0))
+        normal, gradient = without(normal, gradient, held)
+
+    def solve(damping: float) -> tuple[FloatArray, float] | None:
+        step = -gradient
+        if not solve_damped(normal, damping, step):
+            return None
+        step = step if reach is None else np.clip(step, *reach)
+        return step, -float((gradient * step).sum())
+
+    return solve
+
+
+def without(normal: FloatArray, gradient: FloatArray, held: npt.NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Return the normal equations in which the numbers `held` (K,) are no unknowns: their step is zero."""
+    if not held.any():
+        return normal, gradient
+    normal, gradient = normal.copy(), gradient.copy()
+    normal[held, :] = normal[:, held] = gradient[held] = 0.0
+    normal[held, held] = 1.0
+    return normal, gradient
+
+
+def coefficients_of(columns: FloatArray, target: FloatArray) -> FloatArray:
+    """Return the coefficients (K,) by which `columns` (K, R) leave the least sum of squares of the `target` (R,)."""
+    sizes = np.sqrt((columns**2).sum(axis=1))
+    sizes[sizes == 0.0] = 1.0
+    return np.asarray(np.linalg.lstsq((columns / sizes[:, None]).T, target, rcond=_DEPENDENT)[0] / sizes)
+
+
+_DEPENDENT: Final = 1e-12
+"""Share of unit columns beyond others that is rounding."""
+
+
+def inverse(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:
+    """Return the pseudoinverse (K, K) of a symmetric matrix in units in which its diagonal is one.
+
+    With a `ridge`, which is added there, it is huge and not zero in directions that the matrix does not determine.
+    """
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-200))
+    unit = matrix / np.outer(scale, scale) + ridge * np.eye(len(scale))
+    return np.asarray(np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale))
