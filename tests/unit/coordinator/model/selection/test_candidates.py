@@ -69,3 +69,24 @@ def test_a_library_of_some_variables_uses_no_other(alone):
 
 def test_what_has_no_value_on_the_rows_is_no_candidate(alone):
     assert ranked(*alone, programs("log(x - 1000.0)"), []) == []
+
+
+def test_what_is_proposed_later_is_ranked_among_what_was_there(alone):
+    comparison, problem = alone
+    candidates = RankedCandidates(comparison, problem)
+    candidates.add(programs("0.5*y", "-1.5*x"))
+    candidates.add(programs("-1.7*x", "-2.5*x - 0.1*y"))
+    assert structure(candidates.programs[0]) == structure(SWING.parsed("-2.5*x - 0.1*y"))
+    assert len(candidates.programs) == 3  # -1.7*x is one of those before
+
+
+def test_what_is_too_long_to_matter_is_no_candidate(alone):
+    comparison, problem = alone
+    candidates = RankedCandidates(comparison, problem)
+    most = comparison.length(SWING.parsed("-2.5*x - 0.1*y"))
+    written_long = "-2.5*x*x/x"
+    candidates.add(programs("-2.5*x - 0.1*y", "0.5*y", written_long), libraries([0, 1], ARITHMETIC), most)
+    assert all(comparison.length(program) < most for program in candidates.programs)
+    assert {structure(program) for program in candidates.programs} >= {
+        structure(program) for program in programs("0.5*y", "-2.5*x")
+    }
