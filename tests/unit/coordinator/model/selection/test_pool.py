@@ -10,6 +10,7 @@ from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.selection.pool import CandidatePool
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import JobConfig, SpaceConfig
+from atoll_core.expression.program import structure
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
 CONFIG = JobConfig(space=SpaceConfig(operators=("+", "-", "*")))
@@ -40,7 +41,7 @@ def test_a_better_system_takes_the_place_of_the_best(task):
     assert not pool.suffices
     pool.add(proposer(TRUTH))
     assert [len(candidates) for candidates in pool.lists] == [2, 2]
-    assert "0.2" in SPIRAL.text(pool.best.programs[0])
+    assert structure(pool.best.programs[0]) == structure(SPIRAL.parsed("b - 0.3*a"))
 
 
 def test_beside_a_system_that_leaves_noise_alone_only_what_is_short_is_taken_in(task):
