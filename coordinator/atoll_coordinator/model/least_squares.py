@@ -28,8 +28,8 @@ _FACTOR: Final = 10.0
 Point = TypeVar("Point")
 Step = TypeVar("Step")
 Solver = Callable[[float], tuple[Step, float] | None]
-"""What solves for the step of a damping. It comes with its promise: were the cost as its equations have it, the step
-would lower it by that at most. None where there is no solution."""
+"""What solves for the step of a damping. It comes with its promise: by about how much it lowers the cost if that is as
+the equations have it. None where there is no solution, or bounds leave none that goes down."""
 
 
 def minimize(
@@ -90,7 +90,8 @@ def solver(
         if not solve_damped(normal, damping, step):
             return None
         step = step if reach is None else np.clip(step, *reach)
-        return step, -float((gradient * step).sum())
+        promise = -0.5 * float((gradient * step).sum())
+        return (step, promise) if promise >= 0.0 else None
 
     return solve
 

@@ -555,6 +555,7 @@ def _solver(at: _Point) -> Solver[_Step]:
         change, moves = np.empty_like(gradient), np.empty_like(here.own_gradient)
         if not solve_step(normal, coupling, here.own, gradient, here.own_gradient, damping, change, moves):
             return None
+        # twice as much as steps without damping would lower it, and the most that damped ones do
         return (change, moves), 2.0 * float((gradient * change).sum() + (here.own_gradient * moves).sum())
 
     return solve

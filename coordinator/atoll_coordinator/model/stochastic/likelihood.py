@@ -13,9 +13,9 @@ of z and of l: for the covariance part, E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2. 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -103,11 +103,16 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class FittedProcess:
-    """A model with its constants fitted: its `misfit` in nats, and the `information` (K, K) of its parameters."""
+    """A model with its constants fitted, its `misfit` in nats, and what finds the information of its parameters."""
 
     model: ProcessModel
     misfit: float
-    information: FloatArray
+    inform: Callable[[], FloatArray]
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """That information (K, K): it takes two likelihoods for each, and most fits are compared only."""
+        return self.inform()
 
     @property
     def covariance(self) -> FloatArray:
@@ -213,7 +218,7 @@ class ProcessLikelihood:
         """
         begun = _Point(model, model.parameters(free), self.whitened(model))
         if not math.isfinite(begun.whitened.misfit):
-            return FittedProcess(model, math.inf, np.zeros((len(begun.values), len(begun.values))))
+            return FittedProcess(model, math.inf, lambda: np.zeros((len(begun.values), len(begun.values))))
         lower, upper = self._ranges(model, free)
         derivatives = cache(lambda at: self._derivatives(at, free))
 
@@ -230,7 +235,7 @@ class ProcessLikelihood:
             return at.whitened.misfit - promise > limit
 
         end = minimize(begun, linearise, move, lambda _: settled, is_over=is_over)
-        return FittedProcess(end.model, end.whitened.misfit, derivatives(end)[1])
+        return FittedProcess(end.model, end.whitened.misfit, lambda: derivatives(end)[1])
 
     def _ranges(self, model: ProcessModel, free: Sequence[int]) -> FloatArray:
         """Return the least and the largest values (2, K) that parameters may have."""

@@ -151,10 +151,15 @@ def _moved(terms: Terms, places: Ints, begun: FloatArray, quadrature: FloatArray
         there = misfit(at.coefficients + step)
         return there, at.nats - there.nats
 
-    end = minimize(misfit(begun), lambda at: solver(at.normal, at.gradient), move, steps=rounds)
+    end = minimize(misfit(begun), lambda at: solver(at.normal, at.gradient), move, _settled, rounds)
     price = math.fsum(terms.price(place) for place in places.tolist())
     nats = end.nats + rows.independent * _unresolved(terms, places, end.coefficients, quadrature) + price
     return WindowSum(terms, tuple(places.tolist()), end.coefficients, end.scaled, end.normal, quadrature, nats)
+
+
+def _settled(_: object) -> float:
+    """Return the nats below which a step gains nothing: windows are few, and a tenth moves constants half an error."""
+    return SETTINGS.process.settled
 
 
 def _unresolved(terms: Terms, places: Ints, coefficients: FloatArray, quadrature: FloatArray) -> float:
@@ -267,4 +272,4 @@ def polished(window_sum: WindowSum) -> WindowSum:
         following = fitted(terms, range(count), near)
         return None if following is None else (following, at.nats - following.nats)
 
-    return minimize(begun, linearise, move)
+    return minimize(begun, linearise, move, _settled)

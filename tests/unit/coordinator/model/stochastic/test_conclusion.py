@@ -94,7 +94,7 @@ def judged(rows_a_period: int, model: ProcessModel) -> list[Grade]:
     times = 2.0 * np.pi / rows_a_period * ROWS
     steps = steps_of(np.array([np.cos(times), -np.sin(times)]), float(times[1]))
     process = ProcessRecording(("x", "y"), ("x", "y"), (), (), 0.0, (), pairs=model.pairs)
-    fitted, count = FittedProcess(model, 0.0, np.zeros((0, 0))), len(model.programs)
+    fitted, count = FittedProcess(model, 0.0, lambda: np.zeros((0, 0))), len(model.programs)
     chosen = ChosenProcess(
         process, ("x", "y", *process.components), (*range(count),), (), ProcessLikelihood(steps), fitted,
         ((),) * count, (), 0.0,
