@@ -13,10 +13,10 @@ from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_mem
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison, distinct
 from atoll_coordinator.model.selection.elimination import eliminated
-from atoll_coordinator.model.structure.term_libraries import Term
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
+from atoll_core.expression.builder import Expression
 from atoll_core.expression.program import Program, structure
 from atoll_core.expression.writing.shortest import collected, shortened, shortest
 
@@ -92,7 +92,7 @@ def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dic
 
 
 def ranked(
-    comparison: ModelComparison, problem: Problem, programs: Sequence[Program], libraries: Iterable[list[Term]]
+    comparison: ModelComparison, problem: Problem, programs: Sequence[Program], libraries: Iterable[list[Expression]]
 ) -> list[Program]:
     """Return what becomes of `programs` and of `libraries` of terms, the most promising first.
 

@@ -30,10 +30,11 @@ from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions
-from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
+from atoll_coordinator.model.structure.term_libraries import fractions, libraries
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, JobConfig
 from atoll_core.data.dataset import Dataset
+from atoll_core.expression.builder import Expression
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
@@ -457,7 +458,7 @@ def _is_exact(task: ModellingTask, programs: Sequence[Program]) -> bool:
     return model is not None and comparison.is_exact(model)
 
 
-def _libraries(task: ModellingTask, name: str, measurements: Measurements) -> Iterator[list[Term]]:
+def _libraries(task: ModellingTask, name: str, measurements: Measurements) -> Iterator[list[Expression]]:
     """Yield the libraries of terms for the equation of one variable."""
     columns, operators = task.columns(name), task.operators(name)
     yield from libraries(columns, operators)

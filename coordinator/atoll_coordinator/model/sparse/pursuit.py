@@ -19,6 +19,7 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.damping import FIRST_DAMPING
+from atoll_coordinator.model.sparse.products import products
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes, sum_program
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
@@ -110,11 +111,11 @@ class _Pursuit:
     ) -> None:  # fmt: skip
         self._target = target
         self._needed = needed
-        self._plain = list(powers(inputs, columns, _DEGREE))
+        self._plain = powers(inputs, products(columns, _DEGREE))
         self._shapes = list(self._plain)
         for degree in range(_DEGREE):
-            products = [shape for shape in self._plain if len(shape.factors) == degree]
-            candidates = list(shapes(inputs, columns, operators, products))
+            plain = [shape for shape in self._plain if len(shape.factors) == degree]
+            candidates = list(shapes(inputs, columns, operators, plain))
             if degree and len(self._shapes) + len(candidates) > SETTINGS.sparse.most_shapes:
                 break
             self._shapes += candidates

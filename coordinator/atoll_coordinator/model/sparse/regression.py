@@ -1,9 +1,8 @@
-"""Sums of products that describe one state's equation: libraries, elimination of terms, the search among sums."""
+"""Sums of products that describe one state's equation: elimination of terms, the search among sums."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -11,37 +10,17 @@ from atoll_coordinator.model.criteria import constant_nats_of, log, structure_le
 from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.sparse.kernels.corrected import eliminate_corrected, sum_error_products
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
+from atoll_coordinator.model.sparse.products import Product, sum_of_products
 from atoll_coordinator.model.sparse.weak_form import WeakForm
-from atoll_coordinator.model.structure.term_libraries import Factor, Term, sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-
-
-def libraries(columns: Sequence[int], rows: float) -> Iterator[tuple[list[Term], bool]]:
-    """Yield all products up to each degree, as far as so many rows decide them, and whether the largest is among them.
-
-    Each term of a library takes `rows_per_term` rows that know nothing of each other.
-    """
-    degrees = range(1, SETTINGS.sparse.degree + 1)
-    candidates = [[term for order in range(degree + 1) for term in products(columns, order)] for degree in degrees]
-    allowed = [
-        terms
-        for terms in candidates
-        if len(terms) <= SETTINGS.sparse.largest_library and SETTINGS.sparse.rows_per_term * len(terms) <= rows
-    ]
-    for terms in allowed:
-        yield terms, len(allowed) == len(candidates)
-
-
-def products(columns: Sequence[int], order: int) -> list[Term]:
-    return list(combinations_with_replacement([Factor(column) for column in columns], order))
 
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
     """The sums on the way from a library to nothing: which terms each has, its coefficients, what it leaves."""
 
-    terms: Sequence[Term]
+    terms: Sequence[Product]
     order: Sequence[int]
     squares: FloatArray
     coefficients: FloatArray
@@ -49,12 +28,12 @@ class Elimination:
     def kept(self, step: int) -> list[int]:
         return sorted(self.order[step:])
 
-    def sum(self, step: int) -> tuple[list[Term], list[float]]:
+    def sum(self, step: int) -> tuple[list[Product], list[float]]:
         kept = self.kept(step)
         return [self.terms[index] for index in kept], [float(self.coefficients[step, index]) for index in kept]
 
 
-def eliminated(terms: Sequence[Term], columns: FloatArray, sides: FloatArray) -> Elimination:
+def eliminated(terms: Sequence[Product], columns: FloatArray, sides: FloatArray) -> Elimination:
     count = len(terms)
     order, squares = np.zeros(count, np.int64), np.zeros(count + 1)
     coefficients = np.zeros((count, count))
@@ -78,16 +57,16 @@ def misfit(form: WeakForm, left: FloatArray, variances: FloatArray) -> float:
 class Regression:
     """Sums of the products of one library, the largest, by which windows are described."""
 
-    def __init__(self, form: WeakForm, terms: Sequence[Term]) -> None:
+    def __init__(self, form: WeakForm, terms: Sequence[Product]) -> None:
         self._form = form
         self._terms = terms
         self._places = {term: place for place, term in enumerate(terms)}
         self._columns, self._sides = form.columns(terms), form.sides
         self._gradients, self._rows = form.gradients(terms)
         own = constant_nats_of(form.independent)
-        self._prices = [structure_length(sum_of([term], [1.5])) + own for term in terms]
+        self._prices = [structure_length(sum_of_products([term], [1.5])) + own for term in terms]
 
-    def law(self, begun: Sequence[Term], *, is_tested: bool) -> Law | None:
+    def law(self, begun: Sequence[Product], *, is_tested: bool) -> Law | None:
         """Return the sum that a search from all terms `begun` ends with, windows weighted by its own variances.
 
         Weights are those of the sum before, which may be a wrong one that they favour: so at last terms are left out as
@@ -155,7 +134,7 @@ class Regression:
         squares = independent * math.fsum((left * left * window_weights * window_weights).tolist()) / len(left)
         degrees_of_freedom = max(independent - len(places), 1.0)
         return Law(
-            sum_of(terms, coefficients),
+            sum_of_products(terms, coefficients),
             0.5 * squares + self._price(places),
             math.sqrt(squares / degrees_of_freedom),
             is_tested,

@@ -6,11 +6,12 @@ Letters: R rows, V variables.
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations, combinations_with_replacement
+from itertools import combinations
 from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.sparse.products import Product, values_of_products
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.evaluation import values_of
@@ -110,7 +111,7 @@ class Shape:
     `argument` is the expression of u.
     """
 
-    factors: tuple[int, ...]
+    factors: Product
     product: FloatArray
     function: Function | None = None
     argument: Expression = 0.0
@@ -145,7 +146,7 @@ class Shape:
 
     def over(self, inputs: FloatArray) -> "Shape":
         """Return the same shape on other rows of the variables, `inputs` (V, R)."""
-        product = np.prod(inputs[list(self.factors)], axis=0)
+        product = values_of_products([self.factors], inputs)[0]
         if self.function is None:
             return Shape(self.factors, product)
         builder = ProgramBuilder()
@@ -163,11 +164,9 @@ class Shape:
         return product
 
 
-def powers(inputs: FloatArray, columns: Sequence[int], degree: int) -> Iterator[Shape]:
-    """Yield all products of the variables `columns` of `inputs` (V, R) up to a degree, the constant first."""
-    for order in range(degree + 1):
-        for factors in combinations_with_replacement(columns, order):
-            yield Shape(factors, np.prod(inputs[list(factors)], axis=0))
+def powers(inputs: FloatArray, terms: Sequence[Product]) -> list[Shape]:
+    """Return products of the variables `inputs` (V, R) as shapes."""
+    return [Shape(*pair) for pair in zip(terms, values_of_products(terms, inputs), strict=True)]
 
 
 def shapes(

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
+from atoll_coordinator.model.sparse.products import products
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
 from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, fitted, polished
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
@@ -55,9 +56,9 @@ def dictionary(inputs: FloatArray, columns: Sequence[int], operators: Collection
     Where all functions are too many for two variables, quotients are taken by themselves: most laws with many variables
     have these.
     """
-    products = _products(inputs, columns, operators, 2)
-    if products is not None:
-        return products
+    both = _products(inputs, columns, operators, 2)
+    if both is not None:
+        return both
     quotients = _products(inputs, columns, {DIVIDE} & set(operators), 2)
     rest = set(operators) if quotients is None else set(operators) - {DIVIDE}
     others = next((those for degree in (1, 0) if (those := _products(inputs, columns, rest, degree)) is not None), [])
@@ -68,11 +69,11 @@ def _products(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], degree: int
 ) -> list[Shape] | None:
     """Return products of variables up to a degree with functions, None where there are too many."""
-    products = list(powers(inputs, columns, degree))
-    single = shapes(inputs, columns, operators, products[:1], has_powers=True)
-    if len(products) * sum(len(shape.constants()) for shape in single) > SETTINGS.rates.most_atoms:
+    plain = powers(inputs, products(columns, degree))
+    single = shapes(inputs, columns, operators, plain[:1], has_powers=True)
+    if len(plain) * sum(len(shape.constants()) for shape in single) > SETTINGS.rates.most_atoms:
         return None
-    return list(shapes(inputs, columns, operators, products, has_powers=True))
+    return list(shapes(inputs, columns, operators, plain, has_powers=True))
 
 
 class Beside:

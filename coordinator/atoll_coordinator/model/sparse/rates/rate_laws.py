@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.sparse.products import libraries
 from atoll_coordinator.model.sparse.rates.functions import extended
 from atoll_coordinator.model.sparse.rates.networks import with_network
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
@@ -38,14 +39,9 @@ def find_rate_laws(rows: RateRows, columns: Sequence[int], operators: Collection
 
 def _sums(rows: RateRows, columns: Sequence[int], operators: Collection[int]) -> Iterator[list[RateSum]]:
     """Yield the shortest sums of one kind after another."""
-    libraries = []
-    for degree in range(1, SETTINGS.sparse.degree + 1):
-        atoms = [Atom(shape) for shape in powers(rows.inputs, columns, degree)]
-        if len(atoms) > SETTINGS.sparse.largest_library:
-            break
-        if SETTINGS.sparse.rows_per_term * len(atoms) <= len(rows.values):
-            libraries.append(atoms)
-    low, high = libraries[:2], libraries[2:]
+    sizes = libraries(columns, len(rows.values), range(1, SETTINGS.sparse.degree + 1))
+    polynomials = [list(map(Atom, powers(rows.inputs, terms))) for terms, _ in sizes]
+    low, high = polynomials[:2], polynomials[2:]
     for atoms in low:
         yield _shortest(rows, [atoms])
     if TANH in operators and low:

@@ -7,7 +7,6 @@ first in a backward elimination, and variables are taken from its end.
 """
 
 from collections.abc import Sequence
-from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -16,10 +15,10 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.kernels.robust import select_forward
+from atoll_coordinator.model.sparse.products import products, values_of_products
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows, rate_rows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
-from atoll_core.data.dataset import FloatArray
 
 
 def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
@@ -54,7 +53,8 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     if not _are_too_many(len(columns)):
         return tuple(columns)
     trusted = rows.trusted()
-    terms, values = _products(trusted.inputs, columns)
+    terms = [*products(columns, 2), *((variable,) * 3 for variable in columns)]
+    values = values_of_products(terms, trusted.inputs)
     _, deviation = moments(trusted.values)
     weights = 1.0 / np.sqrt(trusted.errors * trusted.errors + (SETTINGS.common.negligible * deviation) ** 2)
     weighted, side = values * weights, trusted.values * weights
@@ -80,15 +80,3 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
             break
         kept += new
     return tuple(sorted(kept))
-
-
-def _products(inputs: FloatArray, columns: Sequence[int]) -> tuple[list[tuple[int, ...]], FloatArray]:
-    """Return the products of up to two variables, and cubes, and their values (K, N)."""
-    terms: list[tuple[int, ...]] = [(), *((variable,) for variable in columns)]
-    terms += combinations_with_replacement(columns, 2)
-    terms += [(variable, variable, variable) for variable in columns]
-    values = np.ones((len(terms), inputs.shape[1]))
-    for place, term in enumerate(terms):
-        for variable in term:
-            values[place] *= inputs[variable]
-    return terms, values

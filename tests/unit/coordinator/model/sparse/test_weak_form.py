@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.sparse.weak_form import Measured, weak_form
-from atoll_coordinator.model.structure.term_libraries import Factor
 
-X, Y = Factor(0), Factor(1)
+X, Y = 0, 1
 
 
 def curves(rows=400, noise=0.0, seed=0):
