@@ -21,7 +21,7 @@ from atoll_coordinator.data.differentiation.interpolation import predict_left_ou
 from atoll_coordinator.data.differentiation.missing_values import make_signal
 from atoll_coordinator.data.differentiation.noise import estimate_value_noise
 from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
-from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
+from atoll_coordinator.model.sparse.kernels.least_squares import windowed_sums
 from atoll_coordinator.model.sparse.products import Product
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS

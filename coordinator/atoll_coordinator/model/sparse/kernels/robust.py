@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from atoll_coordinator.model.sparse.kernels.elimination import DEPENDENT, triangularize
+from atoll_coordinator.model.sparse.kernels.least_squares import DEPENDENT, triangularize
 from atoll_core.compilation.jit import allocating_kernel
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints

@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.sparse.elimination import shortest
 from atoll_coordinator.model.sparse.products import libraries
 from atoll_coordinator.model.sparse.rates.functions import extended
 from atoll_coordinator.model.sparse.rates.networks import with_network
@@ -28,9 +29,7 @@ def find_rate_laws(rows: RateRows, columns: Sequence[int], operators: Collection
     """
     kept = screened(rows, columns)
     for alike in _sums(rows, kept, operators) if kept else ():
-        best = min(
-            (rate_sum for rate_sum in alike if rate_sum.scale <= 1.0), key=lambda rate_sum: rate_sum.nats, default=None
-        )
+        best = shortest(rate_sum for rate_sum in alike if rate_sum.scale <= 1.0)
         if best is not None:
             program = best.program()
             return (Law(program, structure_length(program), best.scale, is_tested=True, is_of_rates=True),)

@@ -7,13 +7,13 @@ Letters: K terms, N rows.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
-from atoll_coordinator.model.sparse.kernels.elimination import eliminate
+from atoll_coordinator.model.sparse.elimination import eliminated, improved, shortest, without_one
 from atoll_coordinator.model.sparse.kernels.robust import robust_fit
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
 from atoll_coordinator.model.sparse.shapes import Shape, sum_program
@@ -92,27 +92,20 @@ def shortest_sum(rows: RateRows, atoms: Sequence[Atom]) -> RateSum | None:
         return None
     factors = whole.weights / rows.errors
     columns = np.array([atom.shape.value(atom.constant) for atom in atoms]) * factors
-    order, squares = np.zeros(len(atoms), np.int64), np.zeros(len(atoms) + 1)
-    eliminate(columns, rows.values * factors, order, squares, np.zeros((len(atoms), len(atoms))))
-    best = whole
-    for step in range(max(1, len(atoms) - SETTINGS.rates.most_terms), len(atoms)):
-        places = sorted(order[step:].tolist())
-        candidate = fitted(rows, [atoms[place] for place in places], whole.weights)
-        if candidate is not None and candidate.nats < best.nats:
-            best = candidate
-    return pruned(rows, best)
+    path = eliminated(columns, rows.values * factors)
+    steps = range(max(1, len(atoms) - SETTINGS.rates.most_terms), len(atoms))
+    shorter = (fitted(rows, [atoms[place] for place in path.kept(step)], whole.weights) for step in steps)
+    return pruned(rows, shortest([whole, *shorter]) or whole)
 
 
 def pruned(rows: RateRows, best: RateSum) -> RateSum:
     """Return the sum without the terms that it can do without, one after another."""
-    while 1 < len(best.atoms) <= SETTINGS.rates.most_terms:
-        fewer = [best.atoms[:place] + best.atoms[place + 1 :] for place in range(len(best.atoms))]
-        candidates = [candidate for atoms in fewer if (candidate := fitted(rows, atoms, best.weights)) is not None]
-        shorter = min(candidates, key=lambda candidate: candidate.nats, default=best)
-        if not shorter.nats < best.nats:
-            break
-        best = shorter
-    return best
+
+    def fewer(rate_sum: RateSum) -> Iterator[RateSum | None]:
+        for atoms in without_one(rate_sum.atoms, SETTINGS.rates.most_terms):
+            yield fitted(rows, atoms, rate_sum.weights)
+
+    return improved(best, fewer)
 
 
 def polished(rows: RateRows, rate_sum: RateSum) -> RateSum:

@@ -13,7 +13,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import log
-from atoll_coordinator.model.sparse.kernels.elimination import eliminate
+from atoll_coordinator.model.sparse.elimination import eliminated
 from atoll_coordinator.model.sparse.kernels.robust import select_forward
 from atoll_coordinator.model.sparse.products import products, values_of_products
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows, rate_rows
@@ -71,10 +71,8 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
             break
     if not taken:
         return ()
-    order, count = np.zeros(len(taken), np.int64), len(taken)
-    eliminate(np.ascontiguousarray(weighted[taken]), side, order, np.zeros(count + 1), np.zeros((count, count)))
     kept: list[int] = []
-    for index in reversed(order.tolist()):
+    for index in reversed(eliminated(weighted[taken], side).order):
         new = [variable for variable in dict.fromkeys(terms[taken[index]]) if variable not in kept]
         if len(kept) + len(new) > SETTINGS.rates.screened:
             break

@@ -11,6 +11,7 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.sparse.elimination import shortest
 from atoll_coordinator.model.sparse.products import libraries
 from atoll_coordinator.model.sparse.rates.functions import Beside, dictionary
 from atoll_coordinator.model.sparse.rates.rate_sums import Atom
@@ -65,7 +66,7 @@ def shortest_sum(equation: WindowEquation) -> WindowSum | None:
     None where the windows decide nothing.
     """
     polynomials = _polynomials(equation)
-    best = _shortest(eliminated(begun) for library in polynomials for begun in _beginnings(library, equation.columns))
+    best = shortest(eliminated(begun) for library in polynomials for begun in _beginnings(library, equation.columns))
     for _ in range(SETTINGS.sparse.pursued_functions):
         best = None if best is None else improved(best)
         candidate = None if best is None else _with_function(equation, best, polynomials)
@@ -73,14 +74,6 @@ def shortest_sum(equation: WindowEquation) -> WindowSum | None:
             break
         best = candidate
     return best
-
-
-def _shortest(sums: Iterable[WindowSum | None]) -> WindowSum | None:
-    return min(
-        (window_sum for window_sum in sums if window_sum is not None),
-        key=lambda window_sum: window_sum.nats,
-        default=None,
-    )
 
 
 def _polynomials(equation: WindowEquation) -> list[Terms]:
@@ -124,11 +117,11 @@ def _with_function(equation: WindowEquation, best: WindowSum, polynomials: Seque
     beginnings = [best.atoms, *(library.atoms for library in polynomials[:-1])]
     longer = (Terms(rows, atoms) for atoms in _extended(equation, beginnings))
     sums = (fitted(terms, range(len(terms.atoms))) for terms in longer)
-    candidate = _shortest(eliminated(polished(window_sum)) for window_sum in sums if window_sum is not None)
+    candidate = shortest(eliminated(polished(window_sum)) for window_sum in sums if window_sum is not None)
     if candidate is None:
         return None
-    shortest = _shortest([candidate, eliminated(polished(candidate))])
-    return None if shortest is None else _shortest([shortest, _among(shortest, polynomials[-1].atoms)])
+    best = shortest([candidate, eliminated(polished(candidate))]) or candidate
+    return shortest([best, _among(best, polynomials[-1].atoms)])
 
 
 def _extended(equation: WindowEquation, beginnings: Sequence[Sequence[Atom]]) -> list[tuple[Atom, ...]]:
@@ -172,6 +165,6 @@ def _with_shared(equation: WindowEquation, best: WindowSum | None, functions: Se
             continue
         for library in _polynomials(equation)[-1:]:
             terms = Terms(equation.rows, (*library.atoms, function), frozenset([len(library.atoms)]))
-            candidate = _shortest(eliminated(begun) for begun in _beginnings(terms, equation.columns))
-            best = _shortest([best, None if candidate is None else improved(candidate)])
+            candidate = shortest(eliminated(begun) for begun in _beginnings(terms, equation.columns))
+            best = shortest([best, None if candidate is None else improved(candidate)])
     return best

@@ -17,7 +17,7 @@ from atoll_coordinator.data.differentiation.interpolation import predict_left_ou
 from atoll_coordinator.data.differentiation.noise import estimate_value_noise
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
-from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
+from atoll_coordinator.model.sparse.kernels.least_squares import windowed_sums
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION
 from atoll_coordinator.model.sparse.weak_form import Measured, measured_of
 from atoll_coordinator.model.thinning import thinned_places

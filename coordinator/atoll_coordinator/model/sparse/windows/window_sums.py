@@ -8,12 +8,14 @@ Letters: K terms of a library, M terms of a sum, W windows.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from atoll_coordinator.model.criteria import log
+from atoll_coordinator.model.sparse import elimination
+from atoll_coordinator.model.sparse.elimination import on_the_way, shortest, without_one
 from atoll_coordinator.model.sparse.kernels.errors_in_variables import fit_errors_in_variables, measure
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION, robust_fit
 from atoll_coordinator.model.sparse.rates.rate_sums import Atom
@@ -142,12 +144,7 @@ def _unresolved(terms: Terms, places: Ints, coefficients: FloatArray, quadrature
 
 def eliminated(window_sum: WindowSum | None) -> WindowSum | None:
     """Return the best sum on the way to a single term, the least significant one going first (Wald's test)."""
-    best = window_sum
-    while window_sum is not None and len(window_sum.kept) > 1:
-        window_sum = _without_least(window_sum)
-        if window_sum is not None and best is not None and window_sum.nats < best.nats:
-            best = window_sum
-    return best
+    return shortest(on_the_way(window_sum, _without_least))
 
 
 def improved(best: WindowSum) -> WindowSum:
@@ -156,15 +153,23 @@ def improved(best: WindowSum) -> WindowSum:
     Single terms are taken in again, those first that promise most, and what the sum can then do without leaves, as long
     as that is shorter by more than the best of so many tries is by chance.
     """
-    while True:
-        longer = (fitted(best.terms, sorted([*best.kept, place]), best) for place in _promising(best))
-        shortest = min(filter(None, map(eliminated, longer)), key=lambda candidate: candidate.nats, default=best)
-        if not shortest.nats < best.nats - log(max(float(len(best.terms.atoms)), 2.0)):
-            return _pruned(best)
-        best = shortest
+    least_gain = log(max(float(len(best.terms.atoms)), 2.0))
+    return elimination.improved(elimination.improved(best, _longer, least_gain), _fewer)
+
+
+def _longer(window_sum: WindowSum) -> Iterator[WindowSum | None]:
+    for place in _promising(window_sum):
+        yield eliminated(fitted(window_sum.terms, sorted([*window_sum.kept, place]), window_sum))
+
+
+def _fewer(window_sum: WindowSum) -> Iterator[WindowSum | None]:
+    for kept in without_one(window_sum.kept, SETTINGS.rates.most_terms):
+        yield fitted(window_sum.terms, kept, window_sum)
 
 
 def _without_least(window_sum: WindowSum) -> WindowSum | None:
+    if len(window_sum.kept) < 2:
+        return None
     sizes = np.sqrt(np.maximum(np.diag(window_sum.normal), 1e-300))
     covariance = np.linalg.pinv(window_sum.normal / np.outer(sizes, sizes), hermitian=True)
     variances = np.maximum(np.diag(covariance), 1e-300)
@@ -176,18 +181,6 @@ def _without_least(window_sum: WindowSum) -> WindowSum | None:
     return fitted(
         window_sum.terms, kept, near, SETTINGS.windows.brief_rounds if len(kept) > SETTINGS.windows.few else 0
     )
-
-
-def _pruned(best: WindowSum) -> WindowSum:
-    """Return the sum without the terms that it can do without, one after another."""
-    while 1 < len(best.kept) <= SETTINGS.rates.most_terms:
-        fewer = [best.kept[:place] + best.kept[place + 1 :] for place in range(len(best.kept))]
-        candidates = [candidate for kept in fewer if (candidate := fitted(best.terms, kept, best)) is not None]
-        shorter = min(candidates, key=lambda candidate: candidate.nats, default=best)
-        if not shorter.nats < best.nats:
-            break
-        best = shorter
-    return best
 
 
 def _promising(window_sum: WindowSum) -> list[int]:

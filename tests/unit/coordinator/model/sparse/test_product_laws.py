@@ -135,7 +135,8 @@ def test_fitted_coefficients_are_no_degrees_of_freedom_of_what_a_law_leaves():
     form = weak_form(Measured(times, ((0, len(times)),), noisy, values, sizes), 0, 20)
     for degree, count in ((1, 3), (2, 6), (3, 10)):
         terms_of_it = products((0, 1), degree)
-        law = Regression(form, terms_of_it)._refitted(range(count), np.ones(len(form.sides)), is_tested=True)
+        regression = Regression(form, terms_of_it)
+        law = regression.law_of(regression.refitted(range(count), np.ones(len(form.sides))), is_tested=True)
         degrees_of_freedom = form.independent - count
         assert law.probability == pytest.approx(special.chdtrc(degrees_of_freedom, degrees_of_freedom * law.excess**2))
 

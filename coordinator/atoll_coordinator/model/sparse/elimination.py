@@ -1,0 +1,92 @@
+"""Sums of fewer terms, and of more: backward elimination, terms taken in again, terms that a sum can do without.
+
+What a sum is fitted to says who asks: windows, derivatives with errors of their own, or trajectories. A fit has the
+nats of its description, by which fits are compared.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from atoll_coordinator.model.sparse.kernels.elimination import eliminate
+from atoll_core.data.dataset import FloatArray
+
+
+class Fit(Protocol):
+    """A sum of terms that has been fitted."""
+
+    @property
+    def nats(self) -> float:
+        """The length of its description."""
+
+
+Fitted = TypeVar("Fitted", bound=Fit)
+Term = TypeVar("Term")
+
+
+def shortest(fits: Iterable[Fitted | None]) -> Fitted | None:
+    """Return the fit of the shortest description, the first of equal ones; None where there is none."""
+    return min((fit for fit in fits if fit is not None), key=lambda fit: fit.nats, default=None)
+
+
+def on_the_way(fit: Fitted | None, without_least: Callable[[Fitted], Fitted | None]) -> Iterator[Fitted]:
+    """Yield a fit, then that without its least significant term, and so on as long as there is one."""
+    while fit is not None:
+        yield fit
+        fit = without_least(fit)
+
+
+def improved(best: Fitted, nearby: Callable[[Fitted], Iterable[Fitted | None]], least_gain: float = 0.0) -> Fitted:
+    """Return the end of a search that goes to the shortest of the fits nearby as long as that gains more than this."""
+    while True:
+        nearest = shortest(nearby(best))
+        if nearest is None or not nearest.nats < best.nats - least_gain:
+            return best
+        best = nearest
+
+
+def without_one(kept: Sequence[Term], most: int | None = None) -> Iterator[tuple[Term, ...]]:
+    """Yield the terms of a sum without each of them in turn; nothing of a single one, or of more than `most`."""
+    for place in range(len(kept)) if 1 < len(kept) <= (most or len(kept)) else ():
+        yield (*kept[:place], *kept[place + 1 :])
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """The sums on the way from all columns (K, N) to nothing, by least squares (Wald's test).
+
+    `order` (K,) are the columns as they go, `squares` (K + 1,) what is left with the last K, K - 1, ... 0 of these, at
+    each step the `coefficients` (K, K).
+    """
+
+    order: list[int]
+    squares: FloatArray
+    coefficients: FloatArray
+
+    def kept(self, step: int) -> list[int]:
+        """Return which columns there are at a step."""
+        return sorted(self.order[step:])
+
+    def factors(self, step: int) -> list[float]:
+        """Return the coefficients of those."""
+        return [float(self.coefficients[step, place]) for place in self.kept(step)]
+
+
+def eliminated(
+    columns: FloatArray | Sequence[FloatArray], sides: FloatArray, errors: tuple[FloatArray, FloatArray] | None = None
+) -> Elimination:
+    """Return the elimination of `columns` (K, N) that describe `sides` (N,).
+
+    Products of columns have the mean `errors` (K, K), with the sides (K,); fewer terms leave no less than all do.
+    """
+    count = len(columns)
+    products, cross = (np.zeros((0, 0)), np.zeros(0)) if errors is None else errors
+    order, coefficients = np.zeros(count, np.int64), np.zeros((count, count))
+    squares, added = np.zeros((2, count + 1))
+    eliminate(
+        np.ascontiguousarray(columns), np.ascontiguousarray(sides), np.ascontiguousarray(products), cross, order,
+        squares, coefficients, added,
+    )  # fmt: skip
+    return Elimination(order.tolist(), np.maximum(squares - added + added[0], squares[0]), coefficients)
