@@ -17,17 +17,15 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.damping import FIRST_DAMPING
 from atoll_coordinator.model.sparse.products import products
-from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes, sum_program
+from atoll_coordinator.model.sparse.shapes import Atom, Shape, powers, program_of, shapes
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
 from atoll_core.expression.builder import operators_in
 from atoll_core.expression.operators import ADD, MULTIPLY
 from atoll_core.expression.program import Program
-from atoll_core.expression.writing.shortest import collected
 
 _DEGREE: Final = SETTINGS.sparse.degree - 1
 """Highest degree of the polynomial that functions are added to; products with functions have one less."""
@@ -127,7 +125,7 @@ class _Pursuit:
 
     def _leave_out(self) -> float:
         """Leave out the shapes with which no sum is wanted; return the price of the cheapest that one must have."""
-        prices = [self._price(shape) for shape in self._shapes]
+        prices = [shape.price(len(self._target)) for shape in self._shapes]
         is_needed = list(map(self._is_needed, self._shapes))
         least = min((price for price, needed in zip(prices, is_needed, strict=True) if needed), default=math.inf)
         beside = [price + (0.0 if needed else least) for price, needed in zip(prices, is_needed, strict=True)]
@@ -142,12 +140,6 @@ class _Pursuit:
 
     def _is_needed(self, shape: Shape) -> bool:
         return not self._needed or not self._needed.isdisjoint(operators_in(shape.expression(1.5)))
-
-    def _price(self, shape: Shape) -> float:
-        constants = 1 + shape.has_constant
-        return structure_length(sum_program([(2.5, shape.expression(1.5))])) + constants * constant_nats_of(
-            len(self._target)
-        )
 
     def _made_atoms(self) -> tuple[list[tuple[int, float]], FloatArray]:
         """Return shapes (index) with inner constants, and their values as unit columns (A, R)."""
@@ -360,9 +352,5 @@ class _Pursuit:
         return _Sum(terms, constants, coefficients, self._target - coefficients @ columns)
 
     def _made(self, candidate: _Sum) -> Program:
-        parts = zip(candidate.terms, candidate.constants.tolist(), candidate.coefficients.tolist(), strict=True)
-        return collected(
-            sum_program(
-                [(coefficient, self._shapes[term].expression(constant)) for term, constant, coefficient in parts]
-            )
-        )
+        pairs = zip(candidate.terms, candidate.constants.tolist(), strict=True)
+        return program_of([Atom(self._shapes[term], constant) for term, constant in pairs], candidate.coefficients)

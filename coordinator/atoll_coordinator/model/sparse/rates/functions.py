@@ -12,8 +12,8 @@ import numpy as np
 
 from atoll_coordinator.model.sparse.products import products
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, fitted, polished
-from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
+from atoll_coordinator.model.sparse.rates.rate_sums import RateSum, fitted, polished
+from atoll_coordinator.model.sparse.shapes import Atom, Shape, powers, shapes
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import DIVIDE
@@ -40,7 +40,7 @@ def extended(
     if len(trusted.values) < SETTINGS.sparse.rows_per_term * len(begun):
         return []
     here = [Atom(atom.shape.over(trusted.inputs), atom.constant) for atom in begun]
-    beside = Beside(np.array([atom.shape.value(atom.constant) for atom in here]), trusted.values, trusted.errors)
+    beside = Beside(np.array([atom.values for atom in here]), trusted.values, trusted.errors)
     ends: list[RateSum] = []
     for atom in beside.best_atoms(dictionary(trusted.inputs, columns, operators)):
         joined = fitted(trusted, [*here, atom])

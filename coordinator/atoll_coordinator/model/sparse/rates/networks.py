@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, fitted
-from atoll_coordinator.model.sparse.shapes import SCALED, Shape
+from atoll_coordinator.model.sparse.rates.rate_sums import RateSum, fitted
+from atoll_coordinator.model.sparse.shapes import SCALED, Atom, Shape
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.builder import Expression
@@ -72,7 +72,7 @@ def with_network(rows: RateRows, begun: Sequence[Atom], columns: Sequence[int]) 
 
     Weights that the sum can do without are left out. Nothing where no sum leaves as little as the derivatives' errors.
     """
-    beside = np.array([atom.shape.value(atom.constant) for atom in begun])
+    beside = np.array([atom.values for atom in begun])
     inputs = np.vstack([np.ones(len(rows.values)), rows.inputs[list(columns)]])
     coarse = _Node(beside, rows.values, np.full(len(rows.values), float(rows.values.std())), inputs)
     ends = [coarse.fit(coarse.begun(weights)) for weights in _starts(rows, columns)]
@@ -128,7 +128,7 @@ def _pruned(
 ) -> RateSum:
     """Return the sum without the weights that it can do without, the least one after another."""
     first = len(begun) + 1
-    beside = np.array([atom.shape.value(atom.constant) for atom in begun])
+    beside = np.array([atom.values for atom in begun])
     inputs = np.vstack([np.ones(len(rows.values)), rows.inputs[list(columns)]])
     sizes = np.sqrt((inputs**2).mean(axis=1))
     kept = list(range(len(inputs)))

@@ -9,9 +9,9 @@ from atoll_coordinator.model.sparse.products import libraries
 from atoll_coordinator.model.sparse.rates.functions import extended
 from atoll_coordinator.model.sparse.rates.networks import with_network
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, polished, pruned, shortest_sum
+from atoll_coordinator.model.sparse.rates.rate_sums import RateSum, polished, pruned, shortest_sum
 from atoll_coordinator.model.sparse.rates.screening import screened
-from atoll_coordinator.model.sparse.shapes import powers
+from atoll_coordinator.model.sparse.shapes import Atom, powers
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.operators import TANH
 

@@ -12,38 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
+from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.sparse.elimination import eliminated, improved, shortest, without_one
 from atoll_coordinator.model.sparse.kernels.robust import robust_fit
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
-from atoll_coordinator.model.sparse.shapes import Shape, sum_program
+from atoll_coordinator.model.sparse.shapes import Atom, program_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import Expression
-from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program
-from atoll_core.expression.writing.shortest import collected
-
-
-@dataclass(frozen=True, eq=False)
-class Atom:
-    """A term without its coefficient: a shape and its inner constant."""
-
-    shape: Shape
-    constant: float = 1.0
-
-    def price(self, rows: int) -> float:
-        """Return the nats of the term in a sum: its structure, and 1/2 ln N for each constant."""
-        program = sum_program([(2.5, self.shape.expression(1.5))])
-        weights = 0 if self.shape.function is None else _numbers(self.shape.argument)
-        return structure_length(program) + (1 + self.shape.has_constant + weights) * constant_nats_of(rows)
-
-
-def _numbers(expression: Expression) -> int:
-    """Return how many numbers an expression has."""
-    if isinstance(expression, tuple):
-        return 0 if expression[0] == VARIABLE else sum(map(_numbers, expression[1:]))
-    return int(isinstance(expression, float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +37,7 @@ class RateSum:
 
     def program(self) -> Program:
         """Return the sum as an expression."""
-        parts = zip(self.coefficients.tolist(), self.atoms, strict=True)
-        return collected(sum_program([(factor, atom.shape.expression(atom.constant)) for factor, atom in parts]))
+        return program_of(self.atoms, self.coefficients)
 
 
 _LEAST_SCALE = 1e-6
@@ -71,14 +46,14 @@ _LEAST_SCALE = 1e-6
 
 def fitted(rows: RateRows, atoms: Sequence[Atom], weights: FloatArray | None = None) -> RateSum | None:
     """Return the sum of these terms; None where one has no finite value, or there are more terms than rows."""
-    columns = np.array([atom.shape.value(atom.constant) for atom in atoms])
+    columns = np.array([atom.values for atom in atoms])
     if len(atoms) >= len(rows.values) or not np.isfinite(columns).all():
         return None
     coefficients = np.zeros(len(atoms))
     begun = np.ones(len(rows.values)) if weights is None else weights.copy()
     scale = robust_fit(columns, rows.values, rows.errors, SETTINGS.effort.steps, coefficients, begun)
     misfit = SETTINGS.selection.systematic_numbers * log(max(scale, _LEAST_SCALE))
-    price = math.fsum(atom.price(len(rows.values)) for atom in atoms)
+    price = math.fsum(atom.shape.price(len(rows.values)) for atom in atoms)
     return RateSum(tuple(atoms), coefficients, begun, scale, misfit + price)
 
 
@@ -91,7 +66,7 @@ def shortest_sum(rows: RateRows, atoms: Sequence[Atom]) -> RateSum | None:
     if whole is None:
         return None
     factors = whole.weights / rows.errors
-    columns = np.array([atom.shape.value(atom.constant) for atom in atoms]) * factors
+    columns = np.array([atom.values for atom in atoms]) * factors
     path = eliminated(columns, rows.values * factors)
     steps = range(max(1, len(atoms) - SETTINGS.rates.most_terms), len(atoms))
     shorter = (fitted(rows, [atoms[place] for place in path.kept(step)], whole.weights) for step in steps)
@@ -124,11 +99,8 @@ def polished(rows: RateRows, rate_sum: RateSum) -> RateSum:
 
 def _stepped(rows: RateRows, rate_sum: RateSum, inner: Sequence[int]) -> RateSum | None:
     """Return the sum after one step of its inner constants, None where no step makes the scale less."""
-    columns = [atom.shape.value(atom.constant) for atom in rate_sum.atoms]
-    slopes = [
-        rate_sum.coefficients[place] * rate_sum.atoms[place].shape.slope(rate_sum.atoms[place].constant)
-        for place in inner
-    ]
+    columns = [atom.values for atom in rate_sum.atoms]
+    slopes = [rate_sum.coefficients[place] * rate_sum.atoms[place].slopes for place in inner]
     jacobian = np.array([*columns, *slopes])
     if not np.isfinite(jacobian).all():
         return None

@@ -14,8 +14,7 @@ from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.sparse.elimination import shortest
 from atoll_coordinator.model.sparse.products import libraries
 from atoll_coordinator.model.sparse.rates.functions import Beside, dictionary
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom
-from atoll_coordinator.model.sparse.shapes import powers
+from atoll_coordinator.model.sparse.shapes import Atom, powers
 from atoll_coordinator.model.sparse.windows.terms import Terms, depends
 from atoll_coordinator.model.sparse.windows.window_rows import WindowRows
 from atoll_coordinator.model.sparse.windows.window_sums import WindowSum, eliminated, fitted, improved, polished
@@ -134,7 +133,7 @@ def _extended(equation: WindowEquation, beginnings: Sequence[Sequence[Atom]]) ->
     errors = np.sqrt(rows.own + rows.spread(rows.sides[0] - rows.sides[1]) ** 2)
     extensions: list[tuple[Atom, ...]] = []
     for begun in beginnings:
-        values = rows.integrals(np.array([atom.shape.value(atom.constant) for atom in begun]))
+        values = rows.integrals(np.array([atom.values for atom in begun]))
         if np.isfinite(values).all():
             beside = Beside(values, rows.sides[0], errors, rows.integrals)
             extensions += [(*begun, atom) for atom in beside.best_atoms(tried)]

@@ -18,14 +18,12 @@ from atoll_coordinator.model.sparse import elimination
 from atoll_coordinator.model.sparse.elimination import on_the_way, shortest, without_one
 from atoll_coordinator.model.sparse.kernels.errors_in_variables import fit_errors_in_variables, measure
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION, robust_fit
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom
-from atoll_coordinator.model.sparse.shapes import sum_program
+from atoll_coordinator.model.sparse.shapes import Atom, program_of
 from atoll_coordinator.model.sparse.windows.terms import Terms, covariances, gradient
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 from atoll_core.expression.program import Program
-from atoll_core.expression.writing.shortest import collected
 
 _SETTLED = 1e-1
 """Numerics: nats below which a step of a fit gains nothing."""
@@ -65,8 +63,7 @@ class WindowSum:
 
     def program(self) -> Program:
         """Return the sum as an expression."""
-        parts = zip(self.coefficients.tolist(), self.atoms, strict=True)
-        return collected(sum_program([(factor, atom.shape.expression(atom.constant)) for factor, atom in parts]))
+        return program_of(self.atoms, self.coefficients)
 
 
 def fitted(terms: Terms, kept: Sequence[int], near: WindowSum | None = None, rounds: int = 0) -> WindowSum | None:
@@ -248,9 +245,7 @@ def _moves(window_sum: WindowSum) -> list[float]:
     rows, count = window_sum.terms.rows, len(window_sum.kept)
     inner = [place for place, atom in enumerate(window_sum.atoms) if atom.shape.has_constant]
     factors = window_sum.coefficients[inner][:, None]
-    slopes = factors * np.array(
-        [window_sum.atoms[place].shape.slope(window_sum.atoms[place].constant) for place in inner]
-    )
+    slopes = factors * np.array([window_sum.atoms[place].slopes for place in inner])
     gradients = np.array([gradient(atom, rows) for atom in window_sum.atoms])
     others = factors[:, :, None] * np.array([gradient(window_sum.atoms[place], rows, is_slope=True) for place in inner])
     columns = np.concatenate([window_sum.terms.integrals[0], rows.integrals(slopes)])
