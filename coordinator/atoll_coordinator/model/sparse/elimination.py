@@ -1,4 +1,4 @@
-"""Sums of fewer terms, and of more: backward elimination, terms taken in again, terms that a sum can do without.
+"""Sums of fewer terms, and of more: elimination, forward selection, terms taken in again, terms that can be spared.
 
 What a sum is fitted to says who asks: windows, derivatives with errors of their own, or trajectories. A fit has the
 nats of its description, by which fits are compared.
@@ -11,6 +11,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
+from atoll_coordinator.model.sparse.kernels.least_squares import DEPENDENT, windowed_sums
 from atoll_core.data.dataset import FloatArray
 
 
@@ -90,3 +91,31 @@ def eliminated(
         squares, coefficients, added,
     )  # fmt: skip
     return Elimination(order.tolist(), np.maximum(squares - added + added[0], squares[0]), coefficients)
+
+
+def selected_forward(columns: FloatArray, side: FloatArray) -> Iterator[tuple[int, float]]:
+    """Yield the column (K, N) that explains most of what is left of `side` (N,), and so on, with the square left then.
+
+    That is orthogonal matching pursuit; it ends where no column is left. Sums have a fixed order.
+    """
+    sizes = np.sqrt(_dots(columns * columns, np.ones_like(side)))
+    rest, left = columns / np.where(sizes > 0.0, sizes, 1.0)[:, None], side
+    free = np.where(sizes > 0.0, 1.0, 0.0)
+    while True:
+        gains = np.where(free > DEPENDENT, _dots(rest, left) ** 2 / np.maximum(free, DEPENDENT), 0.0)
+        best = int(np.argmax(gains))
+        if not gains[best] > 0.0:
+            return
+        unit = rest[best] / np.sqrt(free[best])
+        left = left - _dots(left[None], unit) * unit
+        rest = rest - _dots(rest, unit)[:, None] * unit
+        free = _dots(rest * rest, np.ones_like(side))
+        free[best] = 0.0
+        yield best, float(_dots(left[None], left)[0])
+
+
+def _dots(columns: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return the products (K,) of columns (K, N) with a vector (N,)."""
+    sums = np.zeros((len(columns), 1))
+    windowed_sums(np.zeros(1, np.int64), np.ascontiguousarray(vector)[None], np.ascontiguousarray(columns), sums)
+    return sums[:, 0]

@@ -18,9 +18,8 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import DIVIDE
 
-_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-_NARROWINGS = 25
-"""Numerics: a bracket is narrowed by the golden section to 6e-6 of its width."""
+_NARROWED = 1e-5
+"""Numerics: the logarithm of an inner constant is found to that."""
 _DEPENDENT = 1e-7
 """Share of a column beyond the polynomial that is rounding."""
 
@@ -162,14 +161,18 @@ class Beside:
             with np.errstate(all="ignore"):
                 return 1.0 - float(self._gains(self._sampled(shape.value(constant)[None]))[0]) / self._square
 
+        from scipy.optimize import minimize_scalar
+
         if not self._square > 0.0:
             return None
         best = near
         if shape.has_constant:
-            low, high = (math.log(abs(constant)) for constant in _bracket(sorted(shape.constants(), key=abs), near))
-            best = math.copysign(
-                math.exp(_least(lambda size: left(math.copysign(math.exp(size), near)), low, high)), near
-            )
+            bounds = [math.log(abs(constant)) for constant in _bracket(sorted(shape.constants(), key=abs), near)]
+            found = minimize_scalar(
+                lambda size: left(math.copysign(math.exp(size), near)), bounds=bounds, method="bounded",
+                options={"xatol": _NARROWED},
+            )  # fmt: skip
+            best = math.copysign(math.exp(found.x), near)
         share = left(best)
         return (share, Atom(shape, best)) if share < 1.0 else None
 
@@ -185,22 +188,6 @@ def _bracket(grid: Sequence[float], near: float) -> tuple[float, float]:
     ratio = constants[place] / constants[place - 1] if place else constants[1] / constants[0] if constants[1:] else 2.0
     low = constants[place - 1] if place else near / ratio
     return low, constants[place + 1] if place + 1 < len(constants) else near * ratio
-
-
-def _least(value: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a function is least between two numbers, by the golden section."""
-    lower, upper = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-    at_lower, at_upper = value(lower), value(upper)
-    for _ in range(_NARROWINGS):
-        if at_lower < at_upper:
-            high, upper, at_upper = upper, lower, at_lower
-            lower = high - _GOLDEN * (high - low)
-            at_lower = value(lower)
-        else:
-            low, lower, at_lower = lower, upper, at_upper
-            upper = low + _GOLDEN * (high - low)
-            at_upper = value(upper)
-    return 0.5 * (low + high)
 
 
 def _solved(columns: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:

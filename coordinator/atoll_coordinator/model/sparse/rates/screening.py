@@ -6,15 +6,16 @@ long as that is more than the best of so many explains by chance. Terms that sto
 first in a backward elimination, and variables are taken from its end.
 """
 
+import math
 from collections.abc import Sequence
+from itertools import islice
 
 import numpy as np
 
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import log
-from atoll_coordinator.model.sparse.elimination import eliminated
-from atoll_coordinator.model.sparse.kernels.robust import select_forward
+from atoll_coordinator.model.sparse.elimination import eliminated, selected_forward
 from atoll_coordinator.model.sparse.products import products, values_of_products
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows, rate_rows
 from atoll_coordinator.settings import SETTINGS
@@ -58,16 +59,14 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     _, deviation = moments(trusted.values)
     weights = 1.0 / np.sqrt(trusted.errors * trusted.errors + (SETTINGS.common.negligible * deviation) ** 2)
     weighted, side = values * weights, trusted.values * weights
-    steps = 3 * SETTINGS.rates.screened
-    chosen, squares = np.full(steps, -1, np.int64), np.zeros(steps + 1)
-    select_forward(weighted.copy(), side.copy(), chosen, squares)
     taken: list[int] = []
-    chance = 2.0 * log(float(len(terms))) / len(trusted.values)
-    for place, before, after in zip(chosen.tolist(), squares[:-1].tolist(), squares[1:].tolist(), strict=True):
-        if place < 0 or before - after <= chance * before:
+    chance, before = 2.0 * log(float(len(terms))) / len(side), math.fsum((side * side).tolist())
+    for place, after in islice(selected_forward(weighted, side), 3 * SETTINGS.rates.screened):
+        if before - after <= chance * before:
             break
         taken.append(place)
-        if after <= len(trusted.values):
+        before = after
+        if after <= len(side):
             break
     if not taken:
         return ()

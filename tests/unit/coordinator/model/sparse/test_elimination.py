@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass
 
-from atoll_coordinator.model.sparse.elimination import improved, on_the_way, shortest, without_one
+import numpy as np
+import pytest
+
+from atoll_coordinator.model.sparse.elimination import improved, on_the_way, selected_forward, shortest, without_one
 
 
 @dataclass(frozen=True)
@@ -35,3 +38,19 @@ def test_a_single_term_stays_and_long_sums_are_left_alone():
     assert list(without_one((1,))) == []
     assert list(without_one((1, 2, 3), 2)) == []
     assert list(without_one((1, 2), 2)) == [(2,), (1,)]
+
+
+def test_the_column_that_explains_most_comes_first():
+    generator = np.random.default_rng(3)
+    columns = generator.normal(size=(6, 100))
+    columns[5] = columns[0]
+    side = 5.0 * columns[4] + columns[1]
+    steps = list(selected_forward(columns, side))
+    chosen = [place for place, _ in steps]
+    assert chosen[:2] == [4, 1]
+    assert steps[1][1] < 1e-20 * float(side @ side)
+    assert not {0, 5} <= set(chosen)
+
+
+def test_nothing_is_chosen_where_no_column_is_left():
+    assert list(selected_forward(np.array([[1.0, 1.0]]), np.array([1.0, 2.0]))) == [(0, pytest.approx(0.5))]
