@@ -24,7 +24,7 @@ class Fit(Protocol):
 
 
 Fitted = TypeVar("Fitted", bound=Fit)
-Term = TypeVar("Term")
+Item = TypeVar("Item")
 
 
 def shortest(fits: Iterable[Fitted | None]) -> Fitted | None:
@@ -32,11 +32,12 @@ def shortest(fits: Iterable[Fitted | None]) -> Fitted | None:
     return min((fit for fit in fits if fit is not None), key=lambda fit: fit.nats, default=None)
 
 
-def on_the_way(fit: Fitted | None, without_least: Callable[[Fitted], Fitted | None]) -> Iterator[Fitted]:
+def on_the_way(fit: Item, without_least: Callable[[Item], Item | None]) -> Iterator[Item]:
     """Yield a fit, then that without its least significant term, and so on as long as there is one."""
-    while fit is not None:
-        yield fit
-        fit = without_least(fit)
+    following: Item | None = fit
+    while following is not None:
+        yield following
+        following = without_least(following)
 
 
 def improved(best: Fitted, nearby: Callable[[Fitted], Iterable[Fitted | None]], least_gain: float = 0.0) -> Fitted:
@@ -48,7 +49,7 @@ def improved(best: Fitted, nearby: Callable[[Fitted], Iterable[Fitted | None]], 
         best = nearest
 
 
-def without_one(kept: Sequence[Term], most: int | None = None) -> Iterator[tuple[Term, ...]]:
+def without_one(kept: Sequence[Item], most: int | None = None) -> Iterator[tuple[Item, ...]]:
     """Yield the terms of a sum without each of them in turn; nothing of a single one, or of more than `most`."""
     for place in range(len(kept)) if 1 < len(kept) <= (most or len(kept)) else ():
         yield (*kept[:place], *kept[place + 1 :])

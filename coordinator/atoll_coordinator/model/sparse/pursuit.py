@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.damping import FIRST_DAMPING
+from atoll_coordinator.model.sparse.elimination import on_the_way
 from atoll_coordinator.model.sparse.products import products
 from atoll_coordinator.model.sparse.shapes import Atom, Shape, powers, program_of, shapes
 from atoll_coordinator.model.thinning import thinned_places
@@ -161,7 +162,7 @@ class _Pursuit:
         sums: dict[tuple[int, ...], _Sum] = {}
         for beginning in self._beginnings():
             for candidate in self._grown(beginning):
-                sums |= {remainder.key: remainder for remainder in self._eliminated(candidate)}
+                sums |= {remainder.key: remainder for remainder in on_the_way(candidate, self._without_least)}
         kept: dict[int, list[_Sum]] = {}
         has_needed = [self._is_needed(shape) for shape in self._shapes]
         wanted = (candidate for candidate in sums.values() if any(has_needed[term] for term in candidate.terms))
@@ -271,22 +272,17 @@ class _Pursuit:
         misfit = 0.5 * len(self._target) * math.log(max(candidate.square, self._limit, 1e-300))
         return misfit + float(self._prices[list(candidate.terms)].sum())
 
-    def _eliminated(self, candidate: _Sum) -> Iterator[_Sum]:
-        """Yield the sum, and those on the way to a single term, the least significant going first (Wald's test)."""
-        yield candidate
-        while len(candidate.terms) > 1:
-            jacobian = self._jacobian(candidate)
-            sizes = np.sqrt((jacobian**2).sum(axis=1))
-            unit = jacobian / sizes[:, None]
-            if not np.isfinite(unit).all():
-                return
-            variances = np.diag(np.linalg.pinv(unit @ unit.T, hermitian=True))[: len(candidate.terms)]
-            gains = (candidate.coefficients * sizes[: len(candidate.terms)]) ** 2 / np.maximum(variances, 1e-300)
-            following = self._fitted(*candidate.without(int(np.argmin(gains))))
-            if following is None:
-                return
-            candidate = following
-            yield candidate
+    def _without_least(self, candidate: _Sum) -> _Sum | None:
+        """Return the sum without its least significant term (Wald's test), None of a single one."""
+        count = len(candidate.terms)
+        jacobian = self._jacobian(candidate)
+        sizes = np.sqrt((jacobian**2).sum(axis=1))
+        unit = jacobian / sizes[:, None]
+        if count < 2 or not np.isfinite(unit).all():
+            return None
+        variances = np.diag(np.linalg.pinv(unit @ unit.T, hermitian=True))[:count]
+        gains = (candidate.coefficients * sizes[:count]) ** 2 / np.maximum(variances, 1e-300)
+        return self._fitted(*candidate.without(int(np.argmin(gains))))
 
     def _values(self, terms: Sequence[int], constants: FloatArray) -> FloatArray:
         return np.array([self._shapes[term].value(c) for term, c in zip(terms, constants.tolist(), strict=True)])

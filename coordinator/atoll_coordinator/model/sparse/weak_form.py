@@ -150,10 +150,15 @@ class WeakForm:
         share = len(self.measured.times) / len(rows)
         return share * sums[0, rows], share * sums[1, rows]
 
-    def _sums(self, factors: FloatArray, values: FloatArray) -> FloatArray:
-        sums = np.zeros((len(values), len(self.first)))
-        windowed_sums(self.first, np.ascontiguousarray(factors), np.ascontiguousarray(values), sums)
-        return sums
+    def _sums(self, weights: FloatArray, values: FloatArray) -> FloatArray:
+        return window_integrals(self.first, weights, values)
+
+
+def window_integrals(first: Ints, weights: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the sums (K, W) of `values` (K, N) times `weights` (W, L), over the rows from `first` (W,) on."""
+    sums = np.zeros((len(values), len(first)))
+    windowed_sums(first, np.ascontiguousarray(weights), np.ascontiguousarray(values), sums)
+    return sums
 
 
 def weak_form(measured: Measured, target: int, half: int) -> WeakForm | None:

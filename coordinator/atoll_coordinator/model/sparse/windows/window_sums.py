@@ -141,7 +141,10 @@ def _unresolved(terms: Terms, places: Ints, coefficients: FloatArray, quadrature
 
 def eliminated(window_sum: WindowSum | None) -> WindowSum | None:
     """Return the best sum on the way to a single term, the least significant one going first (Wald's test)."""
-    return shortest(on_the_way(window_sum, _without_least))
+    if window_sum is None:
+        return None
+    way: Iterator[WindowSum] = on_the_way(window_sum, _without_least)
+    return shortest(way)
 
 
 def improved(best: WindowSum) -> WindowSum:
