@@ -179,7 +179,7 @@ class _Pursuit:
         orders = [len(shape.factors) for shape in self._plain]
         for degree in range(1, max(orders, default=0) + 1):
             terms = tuple(index for index, order in enumerate(orders) if order <= degree)
-            most = min(SETTINGS.structure.largest_library, len(self._target) / SETTINGS.sparse.rows_per_term)
+            most = min(SETTINGS.structure.longest_sum, len(self._target) / SETTINGS.sparse.rows_per_term)
             if len(terms) <= most and self._is_short(terms):
                 polynomial = self._solved(terms, np.ones(len(terms)))
                 if polynomial is not None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
+from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION
 from atoll_coordinator.model.sparse.products import products
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
 from atoll_coordinator.model.sparse.rates.rate_sums import RateSum, fitted, polished
@@ -99,7 +100,7 @@ class Beside:
         for _ in range(SETTINGS.effort.steps):
             weights = 1.0 / np.sqrt(errors**2 + missing**2)
             left = values - _solved(columns, values, weights) @ columns
-            square = (float(np.median(np.abs(left))) / _NORMAL) ** 2 - float(np.median(errors)) ** 2
+            square = (NORMAL_DEVIATION * float(np.median(np.abs(left)))) ** 2 - float(np.median(errors)) ** 2
             before, missing = missing, math.sqrt(max(square, 0.0))
             if abs(missing - before) <= 1e-2 * before:
                 break
@@ -175,10 +176,6 @@ class Beside:
             best = math.copysign(math.exp(found.x), near)
         share = left(best)
         return (share, Atom(shape, best)) if share < 1.0 else None
-
-
-_NORMAL = 0.6745
-"""Median size of a normal error over its standard deviation."""
 
 
 def _bracket(grid: Sequence[float], near: float) -> tuple[float, float]:

@@ -135,10 +135,10 @@ def _is_resolved(rows: WindowRows) -> bool:
 
 
 def _windows(measured: Measured, noise: FloatArray, target: int, half: int) -> WindowRows | None:
+    """Return windows, each beginning where the middle of the one before is; None where there are next to none."""
     length = 2 * half + 1
-    step = max(1, half // SETTINGS.windows.steps_in_half)
     places = [(row, owner) for owner, (start, end) in enumerate(measured.ranges)
-              for row in range(start, end - length + 1, step)]  # fmt: skip
+              for row in range(start, end - length + 1, half)]  # fmt: skip
     if len(places) < SETTINGS.sparse.least_windows:
         return None
     first, owners = np.array(places, np.int64)[thinned_places(len(places), SETTINGS.windows.most)].T.copy()

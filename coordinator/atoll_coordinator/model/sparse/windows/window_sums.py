@@ -163,7 +163,7 @@ def _longer(window_sum: WindowSum) -> Iterator[WindowSum | None]:
 
 
 def _fewer(window_sum: WindowSum) -> Iterator[WindowSum | None]:
-    for kept in without_one(window_sum.kept, SETTINGS.rates.most_terms):
+    for kept in without_one(window_sum.kept, SETTINGS.structure.longest_sum):
         yield fitted(window_sum.terms, kept, window_sum)
 
 
