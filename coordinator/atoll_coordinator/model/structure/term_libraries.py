@@ -84,10 +84,10 @@ def product_of(factors: Sequence[Expression]) -> Expression:
 
 
 def scaled(term: Expression, factor: float) -> Expression:
-    """Return a term times a number, which in a quotient stands above the line."""
+    """Return a term times a number, which is the first of its factors: what is above the line is not 1 any more."""
     match term:
-        case (code, above, below) if code == DIVIDE:
-            return (DIVIDE, scaled(above, factor), below)
+        case (code, first, second) if code in (MULTIPLY, DIVIDE):
+            return (code, scaled(first, factor), second)
     return factor if term == 1.0 else (MULTIPLY, factor, term)
 
 
