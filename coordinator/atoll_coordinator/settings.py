@@ -161,8 +161,8 @@ class CriterionSettings:
 class StructureSettings:
     """Structural moves: libraries of terms, extensions, neighbours, reductions."""
 
-    largest_library: int = 24
-    """Larger libraries of terms are not tried: their elimination costs the square of their size."""
+    longest_sum: int = 24
+    """Terms of the longest sum that is fitted again without each of them: that costs the square of their number."""
 
 
 @dataclass(frozen=True)
@@ -230,8 +230,6 @@ class RateSettings:
     trusted_share: float = 0.4
     """Share of the rows, those known best, by which functions are found: of seven states with fast transients, 51 rows
     a run, the errors of that many were 1e-3 of the deviation, of seven in ten 0.3."""
-    most_terms: int = 24
-    """Longest sum that is fitted by itself on the way from a library to nothing."""
     most_atoms: int = 40_000
     """Products with functions, one for each inner constant tried, that are compared: some seconds."""
     polished: int = 64
@@ -254,8 +252,6 @@ class WindowSettings:
     """Each half width tried over the one before."""
     resolved_share: float = 0.75
     """Windows get wider as long as in so many of them lines between rows serve as well as cubics, by the noise."""
-    steps_in_half: int = 1
-    """Wider windows begin so many in a half width."""
     most: int = 2_000
     """Windows, about, beyond which some stand for all."""
     largest_library: int = 45

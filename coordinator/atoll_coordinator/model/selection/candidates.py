@@ -14,10 +14,10 @@ from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_mem
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
 from atoll_coordinator.model.selection.elimination import eliminated
-from atoll_coordinator.model.structure.term_libraries import Term
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
+from atoll_core.expression.builder import Expression
 from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.writing.shortest import collected, shortened, shortest
 
@@ -104,7 +104,7 @@ class RankedCandidates:
         self._started: list[Program] = []
 
     def add(
-        self, programs: Iterable[Program], libraries: Iterable[list[Term]] = (), most: float = math.inf
+        self, programs: Iterable[Program], libraries: Iterable[list[Expression]] = (), most: float = math.inf
     ) -> None:  # fmt: skip
         """Rank `programs`, of equal structures the first, and what becomes of `libraries` of terms.
 

@@ -6,28 +6,29 @@ over standard error is left out, and so on. Every sum on the way is a candidate.
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from atoll_coordinator.model.least_squares import coefficients_of
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
-from atoll_coordinator.model.structure.term_libraries import Factor, Term, column_of, sum_of
+from atoll_coordinator.model.structure.term_libraries import sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
-from atoll_core.expression.operators import ARITY, CONSTANT, DIVIDE
+from atoll_core.expression.builder import Expression
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE
 from atoll_core.expression.program import Program
 
 
-def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term]) -> list[FittedModel]:
+def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Expression]) -> list[FittedModel]:
     """Return the fits on the way from the sum of all `terms` to a single one; `comparison` is for this state alone.
 
     Nothing where a term has no value somewhere.
     """
     models: list[FittedModel] = []
     while terms and not comparison.estimator.deadline.is_over:
-        columns = np.array([column_of(term, problem.inputs) for term in terms])
+        columns = np.array([values_of(sum_of([term], [1.0]), problem.inputs) for term in terms])
         if not np.isfinite(columns).all():
             break
         coefficients = _fitted(columns, problem.target.values)
@@ -40,7 +41,7 @@ def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term])
     return models
 
 
-def _moved(terms: list[Term], model: FittedModel | None) -> list[Term]:
+def _moved(terms: list[Expression], model: FittedModel | None) -> list[Expression]:
     """Return the terms with the constant of their denominators where the fit has left it, if that is positive."""
     if model is None:
         return terms
@@ -49,11 +50,13 @@ def _moved(terms: list[Term], model: FittedModel | None) -> list[Term]:
     if len(shifts) != 1 or not 0.0 < shifts[0] < math.inf:
         return terms
 
-    def moved(factor: Factor) -> Factor:
-        divisor = factor.divisor
-        return replace(factor, divisor=replace(divisor, shift=shifts[0])) if divisor and divisor.shift else factor
+    def moved(term: Expression) -> Expression:
+        match term:
+            case (code, above, (inner, variable, float())) if (code, inner) == (DIVIDE, ADD):
+                return (DIVIDE, above, (ADD, variable, shifts[0]))
+        return term
 
-    return [tuple(map(moved, term)) for term in terms]
+    return list(map(moved, terms))
 
 
 def _below(program: Program) -> set[int]:

@@ -12,11 +12,11 @@ from atoll_coordinator.model.selection.candidates import RankedCandidates
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.joint_search import combine
 from atoll_coordinator.model.selection.task import ModellingTask
-from atoll_coordinator.model.structure.term_libraries import Term
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.builder import Expression
 from atoll_core.expression.program import Program
 
-Proposer = Callable[[ModellingTask, str, float], tuple[Iterable[Program], Iterable[list[Term]]]]
+Proposer = Callable[[ModellingTask, str, float], tuple[Iterable[Program], Iterable[list[Expression]]]]
 """Returns programs for the equation of a variable, and libraries of terms, of which only those matter that are shorter
 than so many nats (see `ModelComparison.length`)."""
 

@@ -9,10 +9,11 @@ from itertools import chain
 
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.sparse.pursuit import pursue
-from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
+from atoll_coordinator.model.structure.term_libraries import fractions, libraries
+from atoll_core.expression.builder import Expression
 from atoll_core.expression.program import Program
 
-Proposals = tuple[Iterable[Program], Iterable[list[Term]]]
+Proposals = tuple[Iterable[Program], Iterable[list[Expression]]]
 
 
 def propose_nearest(task: ModellingTask, name: str, most: float) -> Proposals:

@@ -1,9 +1,10 @@
 """Laws as sparse sums, found by regression alone: no simulation, no population, seconds at most.
 
 - `weak_form`: equations integrated against test functions, so that nothing is differentiated
-- `regression`: libraries of products, backward elimination, terms taken in again; the criterion
+- `elimination`: terms left out, taken in again and spared, whatever sums are fitted to; forward selection
+- `regression`: sums of products fitted to the weak form; the criterion
 - `product_laws`: the laws of one state in the weak form, or on derivatives without noise, beside other programs
-- `products`: programs as sums of products, where they are such
+- `products`: libraries of products of variables, and programs that are sums of them
 - `pursuit`: sums of a polynomial and of products with functions, constants inside these fitted (matching pursuit)
 - `shapes`: the products with functions that it is made of
 - `rates`: laws of many variables on derivatives, each row by its own error; which variables an equation takes

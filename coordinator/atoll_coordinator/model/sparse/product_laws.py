@@ -3,20 +3,21 @@
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, by_group
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.refinement import Law, LawsByGroup, may_be_shown
-from atoll_coordinator.model.sparse.products import products_of
+from atoll_coordinator.model.sparse.elimination import Elimination, eliminated
+from atoll_coordinator.model.sparse.products import Product, libraries, products_of, sum_of_products, values_of_products
 from atoll_coordinator.model.sparse.rates.rate_laws import find_rate_laws
 from atoll_coordinator.model.sparse.rates.rate_rows import rate_rows
-from atoll_coordinator.model.sparse.regression import Elimination, Regression, eliminated, libraries, misfit
+from atoll_coordinator.model.sparse.regression import Regression, misfit
 from atoll_coordinator.model.sparse.weak_form import Measured, WeakForm, measured_of, weak_form
 from atoll_coordinator.model.sparse.windows.window_laws import WindowEquation, find_window_laws
 from atoll_coordinator.model.sparse.windows.window_rows import window_rows
-from atoll_coordinator.model.structure.term_libraries import sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, FloatArray, Problem
@@ -24,6 +25,8 @@ from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ADD, BY_NAME, MULTIPLY
 from atoll_core.expression.program import MAX_NODES, Program, constant_places, structure
 from atoll_core.expression.writing.shortest import collected
+
+_DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
 
 
 def find_all_laws(
@@ -191,31 +194,32 @@ def _without_noise(problem: Problem, columns: Sequence[int]) -> Iterator[Law]:
     Where none has, the same of those whose errors are at the level at which equations converge, though not below it.
     """
     paths = []
-    for terms, is_tested in libraries(columns, len(problem.target.values)):
-        values = np.array([np.prod([problem.inputs[factor.variable] for factor in term], axis=0)
-                           * np.ones(problem.inputs.shape[1]) for term in terms])  # fmt: skip
+    for terms, is_tested in libraries(columns, len(problem.target.values), _DEGREES):
+        values = values_of_products(terms, problem.inputs)
         if not np.isfinite(values).all():
             break
-        paths.append((eliminated(terms, values, problem.target.values), values, is_tested))
+        paths.append((terms, eliminated(values, problem.target.values), values, is_tested))
     for allowed in (1.0, SETTINGS.inference.excess):
-        for path, values, is_tested in paths:
-            law = _converged(problem, path, values, allowed)
+        for terms, path, values, is_tested in paths:
+            law = _converged(problem, terms, path, values, allowed)
             if law is not None:
                 yield replace(law, is_tested=is_tested)
                 return
 
 
-def _converged(problem: Problem, path: Elimination, values: FloatArray, allowed: float) -> Law | None:
+def _converged(
+    problem: Problem, terms: Sequence[Product], path: Elimination, values: FloatArray, allowed: float
+) -> Law | None:
     """Return the smallest sum of these `values` (K, N) whose error is at most so many times that of convergence."""
     limit = problem.target.convergence_error()
-    for step in range(len(path.terms) - 1, -1, -1):
-        kept, coefficients = path.sum(step)
+    for step in range(len(terms) - 1, -1, -1):
+        kept, coefficients = path.kept(step), path.factors(step)
         errors = -problem.target.values
-        for coefficient, place in zip(coefficients, path.kept(step), strict=True):
+        for coefficient, place in zip(coefficients, kept, strict=True):
             errors += coefficient * values[place]
         excess = math.fsum(np.abs(errors).tolist()) / len(errors) / limit
         if excess <= allowed:
-            program = sum_of(kept, coefficients)
+            program = sum_of_products([terms[place] for place in kept], coefficients)
             if len(program) > MAX_NODES:
                 return None
             return Law(program, structure_length(program), excess, is_tested=False)
@@ -232,7 +236,7 @@ def _with_noise(
     form = weak_form(measured, target, _half(measured, recording.smoothing[place], len(columns)))
     if form is None:
         return
-    tried = list(libraries(columns, form.independent))
+    tried = list(libraries(columns, form.independent, _DEGREES))
     if not tried:
         return
     largest, is_tested = tried[-1]

@@ -1,66 +1,65 @@
-"""Programs as sums of products of variables, where they are such."""
+"""Products of variables: libraries of them, their values, and the programs that are sums of them."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Sequence
+from itertools import combinations_with_replacement
 
-from atoll_coordinator.model.structure.term_libraries import Factor, Term
-from atoll_core.expression.operators import ADD, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SQUARE, SUBTRACT, VARIABLE
+import numpy as np
+
+from atoll_coordinator.model.structure.term_libraries import product_of, sum_of
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.builder import Expression
+from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program
+from atoll_core.expression.writing.expansion import terms_of
+from atoll_core.expression.writing.sums_of_products import UndefinedError
 
-_Sum = Mapping[tuple[int, ...], float]
-"""Coefficients by the variables of a product, sorted, as often as they are its factors."""
+Product = tuple[int, ...]
+"""Variables (indices) in ascending order, as often as they are factors; none: the constant."""
 
 
-def products_of(program: Program, degree: int) -> list[Term] | None:
+def products(columns: Sequence[int], degree: int) -> list[Product]:
+    """Return all products of these variables up to a degree, the constant first."""
+    return [term for order in range(degree + 1) for term in combinations_with_replacement(columns, order)]
+
+
+def libraries(
+    columns: Sequence[int], rows: float, degrees: Sequence[int], most: int = SETTINGS.sparse.largest_library
+) -> Iterator[tuple[list[Product], bool]]:
+    """Yield all products up to each degree, as far as so many rows decide them, and whether the largest is among them.
+
+    Each term of a library takes `rows_per_term` rows that know nothing of each other; there are at `most` so many.
+    """
+    candidates = [products(columns, degree) for degree in degrees]
+    allowed = [terms for terms in candidates if len(terms) <= min(most, rows / SETTINGS.sparse.rows_per_term)]
+    for terms in allowed:
+        yield terms, len(allowed) == len(candidates)
+
+
+def values_of_products(terms: Sequence[Product], inputs: FloatArray) -> FloatArray:
+    """Return the values (K, R) at `inputs` (V, R)."""
+    return np.array([np.prod(inputs[list(term)], axis=0) for term in terms])
+
+
+def expression_of(term: Product) -> Expression:
+    """Return a product as an expression."""
+    return product_of([(VARIABLE, variable) for variable in term])
+
+
+def sum_of_products(terms: Sequence[Product], coefficients: Sequence[float]) -> Program:
+    """Return the sum of products with these coefficients."""
+    return sum_of([expression_of(term) for term in terms], coefficients)
+
+
+def products_of(program: Program, degree: int) -> list[Product] | None:
     """Return the products that `program` sums up; None where it is no sum of products of at most this degree."""
-    sums: list[_Sum | None] = []
-    for code, left, right, value in program.nodes():
-        if code == VARIABLE:
-            sums.append({(left,): 1.0})
-        elif code == CONSTANT:
-            sums.append({(): value})
-        else:
-            sums.append(_operated(code, sums[left], sums[right], degree))
-    total = sums[-1]
-    if total is None:
+    try:
+        monomials = [monomial for monomial, _ in terms_of(program)]
+    except UndefinedError:
         return None
-    kept = sorted((key for key, value in total.items() if value), key=lambda key: (len(key), key))
-    return [tuple(Factor(variable) for variable in key) for key in kept]
-
-
-def _operated(code: int, left: _Sum | None, right: _Sum | None, degree: int) -> _Sum | None:
-    if left is None:
-        return None
-    if code == NEGATE:
-        return _added(left, {}, -1.0, 0.0)
-    if code == SQUARE:
-        return _multiplied(left, left, degree)
-    if right is None:
-        return None
-    if code in (ADD, SUBTRACT):
-        return _added(left, right, 1.0, 1.0 if code == ADD else -1.0)
-    if code == MULTIPLY:
-        return _multiplied(left, right, degree)
-    divisor = right.get((), 0.0)
-    return _added(left, {}, 1.0 / divisor, 0.0) if code == DIVIDE and len(right) == 1 and divisor else None
-
-
-def _added(left: _Sum, right: _Sum, left_factor: float, right_factor: float) -> _Sum:
-    return _collected([*((key, left_factor * value) for key, value in left.items()),
-                       *((key, right_factor * value) for key, value in right.items())])  # fmt: skip
-
-
-def _multiplied(left: _Sum, right: _Sum, degree: int) -> _Sum | None:
-    if max(map(len, left)) + max(map(len, right)) > degree:
-        return None
-    return _collected(
-        (tuple(sorted((*left_term, *right_term))), factor * value)
-        for left_term, factor in left.items()
-        for right_term, value in right.items()
-    )
-
-
-def _collected(products: Iterable[tuple[tuple[int, ...], float]]) -> _Sum:
-    total: dict[tuple[int, ...], float] = {}
-    for key, value in products:
-        total[key] = total.get(key, 0.0) + value
-    return total
+    found: list[Product] = []
+    for monomial in monomials:
+        if any(atom[0] != VARIABLE or exponent < 0 for atom, exponent in monomial):
+            return None
+        found.append(tuple(sorted(atom[1] for atom, exponent in monomial for _ in range(exponent))))
+    return sorted(found, key=lambda term: (len(term), term)) if max(map(len, found), default=0) <= degree else None

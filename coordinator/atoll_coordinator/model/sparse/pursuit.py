@@ -17,16 +17,16 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.least_squares import Solver, coefficients_of, inverse, minimize, solver
-from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes, sum_program
+from atoll_coordinator.model.sparse.elimination import on_the_way
+from atoll_coordinator.model.sparse.products import products
+from atoll_coordinator.model.sparse.shapes import Atom, Shape, powers, program_of, shapes
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
 from atoll_core.expression.builder import operators_in
 from atoll_core.expression.operators import ADD, MULTIPLY
 from atoll_core.expression.program import Program
-from atoll_core.expression.writing.shortest import collected
 
 _DEGREE: Final = SETTINGS.sparse.degree - 1
 """Highest degree of the polynomial that functions are added to; products with functions have one less."""
@@ -110,11 +110,11 @@ class _Pursuit:
     ) -> None:  # fmt: skip
         self._target = target
         self._needed = needed
-        self._plain = list(powers(inputs, columns, _DEGREE))
+        self._plain = powers(inputs, products(columns, _DEGREE))
         self._shapes = list(self._plain)
         for degree in range(_DEGREE):
-            products = [shape for shape in self._plain if len(shape.factors) == degree]
-            candidates = list(shapes(inputs, columns, operators, products))
+            plain = [shape for shape in self._plain if len(shape.factors) == degree]
+            candidates = list(shapes(inputs, columns, operators, plain))
             if degree and len(self._shapes) + len(candidates) > SETTINGS.sparse.most_shapes:
                 break
             self._shapes += candidates
@@ -126,7 +126,7 @@ class _Pursuit:
 
     def _leave_out(self) -> float:
         """Leave out the shapes with which no sum is wanted; return the price of the cheapest that one must have."""
-        prices = [self._price(shape) for shape in self._shapes]
+        prices = [shape.price(len(self._target)) for shape in self._shapes]
         is_needed = list(map(self._is_needed, self._shapes))
         least = min((price for price, needed in zip(prices, is_needed, strict=True) if needed), default=math.inf)
         beside = [price + (0.0 if needed else least) for price, needed in zip(prices, is_needed, strict=True)]
@@ -141,12 +141,6 @@ class _Pursuit:
 
     def _is_needed(self, shape: Shape) -> bool:
         return not self._needed or not self._needed.isdisjoint(operators_in(shape.expression(1.5)))
-
-    def _price(self, shape: Shape) -> float:
-        constants = 1 + shape.has_constant
-        return structure_length(sum_program([(2.5, shape.expression(1.5))])) + constants * constant_nats_of(
-            len(self._target)
-        )
 
     def _made_atoms(self) -> tuple[list[tuple[int, float]], FloatArray]:
         """Return shapes (index) with inner constants, and their values as unit columns (A, R)."""
@@ -168,7 +162,7 @@ class _Pursuit:
         sums: dict[tuple[int, ...], _Sum] = {}
         for beginning in self._beginnings():
             for candidate in self._grown(beginning):
-                sums |= {remainder.key: remainder for remainder in self._eliminated(candidate)}
+                sums |= {remainder.key: remainder for remainder in on_the_way(candidate, self._without_least)}
         kept: dict[int, list[_Sum]] = {}
         has_needed = [self._is_needed(shape) for shape in self._shapes]
         wanted = (candidate for candidate in sums.values() if any(has_needed[term] for term in candidate.terms))
@@ -185,7 +179,7 @@ class _Pursuit:
         orders = [len(shape.factors) for shape in self._plain]
         for degree in range(1, max(orders, default=0) + 1):
             terms = tuple(index for index, order in enumerate(orders) if order <= degree)
-            most = min(SETTINGS.structure.largest_library, len(self._target) / SETTINGS.sparse.rows_per_term)
+            most = min(SETTINGS.structure.longest_sum, len(self._target) / SETTINGS.sparse.rows_per_term)
             if len(terms) <= most and self._is_short(terms):
                 polynomial = self._solved(terms, np.ones(len(terms)))
                 if polynomial is not None:
@@ -284,20 +278,14 @@ class _Pursuit:
         """Return the sum of squares that it leaves; less than the target's uncertainty does says nothing."""
         return max(candidate.square, self._limit, 1e-300)
 
-    def _eliminated(self, candidate: _Sum) -> Iterator[_Sum]:
-        """Yield the sum, and those on the way to a single term, the least significant going first (Wald's test)."""
-        yield candidate
-        while len(candidate.terms) > 1:
-            jacobian = self._jacobian(candidate)
-            if not np.isfinite(jacobian).all():
-                return
-            variances = np.diag(inverse(jacobian @ jacobian.T))[: len(candidate.terms)]
-            gains = candidate.coefficients**2 / np.maximum(variances, 1e-300)
-            following = self._fitted(*candidate.without(int(np.argmin(gains))))
-            if following is None:
-                return
-            candidate = following
-            yield candidate
+    def _without_least(self, candidate: _Sum) -> _Sum | None:
+        """Return the sum without its least significant term (Wald's test), None of a single one."""
+        jacobian, count = self._jacobian(candidate), len(candidate.terms)
+        if count < 2 or not np.isfinite(jacobian).all():
+            return None
+        variances = np.diag(inverse(jacobian @ jacobian.T))[:count]
+        gains = candidate.coefficients**2 / np.maximum(variances, 1e-300)
+        return self._fitted(*candidate.without(int(np.argmin(gains))))
 
     def _values(self, terms: Sequence[int], constants: FloatArray) -> FloatArray:
         return np.array([self._shapes[term].value(c) for term, c in zip(terms, constants.tolist(), strict=True)])
@@ -349,9 +337,5 @@ class _Pursuit:
         return _Sum(terms, constants, coefficients, self._target - coefficients @ columns)
 
     def _made(self, candidate: _Sum) -> Program:
-        parts = zip(candidate.terms, candidate.constants.tolist(), candidate.coefficients.tolist(), strict=True)
-        return collected(
-            sum_program(
-                [(coefficient, self._shapes[term].expression(constant)) for term, constant, coefficient in parts]
-            )
-        )
+        pairs = zip(candidate.terms, candidate.constants.tolist(), strict=True)
+        return program_of([Atom(self._shapes[term], constant) for term, constant in pairs], candidate.coefficients)

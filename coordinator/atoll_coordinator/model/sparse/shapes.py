@@ -5,12 +5,15 @@ Letters: R rows, V variables.
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import combinations, combinations_with_replacement
+from functools import cached_property, partial
+from itertools import combinations
 from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.sparse.products import Product, expression_of, values_of_products
+from atoll_coordinator.model.structure.term_libraries import scaled, sum_of
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.evaluation import values_of
@@ -29,7 +32,8 @@ from atoll_core.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.writing.shortest import collected
 
 _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
 _BOTH_SIGNS: Final = tuple(sign * 0.1 * 2.0 ** (step / 2.0) for sign in (1.0, -1.0) for step in range(13))
@@ -61,7 +65,7 @@ def _scaled(code: int, rates: Sequence[float], value: Callable[[FloatArray], Flo
     """Return a function of c u with the inner constant c."""
     return Function(
         lambda u, c: value(c * u),
-        lambda u, c: (code, (MULTIPLY, c, u)),
+        lambda u, c: (code, scaled(u, c)),
         lambda u, c: u * slope(c * u),
         lambda size: [rate / size for rate in rates],
     )
@@ -110,7 +114,7 @@ class Shape:
     `argument` is the expression of u.
     """
 
-    factors: tuple[int, ...]
+    factors: Product
     product: FloatArray
     function: Function | None = None
     argument: Expression = 0.0
@@ -145,7 +149,7 @@ class Shape:
 
     def over(self, inputs: FloatArray) -> "Shape":
         """Return the same shape on other rows of the variables, `inputs` (V, R)."""
-        product = np.prod(inputs[list(self.factors)], axis=0)
+        product = values_of_products([self.factors], inputs)[0]
         if self.function is None:
             return Shape(self.factors, product)
         builder = ProgramBuilder()
@@ -154,20 +158,58 @@ class Shape:
 
     def expression(self, constant: float) -> Expression:
         """Return the product with this inner constant."""
-        parts: list[Expression] = [(VARIABLE, factor) for factor in self.factors]
-        if self.function is not None:
-            parts.append(self.function.expression(self.argument, constant))
-        product = parts[0] if parts else 1.0
-        for part in parts[1:]:
-            product = (MULTIPLY, product, part)
-        return product
+        product = expression_of(self.factors)
+        if self.function is None:
+            return product
+        match self.function.expression(self.argument, constant):
+            case (code, 1.0, below) if code == DIVIDE:
+                return (DIVIDE, product, below)
+            case function:
+                return (MULTIPLY, product, function) if self.factors else function
+
+    @cached_property
+    def _written(self) -> tuple[float, int]:
+        """The nats of its structure as a term of a sum, and how many constants that has."""
+        program = sum_of([self.expression(1.5)], [2.5])
+        return structure_length(program), len(constant_places(program))
+
+    def price(self, rows: float) -> float:
+        """Return the nats of the term in a sum that so many rows decide: its structure, and 1/2 ln N a constant."""
+        structure, constants = self._written
+        return structure + constants * constant_nats_of(rows)
 
 
-def powers(inputs: FloatArray, columns: Sequence[int], degree: int) -> Iterator[Shape]:
-    """Yield all products of the variables `columns` of `inputs` (V, R) up to a degree, the constant first."""
-    for order in range(degree + 1):
-        for factors in combinations_with_replacement(columns, order):
-            yield Shape(factors, np.prod(inputs[list(factors)], axis=0))
+@dataclass(frozen=True, eq=False)
+class Atom:
+    """A term without its coefficient: a shape and its inner constant."""
+
+    shape: Shape
+    constant: float = 1.0
+
+    @property
+    def values(self) -> FloatArray:
+        """The values (R,)."""
+        return self.shape.value(self.constant)
+
+    @property
+    def slopes(self) -> FloatArray:
+        """The derivatives (R,) by the inner constant."""
+        return self.shape.slope(self.constant)
+
+    def moved(self, step: float) -> "Atom":
+        """Return the term with its inner constant after a step, which changes it by half at most."""
+        limit = 0.5 * abs(self.constant)
+        return Atom(self.shape, self.constant + min(max(step, -limit), limit))
+
+
+def program_of(atoms: Sequence[Atom], coefficients: FloatArray) -> Program:
+    """Return the sum of terms with these coefficients (K,), as a sum of products."""
+    return collected(sum_of([atom.shape.expression(atom.constant) for atom in atoms], coefficients.tolist()))
+
+
+def powers(inputs: FloatArray, terms: Sequence[Product]) -> list[Shape]:
+    """Return products of the variables `inputs` (V, R) as shapes."""
+    return [Shape(*pair) for pair in zip(terms, values_of_products(terms, inputs), strict=True)]
 
 
 def shapes(
@@ -249,14 +291,3 @@ def _arguments(
         for join, u in ((SUBTRACT, inputs[first] - inputs[second]), (ADD, inputs[first] + inputs[second])):
             if join in operators:
                 yield (join, (VARIABLE, first), (VARIABLE, second)), u, waves
-
-
-def sum_program(parts: Sequence[tuple[float, Expression]]) -> Program:
-    """Return the sum of expressions times their coefficients, of which there is one at least."""
-    total: Expression | None = None
-    for coefficient, expression in parts:
-        part: Expression = (MULTIPLY, coefficient, expression)
-        total = part if total is None else (ADD, total, part)
-    assert total is not None
-    builder = ProgramBuilder()
-    return builder.program(builder.build(total))

@@ -11,6 +11,7 @@ measurements (errors in variables: Bortz, Messenger & Dukic 2023), so that a res
 Letters: K terms, W windows of L rows, N rows of all trajectories, V variables.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,8 +21,8 @@ from atoll_coordinator.data.differentiation.interpolation import predict_left_ou
 from atoll_coordinator.data.differentiation.missing_values import make_signal
 from atoll_coordinator.data.differentiation.noise import estimate_value_noise
 from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
-from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
-from atoll_coordinator.model.structure.term_libraries import Term
+from atoll_coordinator.model.sparse.kernels.least_squares import windowed_sums
+from atoll_coordinator.model.sparse.products import Product
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
@@ -117,7 +118,7 @@ class WeakForm:
         """The left sides (W,)."""
         return np.asarray(-self._sums(self.slope, self.measured.values[self.target : self.target + 1])[0])
 
-    def columns(self, terms: Sequence[Term]) -> FloatArray:
+    def columns(self, terms: Sequence[Product]) -> FloatArray:
         """Return the integrals (K, W) of the terms, products of variables."""
         powers = _powers(self.measured.values, self.measured.noise, max(map(len, terms), default=0))
         return self._sums(self.bump, np.array([_product(term, powers) for term in terms]))
@@ -126,7 +127,7 @@ class WeakForm:
         """Return the integrals (W,) of a function's values (N,)."""
         return np.asarray(self._sums(self.bump, values[None])[0])
 
-    def variances(self, terms: Sequence[Term], coefficients: Sequence[float]) -> FloatArray:
+    def variances(self, terms: Sequence[Product], coefficients: Sequence[float]) -> FloatArray:
         """Return the variance (W,) of what the sum of terms leaves in each window, to first order in the noise."""
         powers = _powers(self.measured.smoothed, np.zeros(len(self.measured.noise)), max(map(len, terms), default=0))
         places = range(len(self.measured.noise))
@@ -145,7 +146,7 @@ class WeakForm:
             variances += square * sums
         return np.asarray(variances)
 
-    def gradients(self, terms: Sequence[Term]) -> tuple[FloatArray, Ints]:
+    def gradients(self, terms: Sequence[Product]) -> tuple[FloatArray, Ints]:
         """Return the derivatives (K, V, R) of terms by the variables on some rows, and which rows these are (R,)."""
         rows = thinned_places(len(self.measured.times), SETTINGS.rows.most)
         powers = _powers(self.measured.smoothed[:, rows], np.zeros(len(self.measured.noise)), max(map(len, terms)))
@@ -165,10 +166,15 @@ class WeakForm:
         share = len(self.measured.times) / len(rows)
         return share * sums[0, rows], share * sums[1, rows]
 
-    def _sums(self, factors: FloatArray, values: FloatArray) -> FloatArray:
-        sums = np.zeros((len(values), len(self.first)))
-        windowed_sums(self.first, np.ascontiguousarray(factors), np.ascontiguousarray(values), sums)
-        return sums
+    def _sums(self, weights: FloatArray, values: FloatArray) -> FloatArray:
+        return window_integrals(self.first, weights, values)
+
+
+def window_integrals(first: Ints, weights: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the sums (K, W) of `values` (K, N) times `weights` (W, L), over the rows from `first` (W,) on."""
+    sums = np.zeros((len(values), len(first)))
+    windowed_sums(first, np.ascontiguousarray(weights), np.ascontiguousarray(values), sums)
+    return sums
 
 
 def weak_form(measured: Measured, target: int, half: int) -> WeakForm | None:
@@ -211,17 +217,10 @@ def _powers(values: FloatArray, noise: FloatArray, highest: int) -> list[FloatAr
     return powers
 
 
-def _exponents(term: Term) -> dict[int, int]:
-    counts: dict[int, int] = {}
-    for factor in term:
-        counts[factor.variable] = counts.get(factor.variable, 0) + 1
-    return counts
-
-
-def _product(term: Term, powers: Sequence[FloatArray], without: int | None = None) -> FloatArray:
+def _product(term: Product, powers: Sequence[FloatArray], without: int | None = None) -> FloatArray:
     """Return the values (N,) of a product; with one factor `without`, times its exponent: the derivative."""
     product = np.ones(powers[0].shape[1])
-    for variable, exponent in _exponents(term).items():
+    for variable, exponent in Counter(term).items():
         if variable == without:
             product = product * (exponent * powers[exponent - 1][variable])
         else:
@@ -230,11 +229,11 @@ def _product(term: Term, powers: Sequence[FloatArray], without: int | None = Non
 
 
 def _slope(
-    terms: Sequence[Term], coefficients: Sequence[float], powers: Sequence[FloatArray], variable: int
+    terms: Sequence[Product], coefficients: Sequence[float], powers: Sequence[FloatArray], variable: int
 ) -> FloatArray:
     """Return the derivative (N,) of the sum of terms by a variable."""
     total = np.zeros(powers[0].shape[1])
     for term, coefficient in zip(terms, coefficients, strict=True):
-        if any(factor.variable == variable for factor in term):
+        if variable in term:
             total = total + coefficient * _product(term, powers, variable)
     return total

@@ -26,9 +26,9 @@ from atoll_coordinator.model.criteria import constant_nats_of, structure_length,
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
-from atoll_coordinator.model.sparse.regression import eliminated, libraries
+from atoll_coordinator.model.sparse.elimination import eliminated
+from atoll_coordinator.model.sparse.products import libraries, sum_of_products, values_of_products
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
-from atoll_coordinator.model.structure.term_libraries import Term, sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray, Problem, Target
@@ -197,19 +197,14 @@ def _sparse_sums(weighted: WeightedProblem, columns: Sequence[int]) -> list[Prog
     sides = weighted.problem.target.values * roots
     rows = len(sides)
     sums: list[tuple[float, Program]] = []
-    for terms, _ in libraries(columns, rows):
-        values = np.array([_values(term, inputs) for term in terms]) * roots
-        path = eliminated(terms, values, sides)
-        prices = np.array([structure_length(sum_of([term], [1.5])) for term in terms]) + constant_nats_of(rows)
+    for terms, _ in libraries(columns, rows, range(1, SETTINGS.sparse.degree + 1)):
+        values = values_of_products(terms, inputs) * roots
+        path = eliminated(values, sides)
+        prices = np.array([structure_length(sum_of_products([term], [1.5])) for term in terms]) + constant_nats_of(rows)
         for step in range(len(terms)):
-            nats = 0.5 * rows * np.log(max(float(path.squares[step]), 1e-300)) + prices[path.kept(step)].sum()
-            sums.append((float(nats), sum_of(*path.sum(step))))
+            kept = path.kept(step)
+            nats = 0.5 * rows * np.log(max(float(path.squares[step]), 1e-300)) + prices[kept].sum()
+            program = sum_of_products([terms[place] for place in kept], path.factors(step))
+            sums.append((float(nats), program))
     sums.sort(key=lambda entry: entry[0])
     return [program for _, program in sums[: SETTINGS.effort.beam // 2]]
-
-
-def _values(term: Term, inputs: FloatArray) -> FloatArray:
-    values = np.ones(inputs.shape[1])
-    for factor in term:
-        values = values * inputs[factor.variable]
-    return values

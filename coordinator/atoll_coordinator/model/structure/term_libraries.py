@@ -4,53 +4,21 @@ A sum of all products of variables up to some degree, with or without sines and 
 trajectories, the others as smoothed; then the term of least coefficient over standard error is left out, and so on
 (backward elimination by Wald's test). Every sum on the way is a candidate: what a greedy search by derivative error
 does not reach, or what it buries in terms that describe the smoother's errors.
+
+A term is an expression without its coefficient: here, and wherever sums are made of terms.
 """
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement
 
-import numpy as np
-
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.operators import ADD, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll_core.expression.program import Program
 from atoll_core.expression.simplification import simplify_program
 
 
-@dataclass(frozen=True)
-class Divisor:
-    """What a term is divided by: a variable (index) or its square (`power` 2), and a constant added unless that is 0.
-
-    `shift` is where the fit of that constant begins; equal divisors have one constant in common.
-    """
-
-    variable: int
-    power: int = 1
-    shift: float = 0.0
-
-
-@dataclass(frozen=True)
-class Factor:
-    """A variable (index), or its sum or difference (`join`) with an`other`; as it is, or its sine or cosine.
-
-    Instead of a factor there may be a `divisor`.
-    """
-
-    variable: int
-    function: int | None = None
-    other: int | None = None
-    join: int = SUBTRACT
-    divisor: Divisor | None = None
-
-
-Term = tuple[Factor, ...]
-"""A product."""
-
-
-def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[list[Term]]:
+def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[list[Expression]]:
     """Yield libraries over these variables, as far as the operators (codes) allow them, the constant term first.
 
     Powers and products up to the second or third degree; with sines and cosines; products of these; and sines and
@@ -58,25 +26,21 @@ def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[
     """
     if not {ADD, MULTIPLY} <= set(operators):
         return
-    plain = [Factor(variable) for variable in variables]
-    waves = [Factor(variable, code) for variable in variables for code in (SIN, COS)]
-    coupled = [
-        Factor(first, code, second, join)
-        for first, second in combinations(variables, 2)
-        for join in (SUBTRACT, ADD)
-        for code in (SIN, COS)
-    ]
+    plain: list[Expression] = [(VARIABLE, variable) for variable in variables]
+    waves: list[Expression] = [(code, variable) for variable in plain for code in (SIN, COS)]
     candidates = [_powers(plain, 2), _powers(plain, 3)]
     if {SIN, COS} <= set(operators):
-        pairs: list[Term] = [*combinations(waves, 2)]
-        single: list[Term] = [(wave,) for wave in waves]
-        candidates += [[*_powers(plain, 2), *single], [(), *single, *pairs]]
+        candidates += [[*_powers(plain, 2), *waves], [1.0, *waves, *map(product_of, combinations(waves, 2))]]
         if SUBTRACT in operators:
-            candidates.append([(), *single, *((wave,) for wave in coupled)])
-    yield from (terms for terms in candidates if len(terms) <= SETTINGS.structure.largest_library)
+            pairs = list(combinations(plain, 2))
+            phases = [(join, *pair) for pair in pairs for join in (SUBTRACT, ADD)]
+            candidates.append([1.0, *waves, *((code, phase) for phase in phases for code in (SIN, COS))])
+    yield from (terms for terms in candidates if len(terms) <= SETTINGS.structure.longest_sum)
 
 
-def fractions(variables: Sequence[int], operators: Collection[int], sizes: Sequence[float]) -> Iterator[list[Term]]:
+def fractions(
+    variables: Sequence[int], operators: Collection[int], sizes: Sequence[float]
+) -> Iterator[list[Expression]]:
     """Yield libraries with quotients, the constant term first, as far as the operators (codes) allow them.
 
     Powers and products up to the second degree, beside them what saturates or fades with one variable v: products of
@@ -90,66 +54,47 @@ def fractions(variables: Sequence[int], operators: Collection[int], sizes: Seque
     """
     if not {ADD, MULTIPLY, DIVIDE} <= set(operators):
         return
-    plain = [Factor(variable) for variable in variables]
-    for variable in variables:
+    plain: list[Expression] = [(VARIABLE, variable) for variable in variables]
+    for variable, own in zip(variables, plain, strict=True):
+        others = [other for other in plain if other != own]
         for power in (1, 2):
-            under = Factor(variable, divisor=Divisor(variable, power, sizes[variable] ** power))
-            own, others = (Factor(variable), under), [(factor,) for factor in plain if factor != Factor(variable)]
-            mixed: list[Term] = [(*term, *own) for term in others]
-            for quotients in ([*mixed], [own, *mixed]):
-                if quotients and len(quotients) + len(_powers(plain, 2)) <= SETTINGS.structure.largest_library:
+            below = (ADD, product_of([own] * power), sizes[variable] ** power)
+            mixed: list[Expression] = [(DIVIDE, product_of([other, own]), below) for other in others]
+            for quotients in ([*mixed], [(DIVIDE, own, below), *mixed]):
+                if quotients and len(quotients) + len(_powers(plain, 2)) <= SETTINGS.structure.longest_sum:
                     yield [*_powers(plain, 2), *quotients]
     if {SIN, COS} <= set(operators):
-        waves: list[Term] = [(Factor(variable, code),) for variable in variables for code in (SIN, COS)]
-        for variable in variables:
-            over = Factor(variable, divisor=Divisor(variable))
-            numerators: list[Term] = [(), *((factor,) for factor in plain if factor != Factor(variable)), *waves]
-            yield [(), *((factor,) for factor in plain), *waves, *((*term, over) for term in numerators)]
+        waves: list[Expression] = [(code, variable) for variable in plain for code in (SIN, COS)]
+        for own in plain:
+            above = [1.0, *(other for other in plain if other != own), *waves]
+            yield [1.0, *plain, *waves, *((DIVIDE, term, own) for term in above)]
 
 
-def _powers(factors: Sequence[Factor], degree: int) -> list[Term]:
-    return [term for order in range(degree + 1) for term in combinations_with_replacement(factors, order)]
+def _powers(factors: Sequence[Expression], degree: int) -> list[Expression]:
+    orders = range(degree + 1)
+    return [product_of(term) for order in orders for term in combinations_with_replacement(factors, order)]
 
 
-def sum_of(terms: Sequence[Term], coefficients: Sequence[float]) -> Program:
+def product_of(factors: Sequence[Expression]) -> Expression:
+    """Return a product, 1 where there are no factors."""
+    product = factors[0] if factors else 1.0
+    for factor in factors[1:]:
+        product = (MULTIPLY, product, factor)
+    return product
+
+
+def scaled(term: Expression, factor: float) -> Expression:
+    """Return a term times a number, which is the first of its factors: what is above the line is not 1 any more."""
+    match term:
+        case (code, first, second) if code in (MULTIPLY, DIVIDE):
+            return (code, scaled(first, factor), second)
+    return factor if term == 1.0 else (MULTIPLY, factor, term)
+
+
+def sum_of(terms: Sequence[Expression], coefficients: Sequence[float]) -> Program:
     """Return the program of the sum of `terms`, in their order, with these coefficients."""
-    total: Expression | None = None
-    for term, coefficient in zip(terms, coefficients, strict=True):
-        part: Expression = float(coefficient)
-        for factor in term:
-            part = (DIVIDE if factor.divisor else MULTIPLY, part, _expression(factor))
-        total = part if total is None else (ADD, total, part)
-    assert total is not None
+    total, *others = (scaled(term, float(factor)) for term, factor in zip(terms, coefficients, strict=True))
+    for other in others:
+        total = (ADD, total, other)
     builder = ProgramBuilder()
     return simplify_program(builder.program(builder.build(total)))
-
-
-def _expression(factor: Factor) -> Expression:
-    """Return a factor, or what a term is divided by."""
-    expression: Expression = (VARIABLE, factor.variable)
-    if factor.divisor is not None:
-        if factor.divisor.power == 2:
-            expression = (MULTIPLY, expression, expression)
-        if factor.divisor.shift:
-            expression = (ADD, expression, factor.divisor.shift)
-    if factor.other is not None:
-        expression = (factor.join, expression, (VARIABLE, factor.other))
-    return expression if factor.function is None else (factor.function, expression)
-
-
-def column_of(term: Term, inputs: FloatArray) -> FloatArray:
-    """Return the values of a term (R,) at `inputs` (V, R), NaN everywhere if its divisor is zero somewhere."""
-    column = np.ones(inputs.shape[1])
-    for factor in term:
-        values = inputs[factor.variable]
-        if factor.other is not None:
-            values = values + inputs[factor.other] if factor.join == ADD else values - inputs[factor.other]
-        if factor.function is not None:
-            values = np.sin(values) if factor.function == SIN else np.cos(values)
-        if factor.divisor is not None:
-            with np.errstate(all="ignore"):
-                values = 1.0 / (values**factor.divisor.power + factor.divisor.shift)
-            if not np.isfinite(values).all():
-                return np.full_like(column, np.nan)
-        column = column * values
-    return column

@@ -14,8 +14,7 @@ from atoll_coordinator.model.criteria import (
     select_member,
 )
 from atoll_coordinator.model.refinement import may_be_shown
-from atoll_coordinator.model.sparse.regression import products
-from atoll_coordinator.model.structure.term_libraries import sum_of
+from atoll_coordinator.model.sparse.products import products, sum_of_products
 from atoll_core.data.dataset import Target
 from atoll_core.expression.program import MAX_NODES
 from atoll_core.expression.text.parsing import from_infix
@@ -93,8 +92,8 @@ def test_what_is_larger_than_the_user_allows_is_not_shown(largest, may):
 
 
 def test_programs_that_are_larger_than_any_may_be_are_not_shown():
-    terms = [term for order in range(5) for term in products(range(5), order)]
-    program = sum_of(terms, [1.5 + number for number in range(len(terms))])
+    terms = products(range(5), 4)
+    program = sum_of_products(terms, [1.5 + number for number in range(len(terms))])
     assert len(program) > MAX_NODES
     assert not may_be_shown(program, None)
 

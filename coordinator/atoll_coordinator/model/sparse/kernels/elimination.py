@@ -1,98 +1,72 @@
-"""Least squares by orthogonalisation, and the terms of a sum left out one after another, in a fixed order of sums.
+"""Terms of a sum left out one after another, also where errors of the variables are in the terms, too.
 
-Letters: K columns, N rows, W windows of L rows.
+Least squares then takes products of errors with each other for products of terms, and is biased towards small
+coefficients and towards terms whose errors are small. Without the mean of these products the estimate is consistent
+(Fuller 1987, section 3.1).
+
+Letters: K columns, W windows of L rows, N rows, V variables.
 """
 
 import math
 
 import numpy as np
 
+from atoll_coordinator.model.cholesky import factorize, substitute
+from atoll_coordinator.model.sparse.kernels.least_squares import invert_triangle, triangularize
 from atoll_core.compilation.jit import allocating_kernel, kernel
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
-DEPENDENT = 1e-9
-"""A column of unit length of which the others leave less than this is a sum of them."""
+_MOST_CORRECTED = 0.9
+"""Numerics: the share of the square of any sum of columns, at most, that is taken for errors. What is left grows with
+the inverse of the rest, so that beyond, an estimate is chance."""
 
 
 @kernel
-def windowed_sums(first: Ints, factors: FloatArray, values: FloatArray, sums: FloatArray) -> None:
-    """Write for each column of `values` (K, N) and each window its sum times `factors` (W, L), from row `first` on.
+def sum_error_products(
+    gradients: FloatArray, variances: FloatArray, target: int, squares: FloatArray, halves: FloatArray,
+    products: FloatArray, cross: FloatArray,
+) -> None:  # fmt: skip
+    """Write the sums over windows of the covariances of the errors of columns with each other and with the side's.
 
-    `first` is (W,), `sums` (K, W).
+    `gradients` (K, V, N) are derivatives of the columns' functions by the variables, whose errors have these
+    `variances` (V,); `squares` and `halves` (N,) are how much the square of a row's error counts where both factors are
+    weighted by the test function, and where one is by its slope. `products` (K, K) and `cross` (K,) take the result.
     """
-    for k in range(values.shape[0]):
-        for w in range(first.shape[0]):
-            total = 0.0
-            for j in range(factors.shape[1]):
-                total += factors[w, j] * values[k, first[w] + j]
-            sums[k, w] = total
-
-
-@kernel
-def triangularize(columns: FloatArray, side: FloatArray, upper: FloatArray, rotated: FloatArray) -> float:
-    """Overwrite `columns` (K, N) by an orthonormal basis and `side` (N,) by what they leave; return its sum of squares.
-
-    Modified Gram-Schmidt, the right side as a last column (Björck 1967). `upper` (K, K) takes the triangle,
-    `rotated` (K,) the side in the basis; a column that depends on those before gets a row of zeros.
-    """
-    count, rows = columns.shape
-    for k in range(count):
-        norm = 0.0
-        for i in range(rows):
-            norm += columns[k, i] * columns[k, i]
-        norm = math.sqrt(norm)
-        upper[k, k] = norm if norm > DEPENDENT else 0.0
-        rotated[k] = 0.0
-        if not norm > DEPENDENT:
-            for j in range(k + 1, count):
-                upper[k, j] = 0.0
-            continue
-        for i in range(rows):
-            columns[k, i] /= norm
-        for j in range(k + 1, count):
-            dot = 0.0
-            for i in range(rows):
-                dot += columns[k, i] * columns[j, i]
-            upper[k, j] = dot
-            for i in range(rows):
-                columns[j, i] -= dot * columns[k, i]
-        dot = 0.0
-        for i in range(rows):
-            dot += columns[k, i] * side[i]
-        rotated[k] = dot
-        for i in range(rows):
-            side[i] -= dot * columns[k, i]
-    left = 0.0
-    for i in range(rows):
-        left += side[i] * side[i]
-    return left
-
-
-@kernel
-def invert_triangle(triangle: FloatArray, inverse: FloatArray) -> None:
-    """Write the inverse of an upper triangle (M, M) into zeros; rows whose diagonal is 0 stay 0."""
-    size = triangle.shape[0]
-    for k in range(size - 1, -1, -1):
-        if triangle[k, k] == 0.0:
-            continue
-        inverse[k, k] = 1.0 / triangle[k, k]
-        for j in range(k + 1, size):
-            total = 0.0
-            for i in range(k + 1, j + 1):
-                total += triangle[k, i] * inverse[i, j]
-            inverse[k, j] = -total / triangle[k, k]
+    for k in range(gradients.shape[0]):
+        total = 0.0
+        for row in range(gradients.shape[2]):
+            total += halves[row] * gradients[k, target, row]
+        cross[k] = total * variances[target]
+        for m in range(k + 1):
+            whole = 0.0
+            for v in range(gradients.shape[1]):
+                if variances[v] > 0.0:
+                    total = 0.0
+                    for row in range(gradients.shape[2]):
+                        total += squares[row] * gradients[k, v, row] * gradients[m, v, row]
+                    whole += total * variances[v]
+            products[k, m] = whole
+            products[m, k] = whole
 
 
 @allocating_kernel
-def eliminate(columns: FloatArray, side: FloatArray, order: Ints, squares: FloatArray, found: FloatArray) -> None:
+def eliminate(
+    columns: FloatArray, side: FloatArray, products: FloatArray, cross: FloatArray, order: Ints, squares: FloatArray,
+    found: FloatArray, errors: FloatArray,
+) -> None:  # fmt: skip
     """Fit `side` (N,) by all `columns` (K, N), then leave out the one whose loss costs least, and so on.
 
+    Products of columns have the mean `products` (K, K) of errors, with the side `cross` (K,); without any, these have
+    no elements. Of columns that are mostly errors, as in a library that is too large, as much is allowed for as leaves
+    something.
+
     `order` (K,) takes the columns in the order in which they go; `squares` (K + 1,) the sums of squares left with the
-    last K, K - 1, ... 0 of that order; `found` (K, K) the coefficients of all columns at each step, 0 for those gone.
+    last K, K - 1, ... 0 of that order, `errors` (K + 1,) what errors of columns add to these; `found` (K, K) the
+    coefficients of all columns at each step, 0 for those gone.
     """
     count, rows = columns.shape
-    unit = columns.copy()
+    unit, rest = columns.copy(), side.copy()
     scale = np.ones(count)
     for k in range(count):
         norm = 0.0
@@ -101,28 +75,67 @@ def eliminate(columns: FloatArray, side: FloatArray, order: Ints, squares: Float
         scale[k] = math.sqrt(norm) if norm > 0.0 else 1.0
         for i in range(rows):
             unit[k, i] /= scale[k]
-    upper, rotated, rest = np.zeros((count, count)), np.zeros(count), side.copy()
+    upper, rotated = np.zeros((count, count)), np.zeros(count)
     base = triangularize(unit, rest, upper, rotated)
     kept = np.arange(count)
     for step in range(count):
         size = count - step
-        part, its = np.zeros((size, count)), rotated.copy()
+        part, reached, triangle = np.zeros((size, count)), np.zeros(size), np.zeros((size, size))
+        left_over = rotated.copy()
         for j in range(size):
             for i in range(kept[j] + 1):
                 part[j, i] = upper[i, kept[j]]
-        triangle, reached = np.zeros((size, size)), np.zeros(size)
-        squares[step] = base + triangularize(part, its, triangle, reached)
-        inverse = np.zeros((size, size))
+        squares[step] = base + triangularize(part, left_over, triangle, reached)
+        half, inverse, values = np.zeros((size, size)), np.eye(size), reached.copy()
+        invert_triangle(triangle, half)
         worst, least = 0, math.inf
-        invert_triangle(triangle, inverse)
-        for k in range(size - 1, -1, -1):
+        for k in range(size):
             if triangle[k, k] == 0.0:
                 worst, least = k, -1.0
+        if least > 0.0 and len(cross):
+            share, own = np.empty((size, size)), np.empty(size)
+            for j in range(size):  # the errors in the basis of the triangle: T'^-1 P T^-1 and T'^-1 c
+                own[j] = cross[kept[j]] / scale[kept[j]]
+                for k in range(size):
+                    share[j, k] = products[kept[j], kept[k]] / scale[kept[j]] / scale[kept[k]]
+            for j in range(size):
+                for i in range(j):
+                    own[j] -= triangle[i, j] * own[i]
+                    for k in range(size):
+                        share[j, k] -= triangle[i, j] * share[i, k]
+                own[j] /= triangle[j, j]
+                for k in range(size):
+                    share[j, k] /= triangle[j, j]
+            for j in range(size):
+                for i in range(j):
+                    for k in range(size):
+                        share[k, j] -= triangle[i, j] * share[k, i]
+                for k in range(size):
+                    share[k, j] /= triangle[j, j]
+            allowed, sizes = 1.0, np.zeros(size)
+            while not _factorize_rest(share, _MOST_CORRECTED / allowed, inverse, sizes):
+                allowed *= 0.5
+            factor = np.empty((size, size))
+            _factorize_rest(allowed * share, 1.0, factor, sizes)
+            for j in range(size):
+                inverse[j] = 0.0
+                inverse[j, j] = 1.0
+                substitute(factor, size, sizes, inverse[j])
+                values[j] += allowed * own[j]
+            substitute(factor, size, sizes, values)
+            for j in range(size):
+                squares[step] += (reached[j] - values[j]) ** 2
+                errors[step] += allowed * 2.0 * own[j] * values[j]
+                for k in range(size):
+                    errors[step] += allowed * values[j] * share[j, k] * values[k]
+        for k in range(size):
+            if triangle[k, k] == 0.0:
                 continue
             value, variance = 0.0, 0.0
             for j in range(k, size):
-                value += inverse[k, j] * reached[j]
-                variance += inverse[k, j] * inverse[k, j]
+                value += half[k, j] * values[j]
+                for i in range(k, size):
+                    variance += half[k, j] * inverse[j, i] * half[k, i]
             found[step, kept[k]] = value / scale[kept[k]]
             if value * value < least * variance:
                 worst, least = k, value * value / variance
@@ -133,3 +146,18 @@ def eliminate(columns: FloatArray, side: FloatArray, order: Ints, squares: Float
     for i in range(rows):
         total += side[i] * side[i]
     squares[count] = total
+
+
+@allocating_kernel
+def _factorize_rest(share: FloatArray, limit: float, factor: FloatArray, sizes: FloatArray) -> bool:
+    """Write Cholesky's factor of what a symmetric matrix leaves of `limit` times the identity; tell whether it has one.
+
+    It has where all eigenvalues of `share` are below the limit.
+    """
+    size = len(sizes)
+    for j in range(size):
+        for k in range(size):
+            factor[j, k] = (limit if j == k else 0.0) - share[j, k]
+        if not factor[j, j] > 0.0:
+            return False
+    return factorize(factor, size, sizes, 0.0)

@@ -1,16 +1,15 @@
-"""Least squares whose rows are weighted by what they leave, and forward selection, in a fixed order of sums.
+"""Least squares whose rows are weighted by what they leave, in a fixed order of sums.
 
-Letters: K columns, N rows, M terms at most.
+Letters: K columns, N rows.
 """
 
 import math
 
 import numpy as np
 
-from atoll_coordinator.model.sparse.kernels.elimination import DEPENDENT, triangularize
+from atoll_coordinator.model.sparse.kernels.least_squares import triangularize
 from atoll_core.compilation.jit import allocating_kernel
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.kernels.tape import Ints
 
 CAUCHY = 2.385
 """Residuals of this many standard errors get half the weight: 95 % efficient where errors are normal (Holland & Welsch
@@ -72,67 +71,3 @@ def robust_fit(
             far = left[i] / (CAUCHY * scale)
             weights[i] = 1.0 / math.sqrt(1.0 + far * far)
     return scale
-
-
-@allocating_kernel
-def select_forward(columns: FloatArray, side: FloatArray, chosen: Ints, squares: FloatArray) -> None:
-    """Take in the column that explains most of what is left of `side` (N,), and so on; both are overwritten.
-
-    `chosen` (M,) takes the columns (K, N) in their order, `squares` (M + 1,) the sums of squares left before each, and
-    at last (orthogonal matching pursuit). -1 stands where no column is left.
-    """
-    count, rows = columns.shape
-    free = np.ones(count)
-    for k in range(count):
-        norm = 0.0
-        for i in range(rows):
-            norm += columns[k, i] * columns[k, i]
-        free[k] = 1.0 if norm > 0.0 else 0.0
-        if norm > 0.0:
-            norm = math.sqrt(norm)
-            for i in range(rows):
-                columns[k, i] /= norm
-    for step in range(len(chosen)):
-        best, most = -1, 0.0
-        for k in range(count):
-            if free[k] > DEPENDENT:
-                dot = 0.0
-                for i in range(rows):
-                    dot += columns[k, i] * side[i]
-                gain = dot * dot / free[k]
-                if gain > most:
-                    best, most = k, gain
-        total = 0.0
-        for i in range(rows):
-            total += side[i] * side[i]
-        squares[step] = total
-        squares[step + 1] = total
-        chosen[step] = best
-        if best < 0:
-            for later in range(step, len(chosen)):
-                chosen[later] = -1
-                squares[later + 1] = total
-            return
-        norm = math.sqrt(free[best])
-        unit = columns[best].copy()
-        for i in range(rows):
-            unit[i] /= norm
-        free[best] = 0.0
-        dot = 0.0
-        for i in range(rows):
-            dot += unit[i] * side[i]
-        total = 0.0
-        for i in range(rows):
-            side[i] -= dot * unit[i]
-            total += side[i] * side[i]
-        squares[step + 1] = total
-        for k in range(count):
-            if free[k] > 0.0:
-                dot = 0.0
-                for i in range(rows):
-                    dot += unit[i] * columns[k, i]
-                norm = 0.0
-                for i in range(rows):
-                    columns[k, i] -= dot * unit[i]
-                    norm += columns[k, i] * columns[k, i]
-                free[k] = norm

@@ -11,16 +11,17 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 
 from atoll_coordinator.model.least_squares import coefficients_of
+from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION
+from atoll_coordinator.model.sparse.products import products
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, fitted, polished
-from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
+from atoll_coordinator.model.sparse.rates.rate_sums import RateSum, fitted, polished
+from atoll_coordinator.model.sparse.shapes import Atom, Shape, powers, shapes
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import DIVIDE
 
-_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-_NARROWINGS = 25
-"""Numerics: a bracket is narrowed by the golden section to 6e-6 of its width."""
+_NARROWED = 1e-5
+"""Numerics: the logarithm of an inner constant is found to that."""
 _DEPENDENT = 1e-7
 """Share of a column beyond the polynomial that is rounding."""
 
@@ -40,7 +41,7 @@ def extended(
     if len(trusted.values) < SETTINGS.sparse.rows_per_term * len(begun):
         return []
     here = [Atom(atom.shape.over(trusted.inputs), atom.constant) for atom in begun]
-    beside = Beside(np.array([atom.shape.value(atom.constant) for atom in here]), trusted.values, trusted.errors)
+    beside = Beside(np.array([atom.values for atom in here]), trusted.values, trusted.errors)
     ends: list[RateSum] = []
     for atom in beside.best_atoms(dictionary(trusted.inputs, columns, operators)):
         joined = fitted(trusted, [*here, atom])
@@ -56,9 +57,9 @@ def dictionary(inputs: FloatArray, columns: Sequence[int], operators: Collection
     Where all functions are too many for two variables, quotients are taken by themselves: most laws with many variables
     have these.
     """
-    products = _products(inputs, columns, operators, 2)
-    if products is not None:
-        return products
+    both = _products(inputs, columns, operators, 2)
+    if both is not None:
+        return both
     quotients = _products(inputs, columns, {DIVIDE} & set(operators), 2)
     rest = set(operators) if quotients is None else set(operators) - {DIVIDE}
     others = next((those for degree in (1, 0) if (those := _products(inputs, columns, rest, degree)) is not None), [])
@@ -69,11 +70,11 @@ def _products(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], degree: int
 ) -> list[Shape] | None:
     """Return products of variables up to a degree with functions, None where there are too many."""
-    products = list(powers(inputs, columns, degree))
-    single = shapes(inputs, columns, operators, products[:1], has_powers=True)
-    if len(products) * sum(len(shape.constants()) for shape in single) > SETTINGS.rates.most_atoms:
+    plain = powers(inputs, products(columns, degree))
+    single = shapes(inputs, columns, operators, plain[:1], has_powers=True)
+    if len(plain) * sum(len(shape.constants()) for shape in single) > SETTINGS.rates.most_atoms:
         return None
-    return list(shapes(inputs, columns, operators, products, has_powers=True))
+    return list(shapes(inputs, columns, operators, plain, has_powers=True))
 
 
 class Beside:
@@ -100,7 +101,7 @@ class Beside:
         for _ in range(SETTINGS.effort.steps):
             weights = 1.0 / np.sqrt(errors**2 + missing**2)
             left = values - coefficients_of(columns * weights, values * weights) @ columns
-            square = (float(np.median(np.abs(left))) / _NORMAL) ** 2 - float(np.median(errors)) ** 2
+            square = (NORMAL_DEVIATION * float(np.median(np.abs(left)))) ** 2 - float(np.median(errors)) ** 2
             before, missing = missing, math.sqrt(max(square, 0.0))
             if abs(missing - before) <= 1e-2 * before:
                 break
@@ -162,20 +163,20 @@ class Beside:
             with np.errstate(all="ignore"):
                 return 1.0 - float(self._gains(self._sampled(shape.value(constant)[None]))[0]) / self._square
 
+        from scipy.optimize import minimize_scalar
+
         if not self._square > 0.0:
             return None
         best = near
         if shape.has_constant:
-            low, high = (math.log(abs(constant)) for constant in _bracket(sorted(shape.constants(), key=abs), near))
-            best = math.copysign(
-                math.exp(_least(lambda size: left(math.copysign(math.exp(size), near)), low, high)), near
-            )
+            bounds = [math.log(abs(constant)) for constant in _bracket(sorted(shape.constants(), key=abs), near)]
+            found = minimize_scalar(
+                lambda size: left(math.copysign(math.exp(size), near)), bounds=bounds, method="bounded",
+                options={"xatol": _NARROWED},
+            )  # fmt: skip
+            best = math.copysign(math.exp(found.x), near)
         share = left(best)
         return (share, Atom(shape, best)) if share < 1.0 else None
-
-
-_NORMAL = 0.6745
-"""Median size of a normal error over its standard deviation."""
 
 
 def _bracket(grid: Sequence[float], near: float) -> tuple[float, float]:
@@ -185,19 +186,3 @@ def _bracket(grid: Sequence[float], near: float) -> tuple[float, float]:
     ratio = constants[place] / constants[place - 1] if place else constants[1] / constants[0] if constants[1:] else 2.0
     low = constants[place - 1] if place else near / ratio
     return low, constants[place + 1] if place + 1 < len(constants) else near * ratio
-
-
-def _least(value: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a function is least between two numbers, by the golden section."""
-    lower, upper = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-    at_lower, at_upper = value(lower), value(upper)
-    for _ in range(_NARROWINGS):
-        if at_lower < at_upper:
-            high, upper, at_upper = upper, lower, at_lower
-            lower = high - _GOLDEN * (high - low)
-            at_lower = value(lower)
-        else:
-            low, lower, at_lower = lower, upper, at_upper
-            upper = low + _GOLDEN * (high - low)
-            at_upper = value(upper)
-    return 0.5 * (low + high)

@@ -7,14 +7,14 @@ Letters: N rows, V variables of the sum, K terms beside it.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from atoll_coordinator.model.least_squares import Solver, coefficients_of, minimize, solver
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, fitted
-from atoll_coordinator.model.sparse.shapes import SCALED, Shape
+from atoll_coordinator.model.sparse.rates.rate_sums import RateSum, fitted
+from atoll_coordinator.model.sparse.shapes import SCALED, Atom, Shape
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.builder import Expression
@@ -81,17 +81,16 @@ def with_network(rows: RateRows, begun: Sequence[Atom], columns: Sequence[int]) 
 
     Weights that the sum can do without are left out. Nothing where no sum leaves as little as the derivatives' errors.
     """
-    beside = np.array([atom.shape.value(atom.constant) for atom in begun])
     inputs = np.vstack([np.ones(len(rows.values)), rows.inputs[list(columns)]])
-    coarse = _Node(beside, rows.values, np.full(len(rows.values), float(rows.values.std())), inputs)
+    node = _Node(np.array([atom.values for atom in begun]), rows.values, rows.errors, inputs)
+    coarse = replace(node, errors=np.full(len(rows.values), float(rows.values.std())))
     ends = [coarse.fit(coarse.begun(weights)) for weights in _starts(rows, columns)]
     for numbers in sorted(ends, key=coarse.misfit)[: SETTINGS.rates.beam]:
         errors = np.maximum(rows.errors, coarse.misfit(numbers) * coarse.errors)
-        near = _Node(beside, rows.values, errors, inputs).fit(numbers)
-        fine = _Node(beside, rows.values, rows.errors, inputs).fit(near)
+        fine = node.fit(replace(node, errors=errors).fit(numbers))
         fitted_sum = _sum(rows, begun, columns, fine[len(begun) + 1 :])
         if fitted_sum is not None and fitted_sum.scale <= 1.0:
-            return list(_pruned(rows, begun, columns, fine, fitted_sum).atoms)
+            return list(_pruned(rows, begun, columns, node, fine, fitted_sum).atoms)
     return []
 
 
@@ -133,21 +132,18 @@ def _shape(inputs: FloatArray, columns: Sequence[int], weights: FloatArray) -> t
 
 
 def _pruned(
-    rows: RateRows, begun: Sequence[Atom], columns: Sequence[int], numbers: FloatArray, best: RateSum
+    rows: RateRows, begun: Sequence[Atom], columns: Sequence[int], node: _Node, numbers: FloatArray, best: RateSum
 ) -> RateSum:
     """Return the sum without the weights that it can do without, the least one after another."""
     first = len(begun) + 1
-    beside = np.array([atom.shape.value(atom.constant) for atom in begun])
-    inputs = np.vstack([np.ones(len(rows.values)), rows.inputs[list(columns)]])
-    sizes = np.sqrt((inputs**2).mean(axis=1))
-    kept = list(range(len(inputs)))
+    sizes = np.sqrt((node.inputs**2).mean(axis=1))
+    kept = list(range(len(sizes)))
     while len(kept) > 1:
         least = min(kept, key=lambda place: abs(numbers[first + place]) * sizes[place])
         fewer = [place for place in kept if place != least]
-        node = _Node(beside, rows.values, rows.errors, inputs[fewer])
         trial = np.zeros_like(numbers)
         chosen = [*range(first), *(first + place for place in fewer)]
-        trial[chosen] = node.fit(numbers[chosen])
+        trial[chosen] = replace(node, inputs=node.inputs[fewer]).fit(numbers[chosen])
         fitted_sum = _sum(rows, begun, columns, trial[first:])
         if fitted_sum is None or not fitted_sum.nats < best.nats:
             return best

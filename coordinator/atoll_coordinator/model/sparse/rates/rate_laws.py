@@ -4,12 +4,14 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.sparse.elimination import shortest
+from atoll_coordinator.model.sparse.products import libraries
 from atoll_coordinator.model.sparse.rates.functions import extended
 from atoll_coordinator.model.sparse.rates.networks import with_network
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom, RateSum, polished, pruned, shortest_sum
+from atoll_coordinator.model.sparse.rates.rate_sums import RateSum, polished, pruned, shortest_sum
 from atoll_coordinator.model.sparse.rates.screening import screened
-from atoll_coordinator.model.sparse.shapes import powers
+from atoll_coordinator.model.sparse.shapes import Atom, powers
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.operators import TANH
 
@@ -27,9 +29,7 @@ def find_rate_laws(rows: RateRows, columns: Sequence[int], operators: Collection
     """
     kept = screened(rows, columns)
     for alike in _sums(rows, kept, operators) if kept else ():
-        best = min(
-            (rate_sum for rate_sum in alike if rate_sum.scale <= 1.0), key=lambda rate_sum: rate_sum.nats, default=None
-        )
+        best = shortest(rate_sum for rate_sum in alike if rate_sum.scale <= 1.0)
         if best is not None:
             program = best.program()
             return (Law(program, structure_length(program), best.scale, is_tested=True, is_of_rates=True),)
@@ -38,14 +38,9 @@ def find_rate_laws(rows: RateRows, columns: Sequence[int], operators: Collection
 
 def _sums(rows: RateRows, columns: Sequence[int], operators: Collection[int]) -> Iterator[list[RateSum]]:
     """Yield the shortest sums of one kind after another."""
-    libraries = []
-    for degree in range(1, SETTINGS.sparse.degree + 1):
-        atoms = [Atom(shape) for shape in powers(rows.inputs, columns, degree)]
-        if len(atoms) > SETTINGS.sparse.largest_library:
-            break
-        if SETTINGS.sparse.rows_per_term * len(atoms) <= len(rows.values):
-            libraries.append(atoms)
-    low, high = libraries[:2], libraries[2:]
+    sizes = libraries(columns, len(rows.values), range(1, SETTINGS.sparse.degree + 1))
+    polynomials = [list(map(Atom, powers(rows.inputs, terms))) for terms, _ in sizes]
+    low, high = polynomials[:2], polynomials[2:]
     for atoms in low:
         yield _shortest(rows, [atoms])
     if TANH in operators and low:

@@ -7,49 +7,20 @@ Letters: K terms, N rows.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
+from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.least_squares import Solver, minimize, solver
-from atoll_coordinator.model.sparse.kernels.elimination import eliminate
+from atoll_coordinator.model.sparse.elimination import eliminated, improved, shortest, without_one
 from atoll_coordinator.model.sparse.kernels.robust import robust_fit
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
-from atoll_coordinator.model.sparse.shapes import Shape, sum_program
+from atoll_coordinator.model.sparse.shapes import Atom, program_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import Expression
-from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program
-from atoll_core.expression.writing.shortest import collected
-
-
-@dataclass(frozen=True, eq=False)
-class Atom:
-    """A term without its coefficient: a shape and its inner constant."""
-
-    shape: Shape
-    constant: float = 1.0
-
-    def moved(self, step: float) -> "Atom":
-        """Return the term with its inner constant after a step, which changes it by half at most."""
-        limit = 0.5 * abs(self.constant)
-        return Atom(self.shape, self.constant + min(max(step, -limit), limit))
-
-    def price(self, rows: int) -> float:
-        """Return the nats of the term in a sum: its structure, and 1/2 ln N for each constant."""
-        program = sum_program([(2.5, self.shape.expression(1.5))])
-        weights = 0 if self.shape.function is None else _numbers(self.shape.argument)
-        return structure_length(program) + (1 + self.shape.has_constant + weights) * constant_nats_of(rows)
-
-
-def _numbers(expression: Expression) -> int:
-    """Return how many numbers an expression has."""
-    if isinstance(expression, tuple):
-        return 0 if expression[0] == VARIABLE else sum(map(_numbers, expression[1:]))
-    return int(isinstance(expression, float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +38,7 @@ class RateSum:
 
     def program(self) -> Program:
         """Return the sum as an expression."""
-        parts = zip(self.coefficients.tolist(), self.atoms, strict=True)
-        return collected(sum_program([(factor, atom.shape.expression(atom.constant)) for factor, atom in parts]))
+        return program_of(self.atoms, self.coefficients)
 
 
 _LEAST_SCALE = 1e-6
@@ -77,14 +47,14 @@ _LEAST_SCALE = 1e-6
 
 def fitted(rows: RateRows, atoms: Sequence[Atom], weights: FloatArray | None = None) -> RateSum | None:
     """Return the sum of these terms; None where one has no finite value, or there are more terms than rows."""
-    columns = np.array([atom.shape.value(atom.constant) for atom in atoms])
+    columns = np.array([atom.values for atom in atoms])
     if len(atoms) >= len(rows.values) or not np.isfinite(columns).all():
         return None
     coefficients = np.zeros(len(atoms))
     begun = np.ones(len(rows.values)) if weights is None else weights.copy()
     scale = robust_fit(columns, rows.values, rows.errors, SETTINGS.effort.steps, coefficients, begun)
     misfit = SETTINGS.selection.systematic_numbers * log(max(scale, _LEAST_SCALE))
-    price = math.fsum(atom.price(len(rows.values)) for atom in atoms)
+    price = math.fsum(atom.shape.price(len(rows.values)) for atom in atoms)
     return RateSum(tuple(atoms), coefficients, begun, scale, misfit + price)
 
 
@@ -97,28 +67,21 @@ def shortest_sum(rows: RateRows, atoms: Sequence[Atom]) -> RateSum | None:
     if whole is None:
         return None
     factors = whole.weights / rows.errors
-    columns = np.array([atom.shape.value(atom.constant) for atom in atoms]) * factors
-    order, squares = np.zeros(len(atoms), np.int64), np.zeros(len(atoms) + 1)
-    eliminate(columns, rows.values * factors, order, squares, np.zeros((len(atoms), len(atoms))))
-    best = whole
-    for step in range(max(1, len(atoms) - SETTINGS.rates.most_terms), len(atoms)):
-        places = sorted(order[step:].tolist())
-        candidate = fitted(rows, [atoms[place] for place in places], whole.weights)
-        if candidate is not None and candidate.nats < best.nats:
-            best = candidate
-    return pruned(rows, best)
+    columns = np.array([atom.values for atom in atoms]) * factors
+    path = eliminated(columns, rows.values * factors)
+    steps = range(max(1, len(atoms) - SETTINGS.structure.longest_sum), len(atoms))
+    shorter = (fitted(rows, [atoms[place] for place in path.kept(step)], whole.weights) for step in steps)
+    return pruned(rows, shortest([whole, *shorter]) or whole)
 
 
 def pruned(rows: RateRows, best: RateSum) -> RateSum:
     """Return the sum without the terms that it can do without, one after another."""
-    while 1 < len(best.atoms) <= SETTINGS.rates.most_terms:
-        fewer = [best.atoms[:place] + best.atoms[place + 1 :] for place in range(len(best.atoms))]
-        candidates = [candidate for atoms in fewer if (candidate := fitted(rows, atoms, best.weights)) is not None]
-        shorter = min(candidates, key=lambda candidate: candidate.nats, default=best)
-        if not shorter.nats < best.nats:
-            break
-        best = shorter
-    return best
+
+    def fewer(rate_sum: RateSum) -> Iterator[RateSum | None]:
+        for atoms in without_one(rate_sum.atoms, SETTINGS.structure.longest_sum):
+            yield fitted(rows, atoms, rate_sum.weights)
+
+    return improved(best, fewer)
 
 
 def polished(rows: RateRows, rate_sum: RateSum) -> RateSum:

@@ -6,20 +6,20 @@ long as that is more than the best of so many explains by chance. Terms that sto
 first in a backward elimination, and variables are taken from its end.
 """
 
+import math
 from collections.abc import Sequence
-from itertools import combinations_with_replacement
+from itertools import islice
 
 import numpy as np
 
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import log
-from atoll_coordinator.model.sparse.kernels.elimination import eliminate
-from atoll_coordinator.model.sparse.kernels.robust import select_forward
+from atoll_coordinator.model.sparse.elimination import eliminated, selected_forward
+from atoll_coordinator.model.sparse.products import products, values_of_products
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows, rate_rows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
-from atoll_core.data.dataset import FloatArray
 
 
 def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
@@ -54,41 +54,26 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     if not _are_too_many(len(columns)):
         return tuple(columns)
     trusted = rows.trusted()
-    terms, values = _products(trusted.inputs, columns)
+    terms = [*products(columns, 2), *((variable,) * 3 for variable in columns)]
+    values = values_of_products(terms, trusted.inputs)
     _, deviation = moments(trusted.values)
     weights = 1.0 / np.sqrt(trusted.errors * trusted.errors + (SETTINGS.common.negligible * deviation) ** 2)
     weighted, side = values * weights, trusted.values * weights
-    steps = 3 * SETTINGS.rates.screened
-    chosen, squares = np.full(steps, -1, np.int64), np.zeros(steps + 1)
-    select_forward(weighted.copy(), side.copy(), chosen, squares)
     taken: list[int] = []
-    chance = 2.0 * log(float(len(terms))) / len(trusted.values)
-    for place, before, after in zip(chosen.tolist(), squares[:-1].tolist(), squares[1:].tolist(), strict=True):
-        if place < 0 or before - after <= chance * before:
+    chance, before = 2.0 * log(float(len(terms))) / len(side), math.fsum((side * side).tolist())
+    for place, after in islice(selected_forward(weighted, side), 3 * SETTINGS.rates.screened):
+        if before - after <= chance * before:
             break
         taken.append(place)
-        if after <= len(trusted.values):
+        before = after
+        if after <= len(side):
             break
     if not taken:
         return ()
-    order, count = np.zeros(len(taken), np.int64), len(taken)
-    eliminate(np.ascontiguousarray(weighted[taken]), side, order, np.zeros(count + 1), np.zeros((count, count)))
     kept: list[int] = []
-    for index in reversed(order.tolist()):
+    for index in reversed(eliminated(weighted[taken], side).order):
         new = [variable for variable in dict.fromkeys(terms[taken[index]]) if variable not in kept]
         if len(kept) + len(new) > SETTINGS.rates.screened:
             break
         kept += new
     return tuple(sorted(kept))
-
-
-def _products(inputs: FloatArray, columns: Sequence[int]) -> tuple[list[tuple[int, ...]], FloatArray]:
-    """Return the products of up to two variables, and cubes, and their values (K, N)."""
-    terms: list[tuple[int, ...]] = [(), *((variable,) for variable in columns)]
-    terms += combinations_with_replacement(columns, 2)
-    terms += [(variable, variable, variable) for variable in columns]
-    values = np.ones((len(terms), inputs.shape[1]))
-    for place, term in enumerate(terms):
-        for variable in term:
-            values[place] *= inputs[variable]
-    return terms, values

@@ -10,8 +10,7 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import constant_nats_of
 from atoll_coordinator.model.sparse.kernels.errors_in_variables import error_products
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom
-from atoll_coordinator.model.sparse.shapes import Shape
+from atoll_coordinator.model.sparse.shapes import Atom, Shape
 from atoll_coordinator.model.sparse.windows.window_rows import WindowRows
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import VARIABLE
@@ -31,12 +30,12 @@ class Terms:
     def price(self, place: int) -> float:
         """Return the nats of a term in a sum: its structure, and 1/2 ln N for each constant that is fitted to it."""
         count = len(self.rows.first)
-        return self.atoms[place].price(count) - (constant_nats_of(count) if place in self.shared else 0.0)
+        return self.atoms[place].shape.price(count) - (constant_nats_of(count) if place in self.shared else 0.0)
 
     @cached_property
     def integrals(self) -> FloatArray:
         """The integrals (2, K, W)."""
-        values = np.array([atom.shape.value(atom.constant) for atom in self.atoms])
+        values = np.array([atom.values for atom in self.atoms])
         return np.array([self.rows.integrals(values), self.rows.integrals_by_lines(values)])
 
     @cached_property

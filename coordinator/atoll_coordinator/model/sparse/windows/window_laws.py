@@ -11,9 +11,10 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.sparse.elimination import shortest
+from atoll_coordinator.model.sparse.products import libraries
 from atoll_coordinator.model.sparse.rates.functions import Beside, dictionary
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom
-from atoll_coordinator.model.sparse.shapes import powers
+from atoll_coordinator.model.sparse.shapes import Atom, powers
 from atoll_coordinator.model.sparse.windows.terms import Terms, depends
 from atoll_coordinator.model.sparse.windows.window_rows import WindowRows
 from atoll_coordinator.model.sparse.windows.window_sums import WindowSum, eliminated, fitted, improved, polished
@@ -63,31 +64,22 @@ def shortest_sum(equation: WindowEquation) -> WindowSum | None:
 
     None where the windows decide nothing.
     """
-    libraries = _libraries(equation)
-    best = _shortest(eliminated(begun) for library in libraries for begun in _beginnings(library, equation.columns))
+    polynomials = _polynomials(equation)
+    best = shortest(eliminated(begun) for library in polynomials for begun in _beginnings(library, equation.columns))
     for _ in range(SETTINGS.sparse.pursued_functions):
         best = None if best is None else improved(best)
-        candidate = None if best is None else _with_function(equation, best, libraries)
+        candidate = None if best is None else _with_function(equation, best, polynomials)
         if best is None or candidate is None or not candidate.nats < best.nats - log(float(SETTINGS.rates.most_atoms)):
             break
         best = candidate
     return best
 
 
-def _shortest(sums: Iterable[WindowSum | None]) -> WindowSum | None:
-    return min(
-        (window_sum for window_sum in sums if window_sum is not None),
-        key=lambda window_sum: window_sum.nats,
-        default=None,
-    )
-
-
-def _libraries(equation: WindowEquation) -> list[Terms]:
+def _polynomials(equation: WindowEquation) -> list[Terms]:
     """Return the products up to no, the first and the second degree, as far as the windows decide them."""
     rows = equation.rows
-    libraries = [tuple(Atom(shape) for shape in powers(rows.inputs, equation.columns, degree)) for degree in (0, 1, 2)]
-    most = min(SETTINGS.windows.largest_library, rows.independent / SETTINGS.sparse.rows_per_term)
-    return [Terms(rows, atoms) for atoms in libraries if len(atoms) <= most]
+    sizes = libraries(equation.columns, rows.independent, range(3), SETTINGS.windows.largest_library)
+    return [Terms(rows, tuple(map(Atom, powers(rows.inputs, terms)))) for terms, _ in sizes]
 
 
 def _beginnings(library: Terms, columns: Sequence[int]) -> Iterator[WindowSum]:
@@ -118,17 +110,17 @@ def _can_spare(atom: Atom, variable: int) -> bool:
     return atom.shape.function is None and depends(atom.shape, variable)
 
 
-def _with_function(equation: WindowEquation, best: WindowSum, libraries: Sequence[Terms]) -> WindowSum | None:
+def _with_function(equation: WindowEquation, best: WindowSum, polynomials: Sequence[Terms]) -> WindowSum | None:
     """Return the shortest sum with one function more than `best`, or than none, inner constants fitted."""
     rows = equation.rows
-    beginnings = [best.atoms, *(library.atoms for library in libraries[:-1])]
+    beginnings = [best.atoms, *(library.atoms for library in polynomials[:-1])]
     longer = (Terms(rows, atoms) for atoms in _extended(equation, beginnings))
     sums = (fitted(terms, range(len(terms.atoms))) for terms in longer)
-    candidate = _shortest(eliminated(polished(window_sum)) for window_sum in sums if window_sum is not None)
+    candidate = shortest(eliminated(polished(window_sum)) for window_sum in sums if window_sum is not None)
     if candidate is None:
         return None
-    shortest = _shortest([candidate, eliminated(polished(candidate))])
-    return None if shortest is None else _shortest([shortest, _among(shortest, libraries[-1].atoms)])
+    best = shortest([candidate, eliminated(polished(candidate))]) or candidate
+    return shortest([best, _among(best, polynomials[-1].atoms)])
 
 
 def _extended(equation: WindowEquation, beginnings: Sequence[Sequence[Atom]]) -> list[tuple[Atom, ...]]:
@@ -141,7 +133,7 @@ def _extended(equation: WindowEquation, beginnings: Sequence[Sequence[Atom]]) ->
     errors = np.sqrt(rows.own + rows.spread(rows.sides[0] - rows.sides[1]) ** 2)
     extensions: list[tuple[Atom, ...]] = []
     for begun in beginnings:
-        values = rows.integrals(np.array([atom.shape.value(atom.constant) for atom in begun]))
+        values = rows.integrals(np.array([atom.values for atom in begun]))
         if np.isfinite(values).all():
             beside = Beside(values, rows.sides[0], errors, rows.integrals)
             extensions += [(*begun, atom) for atom in beside.best_atoms(tried)]
@@ -170,8 +162,8 @@ def _with_shared(equation: WindowEquation, best: WindowSum | None, functions: Se
     for function in functions:
         if any(function is term for term in own) or not equation.allows(function):
             continue
-        for library in _libraries(equation)[-1:]:
+        for library in _polynomials(equation)[-1:]:
             terms = Terms(equation.rows, (*library.atoms, function), frozenset([len(library.atoms)]))
-            candidate = _shortest(eliminated(begun) for begun in _beginnings(terms, equation.columns))
-            best = _shortest([best, None if candidate is None else improved(candidate)])
+            candidate = shortest(eliminated(begun) for begun in _beginnings(terms, equation.columns))
+            best = shortest([best, None if candidate is None else improved(candidate)])
     return best

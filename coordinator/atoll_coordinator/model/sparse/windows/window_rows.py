@@ -17,9 +17,8 @@ from atoll_coordinator.data.differentiation.interpolation import predict_left_ou
 from atoll_coordinator.data.differentiation.noise import estimate_value_noise
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
-from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION
-from atoll_coordinator.model.sparse.weak_form import Measured, measured_of
+from atoll_coordinator.model.sparse.weak_form import Measured, measured_of, window_integrals
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
@@ -65,11 +64,11 @@ class WindowRows:
 
     def integrals(self, values: FloatArray) -> FloatArray:
         """Return the integrals (K, W) of functions with these `values` (K, N)."""
-        return _sums(self.first, self.bumps[0], values)
+        return window_integrals(self.first, self.bumps[0], values)
 
     def integrals_by_lines(self, values: FloatArray) -> FloatArray:
         """Return the same by straight lines."""
-        return _sums(self.first, self.bumps[1], values)
+        return window_integrals(self.first, self.bumps[1], values)
 
     def apart(self) -> "WindowRows":
         """Return the windows that do not overlap."""
@@ -126,7 +125,7 @@ def _noise(measured: Measured, place: int) -> float:
 
 def _is_resolved(rows: WindowRows) -> bool:
     """Tell whether lines between rows serve each state as well as cubics, by its noise, in enough of the windows."""
-    cubics, lines = (_sums(rows.first, slope, rows.inputs) for slope in rows.slopes)
+    cubics, lines = (window_integrals(rows.first, slope, rows.inputs) for slope in rows.slopes)
     own = np.outer(rows.noise**2, (rows.slopes[0] ** 2).sum(axis=1))
     shares = [
         np.mean(rows.spread(cubic - line) ** 2 <= variance)
@@ -136,10 +135,10 @@ def _is_resolved(rows: WindowRows) -> bool:
 
 
 def _windows(measured: Measured, noise: FloatArray, target: int, half: int) -> WindowRows | None:
+    """Return windows, each beginning where the middle of the one before is; None where there are next to none."""
     length = 2 * half + 1
-    step = max(1, half // SETTINGS.windows.steps_in_half)
     places = [(row, owner) for owner, (start, end) in enumerate(measured.ranges)
-              for row in range(start, end - length + 1, step)]  # fmt: skip
+              for row in range(start, end - length + 1, half)]  # fmt: skip
     if len(places) < SETTINGS.sparse.least_windows:
         return None
     first, owners = np.array(places, np.int64)[thinned_places(len(places), SETTINGS.windows.most)].T.copy()
@@ -147,7 +146,7 @@ def _windows(measured: Measured, noise: FloatArray, target: int, half: int) -> W
     weights = [_weights(times, order) for order in (_CUBIC, _LINE)]
     bumps, slopes = np.array([pair[0] for pair in weights]), np.array([pair[1] for pair in weights])
     values = np.ascontiguousarray(measured.values[target : target + 1])
-    sides = np.array([-_sums(first, slope, values)[0] for slope in slopes])
+    sides = np.array([-window_integrals(first, slope, values)[0] for slope in slopes])
     inputs = np.ascontiguousarray(measured.values)
     if len(first) < len(places):
         inputs, first = _within(inputs, first, length)
@@ -189,9 +188,3 @@ def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
             bump[:, low + place] += (value * basis).sum(axis=1)
             slope[:, low + place] += (change * basis).sum(axis=1)
     return bump, slope
-
-
-def _sums(first: Ints, factors: FloatArray, values: FloatArray) -> FloatArray:
-    sums = np.zeros((len(values), len(first)))
-    windowed_sums(first, np.ascontiguousarray(factors), np.ascontiguousarray(values), sums)
-    return sums

@@ -8,7 +8,7 @@ Letters: K terms of a library, M terms of a sum, W windows.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,17 +16,17 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.least_squares import Solver, inverse, minimize, solver
+from atoll_coordinator.model.sparse import elimination
+from atoll_coordinator.model.sparse.elimination import on_the_way, shortest, without_one
 from atoll_coordinator.model.sparse.kernels.errors_in_variables import measure
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION, robust_fit
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom
-from atoll_coordinator.model.sparse.shapes import sum_program
+from atoll_coordinator.model.sparse.shapes import Atom, program_of
 from atoll_coordinator.model.sparse.windows.terms import Terms, covariances, gradient
 from atoll_coordinator.model.sparse.windows.window_rows import WindowRows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 from atoll_core.expression.program import Program
-from atoll_core.expression.writing.shortest import collected
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,7 @@ class WindowSum:
 
     def program(self) -> Program:
         """Return the sum as an expression."""
-        parts = zip(self.coefficients.tolist(), self.atoms, strict=True)
-        return collected(sum_program([(factor, atom.shape.expression(atom.constant)) for factor, atom in parts]))
+        return program_of(self.atoms, self.coefficients)
 
 
 def fitted(terms: Terms, kept: Sequence[int], near: WindowSum | None = None, rounds: int = 0) -> WindowSum | None:
@@ -178,12 +177,10 @@ def _unresolved(terms: Terms, places: Ints, coefficients: FloatArray, quadrature
 
 def eliminated(window_sum: WindowSum | None) -> WindowSum | None:
     """Return the best sum on the way to a single term, the least significant one going first (Wald's test)."""
-    best = window_sum
-    while window_sum is not None and len(window_sum.kept) > 1:
-        window_sum = _without_least(window_sum)
-        if window_sum is not None and best is not None and window_sum.nats < best.nats:
-            best = window_sum
-    return best
+    if window_sum is None:
+        return None
+    way: Iterator[WindowSum] = on_the_way(window_sum, _without_least)
+    return shortest(way)
 
 
 def improved(best: WindowSum) -> WindowSum:
@@ -192,15 +189,23 @@ def improved(best: WindowSum) -> WindowSum:
     Single terms are taken in again, those first that promise most, and what the sum can then do without leaves, as long
     as that is shorter by more than the best of so many tries is by chance.
     """
-    while True:
-        longer = (fitted(best.terms, sorted([*best.kept, place]), best) for place in _promising(best))
-        shortest = min(filter(None, map(eliminated, longer)), key=lambda candidate: candidate.nats, default=best)
-        if not shortest.nats < best.nats - log(max(float(len(best.terms.atoms)), 2.0)):
-            return _pruned(best)
-        best = shortest
+    least_gain = log(max(float(len(best.terms.atoms)), 2.0))
+    return elimination.improved(elimination.improved(best, _longer, least_gain), _fewer)
+
+
+def _longer(window_sum: WindowSum) -> Iterator[WindowSum | None]:
+    for place in _promising(window_sum):
+        yield eliminated(fitted(window_sum.terms, sorted([*window_sum.kept, place]), window_sum))
+
+
+def _fewer(window_sum: WindowSum) -> Iterator[WindowSum | None]:
+    for kept in without_one(window_sum.kept, SETTINGS.structure.longest_sum):
+        yield fitted(window_sum.terms, kept, window_sum)
 
 
 def _without_least(window_sum: WindowSum) -> WindowSum | None:
+    if len(window_sum.kept) < 2:
+        return None
     covariance = inverse(window_sum.normal)
     variances = np.maximum(np.diag(covariance), 1e-300)
     least = int(np.argmin(window_sum.coefficients**2 / variances))
@@ -210,18 +215,6 @@ def _without_least(window_sum: WindowSum) -> WindowSum | None:
     return fitted(
         window_sum.terms, kept, near, SETTINGS.windows.brief_rounds if len(kept) > SETTINGS.windows.few else 0
     )
-
-
-def _pruned(best: WindowSum) -> WindowSum:
-    """Return the sum without the terms that it can do without, one after another."""
-    while 1 < len(best.kept) <= SETTINGS.rates.most_terms:
-        fewer = [best.kept[:place] + best.kept[place + 1 :] for place in range(len(best.kept))]
-        candidates = [candidate for kept in fewer if (candidate := fitted(best.terms, kept, best)) is not None]
-        shorter = min(candidates, key=lambda candidate: candidate.nats, default=best)
-        if not shorter.nats < best.nats:
-            break
-        best = shorter
-    return best
 
 
 def _promising(window_sum: WindowSum) -> list[int]:
@@ -256,7 +249,7 @@ def polished(window_sum: WindowSum) -> WindowSum:
 
     def linearise(at: WindowSum) -> Solver[FloatArray]:
         chosen, factors = [at.atoms[place] for place in inner], at.coefficients[inner][:, None]
-        slopes = factors * np.array([atom.shape.slope(atom.constant) for atom in chosen])
+        slopes = factors * np.array([atom.slopes for atom in chosen])
         others = factors[:, :, None] * np.array([gradient(atom, rows, is_slope=True) for atom in chosen])
         columns = np.concatenate([at.terms.integrals[0], rows.integrals(slopes)])
         errors = covariances(rows, np.concatenate([[gradient(atom, rows) for atom in at.atoms], others]))

@@ -5,15 +5,15 @@ import pytest
 
 from atoll_coordinator.model.selection import elimination
 from atoll_coordinator.model.selection.elimination import eliminated
-from atoll_coordinator.model.structure.term_libraries import Divisor, Factor, fractions, libraries
+from atoll_coordinator.model.structure.term_libraries import fractions, libraries, product_of
 from atoll_core.data.dataset import Problem, Target
-from atoll_core.expression.operators import ADD, DIVIDE, MULTIPLY
+from atoll_core.expression.operators import ADD, DIVIDE, MULTIPLY, VARIABLE
 from atoll_core.expression.program import constant_places
 from tests.unit.coordinator.model.shooting.made import SWING, Known, compare, measurements_of, recording
 
 PLAIN = (ADD, MULTIPLY)
-X, Y = Factor(0), Factor(1)
-SQUARES = [(), (X,), (Y,), (X, X), (X, Y), (Y, Y)]
+X, Y = (VARIABLE, 0), (VARIABLE, 1)
+SQUARES = [1.0, X, Y, *map(product_of, ((X, X), (X, Y), (Y, Y)))]
 TIMES = 0.1 * np.arange(40.0)
 DUFFING = Known(("x", "y"), lambda _, z: [z[1], -1.5 * z[0] - 0.7 * z[0] ** 3 - 0.2 * z[1]])
 
@@ -47,7 +47,7 @@ def test_where_a_sum_cannot_be_simulated_the_smallest_term_goes(monkeypatch):
     monkeypatch.setattr(
         elimination, "_fitted", lambda columns, target: seen.append(len(columns)) or [1.0] * len(columns)
     )
-    assert eliminated(alone, problem, [(), (X,), (Y,)]) == []
+    assert eliminated(alone, problem, [1.0, X, Y]) == []
     assert seen == [3, 2, 1]
 
 
@@ -57,7 +57,7 @@ def test_columns_that_repeat_each_other_are_no_trouble():
     inputs = problem.inputs.copy()
     inputs[1] = 0.0
     flat = Problem(problem.names, inputs, problem.target)
-    assert eliminated(alone, flat, [(), (X,), (Y,), (X, Y)])
+    assert eliminated(alone, flat, [1.0, X, Y, (MULTIPLY, X, Y)])
 
 
 def test_a_linear_system_is_found_alone():
@@ -91,4 +91,4 @@ def test_what_has_no_value_is_left_out():
     inputs = problem.inputs.copy()
     inputs[1, 0] = 0.0
     flat = Problem(problem.names, inputs, problem.target)
-    assert eliminated(alone, flat, [(), (X, Factor(1, divisor=Divisor(1)))]) == []
+    assert eliminated(alone, flat, [1.0, (DIVIDE, X, Y)]) == []

@@ -6,7 +6,8 @@ from scipy import special
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.sparse.product_laws import find_laws, laws_among_many, settled_variables
-from atoll_coordinator.model.sparse.regression import Regression, products
+from atoll_coordinator.model.sparse.products import products
+from atoll_coordinator.model.sparse.regression import Regression
 from atoll_coordinator.model.sparse.weak_form import Measured, weak_form
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BudgetConfig, JobConfig, PriorConfig, SpaceConfig
@@ -118,7 +119,7 @@ def test_windows_that_differ_much_in_variance_decide_the_terms_of_a_state_in_bur
     noisy = values + sizes[:, None] * generator.normal(size=values.shape)
     measured_states = Measured(times, ((0, len(times)),), noisy, values, sizes)
     form = weak_form(measured_states, 1, 12)
-    wrong = [term for degree in range(3) for term in products((0, 1, 2), degree)]
+    wrong = products((0, 1, 2), 2)
     law = Regression(form, wrong).law(wrong, is_tested=True)
     assert terms(law) == {"y", "x*y"}
     assert 0.7 < law.excess < 1.3
@@ -133,8 +134,9 @@ def test_fitted_coefficients_are_no_degrees_of_freedom_of_what_a_law_leaves():
     noisy = values + sizes[:, None] * generator.normal(size=values.shape)
     form = weak_form(Measured(times, ((0, len(times)),), noisy, values, sizes), 0, 20)
     for degree, count in ((1, 3), (2, 6), (3, 10)):
-        terms_of_it = [term for order in range(degree + 1) for term in products((0, 1), order)]
-        law = Regression(form, terms_of_it)._refitted(range(count), np.ones(len(form.sides)), is_tested=True)
+        terms_of_it = products((0, 1), degree)
+        regression = Regression(form, terms_of_it)
+        law = regression.law_of(regression.refitted(range(count), np.ones(len(form.sides))), is_tested=True)
         degrees_of_freedom = form.independent - count
         assert law.probability == pytest.approx(special.chdtrc(degrees_of_freedom, degrees_of_freedom * law.excess**2))
 

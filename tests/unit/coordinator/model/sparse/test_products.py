@@ -20,7 +20,7 @@ NAMES = ("x", "y", "z")
 )
 def test_products_are_those_of_the_expanded_sum(text, products):
     factors = products_of(from_infix(text, NAMES), 4)
-    assert ["".join(NAMES[factor.variable] for factor in term) for term in factors] == products
+    assert ["".join(NAMES[variable] for variable in term) for term in factors] == products
 
 
 @pytest.mark.parametrize("text", ["sin(x)", "x/y", "x + 1/(y + 2)", "x*x*x*y*z", "sin(x)*0 + cos(y)"])

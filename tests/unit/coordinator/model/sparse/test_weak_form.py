@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.sparse.weak_form import Measured, _stretches, weak_form
-from atoll_coordinator.model.structure.term_libraries import Factor
 from atoll_coordinator.settings import SETTINGS
 
-X, Y = Factor(0), Factor(1)
+X, Y = 0, 1
 
 
 def curves(rows=400, noise=0.0, seed=0):

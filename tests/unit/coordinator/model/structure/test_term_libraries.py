@@ -5,33 +5,33 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.model.structure.term_libraries import Divisor, Factor, column_of, fractions, libraries, sum_of
+from atoll_coordinator.model.structure.term_libraries import fractions, libraries, product_of, sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.operators import ADD, BY_NAME, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT
+from atoll_core.expression.operators import ADD, BY_NAME, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll_core.expression.program import constant_places
 
 PLAIN = (ADD, MULTIPLY)
 
 
-X, Y = Factor(0), Factor(1)
-SQUARES = [(), (X,), (Y,), (X, X), (X, Y), (Y, Y)]
-WAVES = [(Factor(variable, code),) for variable in (0, 1) for code in (SIN, COS)]
+X, Y = (VARIABLE, 0), (VARIABLE, 1)
+SQUARES = [1.0, X, Y, *map(product_of, ((X, X), (X, Y), (Y, Y)))]
+WAVES = [(code, variable) for variable in (X, Y) for code in (SIN, COS)]
 
 
 def test_polynomials_waves_and_coupled_phases_over_two_variables():
     quadratic, cubic, mixed, products, phases = libraries([0, 1], [*PLAIN, SUBTRACT, SIN, COS])
     assert quadratic == SQUARES
-    assert cubic == [*SQUARES, (X, X, X), (X, X, Y), (X, Y, Y), (Y, Y, Y)]
+    assert cubic == [*SQUARES, *map(product_of, ((X, X, X), (X, X, Y), (X, Y, Y), (Y, Y, Y)))]
     assert mixed == [*SQUARES, *WAVES]
     assert len(products) == 1 + 4 + 6
-    assert phases == [(), *WAVES, *((Factor(0, code, 1, join),) for join in (SUBTRACT, ADD) for code in (SIN, COS))]
+    assert phases == [1.0, *WAVES, *((code, (join, X, Y)) for join in (SUBTRACT, ADD) for code in (SIN, COS))]
 
 
 @pytest.mark.parametrize("variables", [1, 2, 3, 5, 8])
 def test_no_library_is_larger_than_allowed_and_none_has_a_term_twice(variables):
     for terms in libraries(range(variables), [operator.code for operator in BY_NAME.values()]):
-        assert len(terms) <= SETTINGS.structure.largest_library
+        assert len(terms) <= SETTINGS.structure.longest_sum
         assert len(set(terms)) == len(terms)
 
 
@@ -55,7 +55,7 @@ def test_a_sum_has_the_values_of_its_columns(terms, seed):
     coefficients = draw.uniform(0.1, 0.9, len(terms)) * draw.choice([-3.0, 3.0], len(terms))
     inputs = draw.uniform(-2.0, 2.0, (2, 7))
     program = sum_of(terms, coefficients.tolist())
-    columns = np.array([column_of(term, inputs) for term in terms])
+    columns = np.array([values_of(sum_of([term], [1.0]), inputs) for term in terms])
     assert values_of(program, inputs) == pytest.approx(coefficients @ columns, rel=1e-9, abs=1e-12)
     assert len(constant_places(program)) == len(terms)
 
@@ -64,17 +64,15 @@ ALLOWED = [operator.code for operator in BY_NAME.values()]
 
 
 def test_products_that_saturate_and_what_is_divided_by_a_variable():
-    over_x, over_y = (Factor(v, divisor=Divisor(v, 1, (2.0, 3.0)[v])) for v in (0, 1))
-    square_x, square_y = (Factor(v, divisor=Divisor(v, 2, (4.0, 9.0)[v])) for v in (0, 1))
-    terms_listed = list(fractions([0, 1], PLAIN_AND_DIVIDE, [2.0, 3.0]))
+    below = [(ADD, product_of([variable] * power), size**power)
+             for variable, size in ((X, 2.0), (Y, 3.0)) for power in (1, 2)]  # fmt: skip
     expected = []
-    for own, other, under in ((X, Y, over_x), (X, Y, square_x), (Y, X, over_y), (Y, X, square_y)):
-        expected += [[*SQUARES, (other, own, under)], [*SQUARES, (own, under), (other, own, under)]]
-    assert terms_listed == expected
-    over = Factor(0, divisor=Divisor(0))
-    assert list(fractions([0, 1], ALLOWED, [2.0, 3.0]))[8] == [
-        (), (X,), (Y,), *WAVES, (over,), (Y, over), *((*wave, over) for wave in WAVES)
-    ]  # fmt: skip
+    for own, other, under in ((X, Y, below[0]), (X, Y, below[1]), (Y, X, below[2]), (Y, X, below[3])):
+        mixed = (DIVIDE, product_of([other, own]), under)
+        expected += [[*SQUARES, mixed], [*SQUARES, (DIVIDE, own, under), mixed]]
+    assert list(fractions([0, 1], PLAIN_AND_DIVIDE, [2.0, 3.0])) == expected
+    over = [(DIVIDE, above, X) for above in (1.0, Y, *WAVES)]
+    assert list(fractions([0, 1], ALLOWED, [2.0, 3.0]))[8] == [1.0, X, Y, *WAVES, *over]
 
 
 PLAIN_AND_DIVIDE = (*PLAIN, DIVIDE)
@@ -91,12 +89,6 @@ def test_terms_with_equal_denominators_have_one_constant_in_common(place):
     coefficients = np.random.default_rng(place).uniform(2.0, 3.0, len(terms))
     inputs = np.random.default_rng(7).uniform(0.5, 2.0, (2, 6))
     program = sum_of(terms, coefficients.tolist())
-    columns = np.array([column_of(term, inputs) for term in terms])
+    columns = np.array([values_of(sum_of([term], [1.0]), inputs) for term in terms])
     assert values_of(program, inputs) == pytest.approx(coefficients @ columns, rel=1e-9)
     assert len(constant_places(program)) == len(terms) + (place < 8)
-
-
-def test_a_term_whose_divisor_vanishes_has_no_value_and_warns_of_nothing():
-    inputs = np.array([[0.0, 1.0, 2.0], [0.0, 3.0, 4.0]])
-    assert np.isnan(column_of((Factor(1), Factor(0, divisor=Divisor(0))), inputs)).all()
-    assert np.isnan(column_of((Factor(0, divisor=Divisor(0)), Factor(1)), inputs)).all()

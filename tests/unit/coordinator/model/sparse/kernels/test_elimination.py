@@ -3,16 +3,13 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.sparse.kernels.corrected import eliminate_corrected
-from atoll_coordinator.model.sparse.kernels.elimination import eliminate, windowed_sums
+from atoll_coordinator.model.sparse.elimination import eliminated
+from atoll_coordinator.model.sparse.kernels.least_squares import windowed_sums
 
 
-def run(columns, side):
-    count = len(columns)
-    order, squares = np.zeros(count, np.int64), np.zeros(count + 1)
-    squares_found = np.zeros((count, count))
-    eliminate(columns, side, order, squares, squares_found)
-    return order.tolist(), squares, squares_found
+def run(columns, side, errors=None):
+    path = eliminated(columns, side, errors)
+    return path.order, path.squares, path.coefficients
 
 
 def by_numpy(columns, side):
@@ -65,8 +62,7 @@ def test_coefficients_are_those_of_the_true_columns_where_errors_of_columns_are_
     for _ in range(40):
         columns = true + generator.normal(size=true.shape)
         side = 3.0 * true[0] - true[1] + 0.1 * generator.normal(size=4000)
-        order, squares, solved, errors = np.zeros(3, np.int64), np.zeros(4), np.zeros((3, 3)), np.zeros(4)
-        eliminate_corrected(columns, side, 4000.0 * np.eye(3), np.zeros(3), order, squares, solved, errors)
+        order, _, solved = run(columns, side, (4000.0 * np.eye(3), np.zeros(3)))
         assert order[0] == 2
         found.append(solved[1])
     assert np.mean(found, axis=0) == pytest.approx([3.0, -1.0, 0.0], abs=0.15)

@@ -1,9 +1,9 @@
-"""Robust least squares and forward selection."""
+"""Robust least squares."""
 
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.sparse.kernels.robust import robust_fit, select_forward
+from atoll_coordinator.model.sparse.kernels.robust import robust_fit
 
 
 def test_without_outliers_it_is_least_squares():
@@ -28,23 +28,3 @@ def test_rows_that_err_far_more_than_they_should_count_little():
     assert coefficients == pytest.approx([1.0, -2.0], abs=5e-4)
     assert scale < 2.0
     assert weights[:60].max() < 0.1 < weights[60:].mean()
-
-
-def test_the_column_that_explains_most_comes_first():
-    generator = np.random.default_rng(3)
-    columns = generator.normal(size=(6, 100))
-    columns[5] = columns[0]
-    side = 5.0 * columns[4] + columns[1]
-    chosen, squares = np.zeros(6, np.int64), np.zeros(7)
-    select_forward(columns.copy(), side.copy(), chosen, squares)
-    assert chosen[:2].tolist() == [4, 1]
-    assert squares[0] == pytest.approx(float(side @ side))
-    assert squares[2:].max() < 1e-20 * squares[0]
-    assert 5 not in chosen[chosen != 0] or 0 not in chosen
-
-
-def test_nothing_is_chosen_where_no_column_is_left():
-    chosen, squares = np.zeros(3, np.int64), np.zeros(4)
-    select_forward(np.array([[1.0, 1.0]]), np.array([1.0, 2.0]), chosen, squares)
-    assert chosen.tolist() == [0, -1, -1]
-    assert squares.tolist() == pytest.approx([5.0, 0.5, 0.5, 0.5])

@@ -4,7 +4,7 @@ import numpy as np
 
 from atoll_coordinator.model.sparse.rates.functions import dictionary
 from atoll_coordinator.model.sparse.rates.rate_laws import _without_first
-from atoll_coordinator.model.sparse.rates.rate_sums import Atom
+from atoll_coordinator.model.sparse.shapes import Atom
 from atoll_core.expression.operators import BY_NAME
 
 
