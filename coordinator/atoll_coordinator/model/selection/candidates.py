@@ -11,7 +11,7 @@ import numpy as np
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.selection.comparison import ModelComparison, distinct
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.structure.term_libraries import Term
 from atoll_coordinator.settings import SETTINGS
@@ -122,7 +122,7 @@ def ranked(
             models += eliminated(comparison, problem, terms)
     chosen = {structure(model.programs[0]): model.programs[0] for model in models}
     refitted = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (longer,)), chosen.values())
-    best = [model.programs[0] for model in distinct(refitted)]
+    best = [model.programs[0] for model in comparison.distinct(refitted, 0)]
     first = SETTINGS.effort.kept
     best = [*map(shortest, best[:first]), *best[first:]]
     known = {structure(program) for program in best}
