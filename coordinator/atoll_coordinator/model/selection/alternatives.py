@@ -17,6 +17,7 @@ from atoll_coordinator.model.selection.comparison import FittedModel, differ
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import SelectedModel
 from atoll_coordinator.model.sparse.pursuit import pursue
+from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.model.structure.term_libraries import Term, column_of, libraries
 from atoll_coordinator.settings import SETTINGS
@@ -212,8 +213,8 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
 def _agreeing(selection: SelectedModel, index: int) -> list[Program]:
     """Return what may be one variable's equation as well where there is no noise, as it agrees along measured curves.
 
-    Those are candidates, and where terms are dependent along the curves sums that a pursuit of the equation's own
-    values finds. They are about as short: of the others the odds are too small to count.
+    Those are candidates, and where terms are dependent along the curves its neighbours, and sums that a pursuit of
+    its values finds. They are about as short: of the others the odds are too small to count.
     """
     task, comparison, own = selection.task, selection.comparison, selection.model.programs[index]
     if not task.is_nearly_clean or task.recording.groups or task.is_over:
@@ -227,13 +228,15 @@ def _agreeing(selection: SelectedModel, index: int) -> list[Program]:
     target = replace(problem.target, values=values, uncertainty=EXACT_ERROR, standard_deviation=deviation)
     problem, candidates = replace(problem, target=target), task.candidates[name].programs
     if any(_are_dependent(terms, problem.inputs) for terms in libraries(columns, operators)):
-        candidates += pursue(problem, columns, operators, (), most)
+        unfactored = most + SETTINGS.inference.exact_nats  # it prices sums term by term
+        candidates += [*neighbours(own, columns, operators), *pursue(problem, columns, operators, (), unfactored)]
     squares = LeastSquares(problem, restrictions=comparison.restrictions(index))
     short = {structure(program): program for program in candidates if structure_length(program) <= most}
-    fitted = sorted((squares.fit(program) for program in short.values()), key=lambda candidate: candidate.mse)
     limit = (SETTINGS.common.negligible * deviation) ** 2
-    close = (_with_neutral_constants(candidate.program) for candidate in fitted if candidate.mse <= limit)
-    return [program for program in close if comparison.length(program) <= most][: SETTINGS.effort.beam]
+    fitted = (squares.fit(program, enough=limit) for program in short.values())
+    close = [_with_neutral_constants(candidate.program) for candidate in fitted if candidate.mse <= limit]
+    others = {structure(program): program for program in close if structure(program) != structure(own)}
+    return sorted(others.values(), key=comparison.length)[: SETTINGS.effort.beam]
 
 
 def _with_neutral_constants(program: Program) -> Program:
@@ -249,7 +252,7 @@ def _with_neutral_constants(program: Program) -> Program:
         for place, neutral in near.items()
         if abs(program.constants[place] - neutral) <= SETTINGS.inference.exact
     }
-    return shortest(with_constants(program, values)) if values else program
+    return shortest(with_constants(program, values))
 
 
 def _are_dependent(terms: Sequence[Term], inputs: FloatArray) -> bool:
