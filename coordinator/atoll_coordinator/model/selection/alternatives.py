@@ -262,4 +262,4 @@ def _are_dependent(terms: Sequence[Term], inputs: FloatArray) -> bool:
     if len(sizes) > inputs.shape[1] or not (sizes > 0.0).all():
         return True
     singular = np.linalg.svd(columns / sizes[:, None], compute_uv=False)
-    return bool(singular[-1] <= SETTINGS.inference.exact * singular[0])
+    return bool(singular[-1] <= SETTINGS.shooting.exact * singular[0])
