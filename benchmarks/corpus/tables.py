@@ -67,15 +67,23 @@ def _quantiles(values: Sequence[float]) -> str:
 
 
 def by_grade(outcomes: Sequence[Outcome]) -> str:
-    """Return the reliability table: for each verdict, how many equations are right, and how many foretell."""
-    rows = []
+    """Return the reliability table: for each verdict, how many equations are right, and how many foretell.
+
+    Those of single trajectories are counted apart as well: one curve tells least of what is beside it.
+    """
     equations = [equation for outcome in outcomes for equation in outcome.equations]
-    for grade, graded in tables.by_grade(equations, lambda equation: equation.grade).items():
-        judged = [equation for equation in graded if equation.is_foretold is not None]
-        right = sum(equation.is_right for equation in graded)
-        foretold = sum(bool(equation.is_foretold) for equation in judged)
-        rows.append((grade, str(len(graded)), share(right, len(graded)), share(foretold, len(judged))))
-    return markdown(("verdict", "equations", "right in form", "R2 > 0.9 from fresh states"), rows)
+    single = [equation for outcome in outcomes if outcome.key.trajectories == 1 for equation in outcome.equations]
+    graded, graded_single = (tables.by_grade(those, lambda equation: equation.grade) for those in (equations, single))
+    rows = [(grade, *_reliability(graded[grade]), *_reliability(graded_single.get(grade, ()))) for grade in graded]
+    heads = ("equations", "right in form", "R2 > 0.9 from fresh states")
+    return markdown(("verdict", *heads, "of single trajectories", *heads[1:]), rows)
+
+
+def _reliability(equations: Sequence[EquationOutcome]) -> tuple[str, str, str]:
+    """Return how many equations there are and are right, and how many of those that were judged foretell."""
+    judged = [equation.is_foretold for equation in equations if equation.is_foretold is not None]
+    right = sum(equation.is_right for equation in equations)
+    return str(len(equations)), share(right, len(equations)), share(sum(judged), len(judged))
 
 
 EQUATION: Final = Columns("form={shown_form} | truth is in={place} | verdict={grade} | R2={r2:.3f} | t={t:.2g}")

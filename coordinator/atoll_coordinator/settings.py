@@ -340,6 +340,9 @@ class InferenceSettings:
     """Probability below which residuals are not those of noise."""
     largest_uncertainty: float = 0.01
     """A target that is more uncertain cannot tell a law from nonsense of the same error; trajectories can."""
+    exact_nats: float = 5.3
+    """What is not this much longer as a description may be the law in place of an exact one (odds of 200: an exact
+    verdict may be wrong in one of two hundred)."""
     distinct_nats: float = 3.0
     """What is not this much longer as a description may be right (odds of 20, as a good verdict may be wrong in one of
     twenty)."""

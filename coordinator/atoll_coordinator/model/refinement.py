@@ -207,7 +207,7 @@ class Prediction:
     the median, over the widths of the range. `reached` is the value farthest beyond the measured range that the state
     takes there, None where it stays within. `measure_from` is the initial state from which a measurement would tell
     most, by state: the one from which rivals differ most, if any do, or else the one farthest from what was measured;
-    `is_disputed` tells that rivals differ.
+    `is_disputed` tells that rivals differ. Of rivals that agree along all that was measured, it is a state beside that.
     """
 
     starts: int

@@ -531,9 +531,9 @@ def _predictions(final: Final, errors: Errors, *, is_near: bool) -> list[Predict
         for equation, alternatives in enumerate(ranking.alternatives)
         for alternative in alternatives
     ]
-    rivals += draws(final.free.fit.system, scaled_covariance(final.free.fit, errors)[0], len(final.shown))
+    drawn = draws(final.free.fit.system, scaled_covariance(final.free.fit, errors)[0])
     seen = final.seen.estimator
-    return foretell(seen.measurements, final.seen_fit.system, rivals, seen.tolerance, is_near=is_near)
+    return foretell(seen.measurements, final.seen_fit.system, rivals, seen.tolerance, drawn, is_near=is_near)
 
 
 def refined_equation(
@@ -547,6 +547,10 @@ def refined_equation(
     error, mse = grouped_errors_on(problem, programs, task.config.evolution.loss)
     alternatives = _reported_alternatives(final, index, held_out_r2)
     nearest = _no_elaborations(final.ranking.selection.model.programs[index], alternatives)
+    rivals = sum(math.exp(-max(alternative.nats, 0.0)) for alternative in alternatives if not alternative.is_shown)
+    is_told = not task.is_nearly_clean or rivals <= math.exp(-SETTINGS.inference.exact_nats)
+    if prediction is not None and not is_told:
+        prediction = replace(prediction, measure_from=_disputed_state(final.ranking, index), is_disputed=True)
     variance = problem.target.standard_deviation**2
     smoothing = task.recording.smoothing[task.recording.states.index(name)]
     measurements = final.seen.estimator.measurements
@@ -577,6 +581,8 @@ def refined_equation(
         chaos=long_run.chaos,
         fails_beyond=final.task.piece if long_run.fits is False else None,
         alternative=min((alternative.nats for alternative in nearest), default=None),
+        rivals=rivals,
+        rivals_agree=not is_told,
         passes_pole=_passes_pole(final, program),
         distinct_rows=_distinct_rows(measurements),
     )
@@ -588,6 +594,12 @@ def refined_equation(
         member, program, error, mse, known.written, known.unit_coefficients, alternatives, grade, reason, origin,
         prediction, simple_together=together[index] if together else None,
     )  # fmt: skip
+
+
+def _disputed_state(ranking: Ranking, index: int) -> dict[str, float]:
+    """Return the state beside the measured ones where an equation and its alternatives differ most."""
+    comparison, others = ranking.selection.comparison, [one.model for one in ranking.alternatives[index]]
+    return comparison.disputed_state(ranking.selection.model, others, index)
 
 
 def _distinct_rows(measurements: Measurements) -> int:

@@ -9,9 +9,10 @@ Letters: D states, O measured ones, N rows, P fitted constants, G initial states
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from atoll_coordinator.model.inference.attractor import along
 from atoll_coordinator.model.refinement import Prediction
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Unsimulated
+from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
@@ -40,8 +42,9 @@ class Rival:
 
 
 def foretell(
-    measurements: Measurements, model: System, rivals: Sequence[Rival], tolerance: float, *, is_near: bool = False
-) -> list[Prediction] | None:
+    measurements: Measurements, model: System, rivals: Sequence[Rival], tolerance: float,
+    drawn: Iterable[System] = (), *, is_near: bool = False,
+) -> list[Prediction] | None:  # fmt: skip
     """Return the prediction of each measured state; None where the system has inputs, which are not known elsewhere.
 
     Args:
@@ -49,6 +52,7 @@ def foretell(
         model: the system that is shown.
         rivals: what else describes the measurements.
         tolerance: error of an integration step over a state's standard deviation.
+        drawn: the model with constants drawn from their distribution, of which as many are taken as decide.
         is_near: whether initial states are near measured ones: an attractor's box has parts that lead elsewhere.
     """
     if len(measurements.inputs) or measurements.rows < SETTINGS.shooting.lengths[-1] // 4:
@@ -63,9 +67,17 @@ def foretell(
     horizon = elsewhere.horizon(model, own)
     courses = [course[:, :horizon] for course in own if not isinstance(course, str)]
     misses = _Misses(courses, len(states))
-    for rival in rivals:
+
+    def add(rival: Rival) -> None:
         rival_courses = elsewhere.courses(rival.system, followed)
         misses.add(rival, [course if isinstance(course, str) else course[:, :horizon] for course in rival_courses])
+
+    for rival in rivals:
+        add(rival)
+    for system in islice(drawn, _MOST_DRAWS):
+        add(Rival(system, _DRAWN, 1.0))
+        if all(misses.is_decided(state) for state in states):
+            break
     distances = elsewhere.distances(courses)
     farthest = int(np.argmax([course_distances.max() for course_distances in distances]))
     novelty = float(np.median(np.concatenate(distances)))
@@ -81,10 +93,12 @@ def foretell(
     return [predicted(state) for state in states]
 
 
-_MOST_ROWS: Final = 500
+_DRAWN: Final = -1
+"""The group of what is drawn."""
+_MOST_DRAWS: Final = SETTINGS.effort.beam**2
+"""Of so many a share of 0.95 has a standard error of 0.02."""
 _STRIDE: Final = 4
-"""Rows whose distances are measured: about so many measured ones, and of four simulated ones one. Taken in step with a
-period they would all be the same state."""
+"""Of so many simulated rows, the distance of one from the measured ones is looked at."""
 
 
 Course = FloatArray | Unsimulated
@@ -115,23 +129,12 @@ class _Elsewhere:
 
     @cached_property
     def starts(self) -> FloatArray:
-        """Initial states (G, D): between two measured ones, or near measured ones over all rows.
-
-        The two are far out among the measured ones. What holds of all of these, such as a sum that does not change or a
-        sign, holds between them as well, and energies are not as large as in the corners of a box of many states.
-        """
+        """Initial states (G, D): between two measured ones, or near measured ones over all rows."""
         if self._is_near:
             rows = np.linspace(0, self._measurements.rows - 1, SETTINGS.effort.beam).astype(int)
             moved = SETTINGS.common.negligible * self._measurements.scales
             return np.asarray(self._measurements.smoothed[:, rows].T + moved)
-        count = SETTINGS.effort.beam
-        known = self._measurements.smoothed.T[thinned_places(self._measurements.rows, _MOST_ROWS)]
-        outer = known[_far_apart(known / self._width, 2 * count)]
-        first_coordinates, second_coordinates, share = _latin_hypercube(count, 3).T
-        first, second = (
-            outer[(coordinates * len(outer)).astype(int)] for coordinates in (first_coordinates, second_coordinates)
-        )
-        return np.asarray(first + share[:, None] * (second - first))
+        return points_between(self._measurements.smoothed)
 
     def own_courses(self, model: System) -> list[Course]:
         """Return the model's courses from all initial states; from now on all are followed for as long as these."""
@@ -169,7 +172,7 @@ class _Elsewhere:
         """Return how far rows of each course are from the nearest measured one, over the widths of the box."""
         observed = self._measurements.observed
         width = self._width[observed]
-        known = self._measurements.smoothed[observed].T[thinned_places(self._measurements.rows, _MOST_ROWS)] / width
+        known = self._measurements.smoothed[observed].T[thinned_places(self._measurements.rows, MOST_POINTS)] / width
 
         def looked_at(course: FloatArray) -> FloatArray:
             count = course.shape[1]
@@ -269,6 +272,20 @@ class _Misses:
         shares = [1.0 - self._against[group][state] / (1.0 + odds) for group, odds in self._odds.items()]
         return math.prod(float(share) for share in shares)
 
+    def is_decided(self, state: int) -> bool:
+        """Tell whether it is known on which side of what a good model promises the share of draws is that agree.
+
+        It is beta distributed, from Jeffreys' prior on; 38 draws that all agree are enough.
+        """
+        from scipy import special
+
+        if _DRAWN not in self._odds:
+            return False
+        count, against = self._odds[_DRAWN], float(self._against[_DRAWN][state])
+        wrong = math.exp(-SETTINGS.inference.distinct_nats)
+        below = float(special.betainc(count - against + 0.5, against + 0.5, 1.0 - wrong))
+        return min(below, 1.0 - below) <= wrong
+
     def unlike(self, state: int) -> int | None:
         """Return the place of the initial state from which the course is foretold most differently, None: nowhere."""
         place = self._unlike[state][1]
@@ -283,15 +300,13 @@ def _r2(predicted: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArr
     return np.asarray(1.0 - errors / np.maximum(spread, 1e-300))
 
 
-def draws(system: System, covariance: FloatArray, group: int) -> Iterator[Rival]:
-    """Yield `system` with constants drawn from their distribution, each with an equal part of the odds.
+def draws(system: System, covariance: FloatArray) -> Iterator[System]:
+    """Yield `system` with all its constants drawn together from their distribution, without end; nothing without any.
 
     Args:
         system: with its constants as fitted.
         covariance: theirs (P, P), finite.
-        group: of the rivals.
     """
-    count = SETTINGS.effort.beam
     if not system.count:
         return
     deviations = np.sqrt(np.diag(covariance))
@@ -299,31 +314,5 @@ def draws(system: System, covariance: FloatArray, group: int) -> Iterator[Rival]
     values, vectors = np.linalg.eigh(covariance / deviations[:, None] / deviations)  # whatever the constants' units
     scales = deviations[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(0)
-    for _ in range(count):
-        drawn = system.values + scales @ rng.standard_normal(len(values))
-        yield Rival(system.with_values(drawn), group, 1.0)
-
-
-def _far_apart(points: FloatArray, count: int) -> list[int]:
-    """Return the places of up to so many of the `points` (N, D), each as far from those before as any (Gonzalez 1985).
-
-    However long a process rests, the way there counts as much.
-    """
-    places, nearest = [0], np.full(len(points), math.inf)
-    for _ in range(1, count):
-        nearest = np.minimum(nearest, ((points - points[places[-1]]) ** 2).sum(axis=1))
-        farthest = int(np.argmax(nearest))
-        if not nearest[farthest] > 0.0:
-            break
-        places.append(farthest)
-    return places
-
-
-def _latin_hypercube(count: int, dimensions: int) -> FloatArray:
-    """Return points (G, K) of [0, 1): each of `count` equal parts of each dimension has one (McKay et al. 1979).
-
-    As scipy.stats.qmc does it, whose import takes as long as many a search.
-    """
-    rng = np.random.default_rng(0)
-    parts = rng.permuted(np.tile(np.arange(float(count)), (dimensions, 1)), axis=1)
-    return np.asarray((parts + rng.random(parts.shape)).T / count)
+    while True:
+        yield system.with_values(system.values + scales @ rng.standard_normal(len(values)))

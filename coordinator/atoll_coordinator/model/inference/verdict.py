@@ -63,6 +63,8 @@ class Evidence:
     constants: Sequence[Constant] = ()
     unit_coefficients: Sequence[Constant] = ()
     alternative: float | None = None
+    rivals: float = 0.0
+    rivals_agree: bool = False
     prediction: Prediction | None = None
     chaos: Chaos | None = None
     fails_beyond: int | None = None
@@ -112,10 +114,8 @@ def _by_simulation(evidence: Evidence) -> tuple[Grade, str]:
             missed = (
                 f"without noise: {evidence.solver}, gives these rows of the equations to {left:.1g} of their deviation"
             )
-        loosest = _loosest(evidence)
-        if loosest is None:
-            return "exact", _sentence([missed])
-        return "good", _sentence([missed, loosest])
+        unsure = _loosest(evidence) or _undecided(evidence)
+        return ("exact", _sentence([missed])) if unsure is None else ("good", _sentence([missed, unsure]))
     return "good", _sentence([_merit_of_simulation(evidence, residuals)])
 
 
@@ -139,6 +139,17 @@ def _loosest(evidence: Evidence) -> str | None:
         return None
     certainty = f"is known to {_percent(share)} only" if share < _UNKNOWN else "cannot be told from 0"
     return f"the constant {value:.3g} {certainty}: its term may follow errors of the data"
+
+
+def _undecided(evidence: Evidence) -> str | None:
+    """Return what the data do not tell from an equation that may be the law, None where that is hardly another one."""
+    share = evidence.rivals / (1.0 + evidence.rivals)
+    if share <= math.exp(-SETTINGS.inference.exact_nats):
+        return None
+    return (
+        f"it cannot be told from other equations, which agree along what was measured and differ beside it "
+        f"({_percent(share)} of the odds){_to_decide(evidence.prediction)}"
+    )
 
 
 def _by_target(evidence: Evidence) -> tuple[Grade, str]:
@@ -212,8 +223,7 @@ def _objections_to_prediction(prediction: Prediction | None) -> Iterator[str]:
     if prediction.followed and 1.0 - prediction.probability > math.exp(-SETTINGS.inference.distinct_nats):
         yield (
             "rivals that describe the data about as well foretell something else from other initial states within the "
-            f"measured range ({_percent(prediction.probability)} of the odds agree): measure from {_where(prediction)} "
-            "to decide"
+            f"measured range ({_percent(prediction.probability)} of the odds agree){_to_decide(prediction)}"
         )
 
 
@@ -235,6 +245,11 @@ def _chaotic(chaos: Chaos | None) -> str:
         f"; chaotic: errors grow e-fold in {chaos.lyapunov_time:.2g}, and a long simulation keeps the measured means "
         "and variances"
     )
+
+
+def _to_decide(prediction: Prediction | None) -> str:
+    """Return what to measure, behind a colon, or nothing where that is not known."""
+    return "" if prediction is None else f": measure from {_where(prediction)} to decide"
 
 
 def _where(prediction: Prediction) -> str:
@@ -269,7 +284,8 @@ def _objections_to_model(evidence: Evidence) -> Iterator[str]:
             if evidence.alternative >= 0.0
             else f"{-evidence.alternative:.2g} nats shorter"
         )
-        yield f"another equation describes the data about as well ({nats})"
+        where = _to_decide(evidence.prediction) if evidence.rivals_agree else ""
+        yield f"another equation describes the data about as well ({nats}){where}"
     bound = next((constant for constant in evidence.constants if constant.is_at_bound), None)
     if bound is not None:
         yield f"the data would have the constant {bound.value:.3g} beyond its bound"

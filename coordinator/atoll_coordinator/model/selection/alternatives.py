@@ -5,20 +5,27 @@ place of the misfit to all trajectories and of the price of constants, which sta
 the region that the data visit must be shorter by `InferenceSettings.distinct_nats` than any without.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import validated_length
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
+from atoll_coordinator.model.criteria import structure_length, validated_length
+from atoll_coordinator.model.regression.fit import LeastSquares
+from atoll_coordinator.model.selection.comparison import FittedModel, differ
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.task import SelectedModel
+from atoll_coordinator.model.sparse.pursuit import pursue
+from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.poles import find_poles
+from atoll_coordinator.model.structure.term_libraries import libraries, sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
+from atoll_core.expression.builder import Expression
 from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.program import Program, structure
+from atoll_core.expression.program import Program, constant_places, structure, with_constants
+from atoll_core.expression.writing.shortest import shortest
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,39 +174,93 @@ def _validated(
 
 
 def _all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list[FittedModel]]:
-    comparison = selection.comparison
+    fixed = selection.comparison.fixed
     return [
-        [] if index in comparison.fixed else _alternatives(comparison, selection.model, index, inputs)
+        [] if index in fixed else _alternatives(selection, index, inputs)
         for index in range(len(selection.model.programs))
     ]
 
 
-def _alternatives(comparison: ModelComparison, best: FittedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
+def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
     """Return what came closest with another equation for one variable, distinct in function, the closest first.
 
-    Programs of the same misfit say the same in other words, also where groups have constants of their own.
+    Programs of the same misfit say the same in other words unless they differ beside the measured curves, also where
+    groups have constants of their own.
     """
+    comparison, best = selection.comparison, selection.model
     tried = sorted(
         (model for (equation, _), model in comparison.tried.items() if equation == index), key=lambda model: model.nats
     )
-    programs: dict[bytes, Program] = {structure(model.programs[index]): model.programs[index] for model in tried}
+    agreeing = _agreeing(selection, index)
+    programs = {structure(program): program for program in [*agreeing, *(model.programs[index] for model in tried)]}
     near = comparison.narrow_down(
         best,
         index,
         list(programs.values())[: SETTINGS.effort.kept],
         ((SETTINGS.effort.steps, SETTINGS.effort.kept),),
     )
-    functions = [values_of(best.programs[index], inputs)]
-    distinct_models: list[FittedModel] = []
-    for model in distinct([best, *near])[1:]:
+    distinct_models, functions = [best], [values_of(best.programs[index], inputs)]
+    for model in comparison.distinct([best, *near], index)[1:]:
         values = values_of(model.programs[index], inputs)
-        if all(_differ(values, function) for function in functions):
+        if all(
+            differ(values, function) or comparison.differ_beside(model, other, index)
+            for other, function in zip(distinct_models, functions, strict=True)
+        ):
             functions.append(values)
             distinct_models.append(model)
-    return distinct_models[: SETTINGS.effort.beam]
+    return distinct_models[1 : SETTINGS.effort.beam + 1]
 
 
-def _differ(first: FloatArray, second: FloatArray) -> bool:
-    with np.errstate(all="ignore"):
-        difference = float(np.sqrt(np.mean((first - second) ** 2)))
-        return not difference <= SETTINGS.common.negligible * float(np.std(second))
+def _agreeing(selection: SelectedModel, index: int) -> list[Program]:
+    """Return what may be one variable's equation as well where there is no noise, as it agrees along measured curves.
+
+    Those are candidates, and where terms are dependent along the curves its neighbours, and sums that a pursuit of
+    its values finds. They are about as short: of the others the odds are too small to count.
+    """
+    task, comparison, own = selection.task, selection.comparison, selection.model.programs[index]
+    if not task.is_nearly_clean or task.recording.groups or task.is_over:
+        return []
+    name = task.variables[index]
+    problem, columns, operators = task.dataset.problem(name), task.columns(name), task.operators(name)
+    values, most = values_of(own, problem.inputs), comparison.length(own) + SETTINGS.inference.exact_nats
+    deviation = float(values.std())
+    if not 0.0 < deviation < math.inf:
+        return []
+    target = replace(problem.target, values=values, uncertainty=EXACT_ERROR, standard_deviation=deviation)
+    problem, candidates = replace(problem, target=target), task.candidates[name].programs
+    if any(_are_dependent(terms, problem.inputs) for terms in libraries(columns, operators)):
+        unfactored = most + SETTINGS.inference.exact_nats  # it prices sums term by term
+        candidates += [*neighbours(own, columns, operators), *pursue(problem, columns, operators, (), unfactored)]
+    squares = LeastSquares(problem, restrictions=comparison.restrictions(index))
+    short = {structure(program): program for program in candidates if structure_length(program) <= most}
+    limit = (SETTINGS.common.negligible * deviation) ** 2
+    fitted = (squares.fit(program, enough=limit) for program in short.values())
+    close = [_with_neutral_constants(candidate.program) for candidate in fitted if candidate.mse <= limit]
+    others = {structure(program): program for program in close if structure(program) != structure(own)}
+    return sorted(others.values(), key=comparison.length)[: SETTINGS.effort.beam]
+
+
+def _with_neutral_constants(program: Program) -> Program:
+    """Return a program without the constants that are 0, 1 or -1 but for rounding."""
+    places = constant_places(program)
+    near = {
+        place: round(value)
+        for place, value in zip(places, program.constants[places].tolist(), strict=True)
+        if abs(value) < 1.5
+    }
+    values = {
+        place: float(neutral)
+        for place, neutral in near.items()
+        if abs(program.constants[place] - neutral) <= SETTINGS.inference.exact
+    }
+    return shortest(with_constants(program, values))
+
+
+def _are_dependent(terms: Sequence[Expression], inputs: FloatArray) -> bool:
+    """Tell whether some terms are a linear combination of others wherever was measured."""
+    columns = np.array([values_of(sum_of([term], [1.0]), inputs) for term in terms])
+    sizes = np.sqrt((columns**2).sum(axis=1))
+    if len(sizes) > inputs.shape[1] or not np.isfinite(sizes).all() or not (sizes > 0.0).all():
+        return True
+    singular = np.linalg.svd(columns / sizes[:, None], compute_uv=False)
+    return bool(singular[-1] <= SETTINGS.shooting.exact * singular[0])

@@ -12,7 +12,7 @@ import numpy as np
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
@@ -129,7 +129,7 @@ class RankedCandidates:
                 models += [model for model in sums if any(self._short(model.programs, most))]
         chosen = {structure(model.programs[0]): model.programs[0] for model in models}
         models = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (longer,)), chosen.values())
-        self._models = distinct(sorted([*self._models, *models], key=lambda model: model.nats))
+        self._models = comparison.distinct(sorted([*self._models, *models], key=lambda model: model.nats), 0)
         self._started += started
 
     def _short(self, programs: Iterable[Program], most: float) -> Iterator[Program]:

@@ -9,6 +9,7 @@ from bisect import bisect_left, bisect_right, insort
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final, TypeVar
 
 import numpy as np
@@ -26,10 +27,12 @@ from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
+from atoll_coordinator.model.shooting.points_between import points_beside
 from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.restrictions import NONE, Restrictions
 
@@ -57,6 +60,13 @@ class Constraints:
 
     restrictions: Mapping[int, Restrictions] = field(default_factory=dict)
     groups: GroupedRows | None = None
+
+
+def differ(first: FloatArray, second: FloatArray, share: float = SETTINGS.common.negligible) -> bool:
+    """Tell whether values (R,) of two equations are apart by more than this share of their deviation."""
+    with np.errstate(all="ignore"):
+        difference = float(np.sqrt(np.mean((first - second) ** 2)))
+        return not difference <= share * float(np.std(second))
 
 
 class ModelComparison:
@@ -237,8 +247,8 @@ class ModelComparison:
     ) -> list[FittedModel]:  # fmt: skip
         """Return models of the best of `programs` for one equation, fewer of them after each of the `rounds`.
 
-        Each round is a number of steps and how many programs stay. Of programs with the same misfit, which say the same
-        in other words, the one of shortest description stays. Once the estimator's work is `until`, no more are taken
+        Each round is a number of steps and how many programs stay. Of those that say the same in other words the one of
+        shortest description stays, see `distinct`. Once the estimator's work is `until`, no more are taken
         in than the next few.
         """
         models: list[FittedModel] = []
@@ -248,7 +258,7 @@ class ModelComparison:
             def fitted(program: Program, steps: int = steps) -> FittedModel | None:
                 return self.fit_exchanged(near, equation, program, steps)
 
-            models = distinct(self._bounded(fitted, waiting, until))[:kept]
+            models = self.distinct(self._bounded(fitted, waiting, until), equation)[:kept]
             waiting = [model.programs[equation] for model in models]
         for model in models:
             self._remember(equation, model)
@@ -429,16 +439,58 @@ class ModelComparison:
         if known is None or model.nats < known.nats:
             self.tried[key] = model
 
+    def distinct(self, models: Iterable[FittedModel], equation: int) -> list[FittedModel]:
+        """Return the models, sorted by nats, without those that say of one `equation` what one before does.
 
-def distinct(models: Iterable[FittedModel]) -> list[FittedModel]:
-    """Return the models, sorted by nats, without those whose misfit is that of one before."""
-    kept: list[FittedModel] = []
-    misfits: list[float] = []
-    for model in models:
-        misfit = model.misfit
-        reach = 2.0 * _REPEATED * (1.0 + abs(misfit))  # no other one can be near enough
-        near = misfits[bisect_left(misfits, misfit - reach) : bisect_right(misfits, misfit + reach)]
-        if all(abs(misfit - near_misfit) > _REPEATED * (1.0 + abs(near_misfit)) for near_misfit in near):
-            kept.append(model)
-            insort(misfits, misfit)
-    return kept
+        That is so where their misfits are equal, unless the equations differ beside the measured curves: errors of the
+        integration alone are equal for all that agree along these.
+        """
+        kept: list[FittedModel] = []
+        misfits: list[tuple[float, int]] = []
+        for model in models:
+            misfit = model.misfit
+            reach = 2.0 * _REPEATED * (1.0 + abs(misfit))  # no other one can be near enough
+            near = misfits[bisect_left(misfits, (misfit - reach,)) : bisect_right(misfits, (misfit + reach, len(kept)))]
+            if all(
+                abs(misfit - other) > _REPEATED * (1.0 + abs(other)) or self.differ_beside(model, kept[place], equation)
+                for other, place in near
+            ):
+                insort(misfits, (misfit, len(kept)))
+                kept.append(model)
+        return kept
+
+    def differ_beside(self, model: FittedModel, other: FittedModel, equation: int) -> bool:
+        """Tell whether the equations of two models differ beside the measured curves by more than their constants may.
+
+        Where there is no noise these are known, and a thousandth counts; else what a prediction would lose by.
+        """
+        first, second = (values_of(one.programs[equation], self._beside) for one in (model, other))
+        either = np.isfinite(first) | np.isfinite(second)
+        share = math.sqrt(SETTINGS.inference.part) if self._is_noisy.any() else SETTINGS.common.negligible
+        return bool(either.any()) and differ(first[either], second[either], share)
+
+    def disputed_state(self, model: FittedModel, others: Sequence[FittedModel], equation: int) -> dict[str, float]:
+        """Return the state beside the measured curves, by name, where one equation differs most from those of `others`.
+
+        Each counts by its odds against `model`.
+        """
+        own = values_of(model.programs[equation], self._beside)
+        apart = np.zeros_like(own)
+        for other in others:
+            odds = math.exp(-max(other.nats - model.nats, 0.0))
+            apart += odds * np.nan_to_num(np.abs(values_of(other.programs[equation], self._beside) - own), posinf=0.0)
+        place, states = int(np.argmax(apart)), len(self.estimator.measurements.smoothed)
+        return {
+            name: float(value)
+            for name, value in zip(self.names, self._beside[:, place], strict=True)
+            if name in self.estimator.measurements.variables[:states]
+        }
+
+    @cached_property
+    def _beside(self) -> FloatArray:
+        """Points (V, G) beside the measured curves; none where groups have constants of their own."""
+        measurements = self.estimator.measurements
+        points = np.concatenate([measurements.smoothed, measurements.inputs])
+        moved = len(points if measurements.has_smoothed_inputs else measurements.smoothed)
+        beside = points_beside(points, moved).T if self.groups is None else points[:, :0]
+        return np.ascontiguousarray(beside[[measurements.variables.index(name) for name in self.names]])

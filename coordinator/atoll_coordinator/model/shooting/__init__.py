@@ -8,6 +8,7 @@
 - `error_model`: errors that go together, as fits weigh them; `variance`: errors that grow with the value;
   `independence`: how many independent numbers trajectories hold
 - `covariance`: how well a fit determines its constants
+- `points_between`: points beside measured curves, from two measured ones
 - `kernels`: integration, sensitivities and normal equations, compiled; `warmup` makes them ready
 
 A recording and programs go in, a `TrajectoryFit` comes out: states as simulated, residuals, normal equations.

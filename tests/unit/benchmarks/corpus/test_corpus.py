@@ -261,6 +261,10 @@ def test_tables_count_what_they_say(judged):
     assert "| atoll | noise-0.01 | 1-2 | 2 | 2 | 1 of 2 (50 %) | 1 |" in by_quality([judged])
     assert "| exact | 1 | 0 of 1 (0 %) |" in by_grade([judged])
     assert "| good | 1 | 1 of 1 (100 %) |" in by_grade([judged])
+    several = dataclasses.replace(judged, key=dataclasses.replace(judged.key, trajectories=4))
+    counted = by_grade([judged, several]).splitlines()
+    singles = judged.key.trajectories == 1
+    assert [line.split(" | ")[1::3] for line in counted[2:]] == [["2", "1" if singles else "0"]] * 2
     wrong = equation_rows([judged], only_wrong=True)
     assert "extra 1" in wrong
     assert "`0.1*x*y - 0.4*y`" not in wrong

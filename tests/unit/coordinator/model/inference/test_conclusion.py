@@ -216,6 +216,19 @@ def test_clean_equations_are_exact():
     )
 
 
+def test_what_one_trajectory_cannot_tell_is_said():
+    """Of two species that began alike x is y: which of them limits the growth shows where they are not."""
+    alike = Known(("x", "y"), lambda _, z: [z[0] * (1.0 - z[0] - 0.5 * z[1]), z[1] * (1.0 - z[1] - 0.5 * z[0])])
+    pool = {"x": ("x*(1.0 - 1.5*x)", "x*(1.0 - 1.5*y)"), "y": ("y*(1.0 - 1.5*y)", "y*(1.0 - 1.5*x)")}
+    refinement = refined(alike, ([0.1, 0.1],), pool, times=0.1 * np.arange(100.0), config=JobConfig(space=NO_LIBRARIES))
+    for equation in refinement.equations.values():
+        assert (equation.grade, equation.prediction.is_disputed) == ("doubtful", True)
+        x, y = equation.prediction.measure_from.values()
+        assert abs(x - y) > 0.05
+        assert equation.reason.startswith("Another equation describes the data about as well (0")
+        assert "measure from x = " in equation.reason
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_what_was_fitted_to_fewer_rows_is_simulated_along_all(monkeypatch, noise):
     """As constants of dozens of states are; here those of one trajectory of two."""

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -9,13 +10,12 @@ import pytest
 from atoll_coordinator.model.inference.prediction import (
     Rival,
     _Elsewhere,
-    _far_apart,
-    _latin_hypercube,
     _Misses,
     _r2,
     draws,
     foretell,
 )
+from atoll_coordinator.model.shooting.points_between import _far_apart, _latin_hypercube
 from atoll_coordinator.model.shooting.system import system_of
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, LOTKA_TEXT, SWING, Known, measurements
@@ -229,10 +229,8 @@ def test_inputs_are_not_known_elsewhere():
 
 def test_draws_spread_as_the_covariance_says():
     fitted = system(DECAY, "-0.5*x")
-    drawn = np.array([draw.system.values for draw in draws(fitted, np.array([[0.01]]), 3)])
-    assert drawn.shape == (12, 1)
+    drawn = np.array([draw.values for draw in islice(draws(fitted, np.array([[0.01]])), 12)])
     assert 0.03 < drawn.std() < 0.3
-    assert {draw.group for draw in draws(fitted, np.array([[0.01]]), 3)} == {3}
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1e12])
@@ -242,17 +240,29 @@ def test_draws_in_other_units_are_the_same_draws(scale):
     units = np.array([scale, 1.0 / scale, 1.0])
     covariance = np.array([[4.0, 1.0, 0.0], [1.0, 1.0, 0.1], [0.0, 0.1, 0.25]]) * 1e-4
     scaled = fitted.with_values(fitted.values * units)
-    there = [draw.system.values / units for draw in draws(scaled, covariance * np.outer(units, units), 0)]
-    for own, other in zip(draws(fitted, covariance, 0), there, strict=True):
-        assert own.system.values == pytest.approx(other, rel=1e-9)
+    there = [draw.values / units for draw in islice(draws(scaled, covariance * np.outer(units, units)), 12)]
+    for own, other in zip(draws(fitted, covariance), there, strict=False):
+        assert own.values == pytest.approx(other, rel=1e-9)
 
 
 def test_a_system_without_constants_has_no_draws():
-    assert not [*draws(system(DECAY, "x"), np.zeros((0, 0)), 0)]
+    assert not [*draws(system(DECAY, "x"), np.zeros((0, 0)))]
 
 
 COUNT = SETTINGS.shooting.lengths[-1]
 """Rows of a course from another initial state."""
+
+
+@pytest.mark.parametrize(
+    ("wrong", "taken", "probability"),
+    [(set(), 38, 1.0), ({0}, 1, 0.5), ({5}, 77, 77 / 78), (set(range(10, 144, 20)), 144, 1.0 - 7 / 145)],
+)
+def test_constants_are_drawn_until_the_claim_is_decided(lotka, truth, wrong, taken, probability):
+    """Of 38 that all agree a share of 0.95 is likely; where one in twenty differs no number would decide."""
+    other, asked = system(LOTKA, "-0.5*x", LOTKA_TEXT[1]), []
+    drawn = (asked.append(place) or (other if place in wrong else truth) for place in range(1000))
+    x, _ = foretell(lotka, truth, [], 1e-6, drawn)
+    assert (len(asked), x.probability) == (taken, pytest.approx(probability))
 
 
 def test_of_few_rows_nothing_is_foretold(truth):
@@ -407,7 +417,7 @@ def test_draws_of_constants_that_go_together_are_numbers():
     """Rounding leaves such a covariance an eigenvalue below 0."""
     fitted = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
     covariance = 1e-4 * (np.ones((3, 3)) + 1e-12 * (1.0 - np.eye(3)))
-    drawn = np.array([draw.system.values - fitted.values for draw in draws(fitted, covariance, 0)])
+    drawn = np.array([draw.values - fitted.values for draw in islice(draws(fitted, covariance), 12)])
     assert drawn == pytest.approx(np.tile(drawn[:, :1], 3), abs=1e-7)
     assert 0.003 < drawn.std() < 0.03
 
@@ -415,12 +425,11 @@ def test_draws_of_constants_that_go_together_are_numbers():
 def test_draws_have_the_covariance_that_they_are_given():
     fitted = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
     covariance = np.array([[4.0, 1.9, 0.0], [1.9, 1.0, 0.1], [0.0, 0.1, 0.25]]) * 1e-4
-    drawn = np.array([draw.system.values for draw in draws(fitted, covariance, 0)]) - fitted.values
+    drawn = np.array([draw.values for draw in islice(draws(fitted, covariance), 12)]) - fitted.values
     whitened = np.linalg.solve(np.linalg.cholesky(covariance), drawn.T)
     assert 18.0 < (whitened**2).sum() < 60.0  # chi squared of 36: 0.5 % at either side
-    assert {draw.odds for draw in draws(fitted, covariance, 0)} == {1.0}
     covariance[2], covariance[:, 2] = 0.0, 0.0
-    assert {draw.system.values[2] for draw in draws(fitted, covariance, 0)} == {fitted.values[2]}
+    assert {draw.values[2] for draw in islice(draws(fitted, covariance), 12)} == {fitted.values[2]}
 
 
 def test_points_far_apart_are_as_far_from_those_before_as_any():

@@ -50,6 +50,21 @@ def test_a_term_that_may_follow_errors_of_a_solver_is_not_exact(part: str) -> No
     assert "the constant 4.6e-07 is known to 10 % only" in reason
 
 
+def test_an_equation_that_others_agree_with_on_the_curve_alone_is_not_exact() -> None:
+    """Odds of one in two hundred are what an exact verdict may be wrong by."""
+    where = Prediction(12, 12, 1.0, 0.1, None, {"x": 1.0, "y": 2.0}, is_disputed=True)
+    assert judge(replace(CLEAN, rivals=0.0049, prediction=where))[0] == "exact"
+    grade, reason = judge(replace(CLEAN, rivals=0.0052, rivals_agree=True, prediction=where))
+    assert grade == "good"
+    assert "cannot be told from other equations, which agree along what was measured" in reason
+    assert reason.endswith("(0.52 % of the odds): measure from x = 1, y = 2 to decide.")
+    grade, reason = judge(replace(CLEAN, rivals=1.0, rivals_agree=True, alternative=0.0, prediction=where))
+    assert grade == "doubtful"
+    assert reason == (
+        "Another equation describes the data about as well (0 nats apart): measure from x = 1, y = 2 to decide."
+    )
+
+
 def test_a_factor_of_one_that_another_can_stand_for_is_no_doubt() -> None:
     loose = Constant(1.0, 1.0, np.inf, None, identifiable=False)
     assert judge(replace(CLEAN, unit_coefficients=(loose,)))[0] == "exact"

@@ -86,7 +86,9 @@ def test_one_that_is_close_behind_and_foretells_better_wins(monkeypatch, behind,
     close = replace(other, nats=chosen.model.nats + behind)
     misfits = {id(chosen.model): 100.0, id(close): 50.0}
     monkeypatch.setattr(
-        alternatives, "_alternatives", lambda _, best, index, __: [close] if index and best is chosen.model else []
+        alternatives,
+        "_alternatives",
+        lambda selected, index, _: [close] if index and selected.model is chosen.model else [],
     )
     monkeypatch.setattr(Validation, "of", lambda _, model: Validated((0.9, 0.9), misfits[id(model)]))
     ranking = ranked_by(chosen)
@@ -99,7 +101,7 @@ def test_one_that_foretells_worse_does_not_win(monkeypatch):
     other = chosen.comparison.fit_exchanged(chosen.model, 1, SWING.parsed("-1.9*x"), 12)
     close = replace(other, nats=chosen.model.nats + 0.5)
     misfits = {id(chosen.model): 100.0, id(close): 130.0}
-    monkeypatch.setattr(alternatives, "_alternatives", lambda _, best, index, __: [close] if index else [])
+    monkeypatch.setattr(alternatives, "_alternatives", lambda _, index, __: [close] if index else [])
     monkeypatch.setattr(Validation, "of", lambda _, model: Validated((0.9, 0.9), misfits[id(model)]))
     ranking = ranked_by(chosen)
     assert ranking.selection is chosen

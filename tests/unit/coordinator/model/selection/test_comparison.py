@@ -13,7 +13,7 @@ from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import measurements_of
@@ -22,7 +22,7 @@ from atoll_core.config import DataConfig, JobConfig
 from atoll_core.expression.program import Program, structure
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.fitting import settings
-from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, compare, measurements, recording
+from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, Known, compare, measurements, recording
 
 EXAMPLES = Path(__file__).parents[5] / "examples"
 TIMES = 0.1 * np.arange(40.0)
@@ -120,16 +120,32 @@ def test_only_a_shorter_description_replaces_what_was_noted():
     assert comparison.tried == {(0, structure(RIVALS[0])): best}
 
 
-def test_distinct_standings_differ_in_misfit():
-    def model(misfit: float, nats: float) -> FittedModel:
-        return FittedModel((), None, misfit, nats)
+def test_models_of_one_function_differ_in_misfit():
+    comparison, program = lotka(), TRUTH
 
-    models = [model(-100.0, 1.0), model(-100.0 - 1e-5, 2.0), model(-99.0, 3.0), model(-99.0, 4.0)]
-    assert [model.nats for model in distinct(models)] == [1.0, 3.0]
-    near = [model(-99.0 + 1.01e-4 * step, float(step)) for step in range(-3, 4)]
-    assert [model.nats for model in distinct(near)] == [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]
-    nearer = [model(-99.0 + 0.99e-4 * step, float(step)) for step in range(-3, 4)]
-    assert [model.nats for model in distinct(nearer)] == [-3.0, -1.0, 1.0, 3.0]
+    def kept(*standings: tuple[float, float]) -> list[float]:
+        models = [FittedModel((program,), None, misfit, nats) for misfit, nats in standings]
+        return [model.nats for model in comparison.distinct(models, 0)]
+
+    assert kept((-100.0, 1.0), (-100.0 - 1e-5, 2.0), (-99.0, 3.0), (-99.0, 4.0)) == [1.0, 3.0]
+    near = [(-99.0 + 1.01e-4 * step, float(step)) for step in range(-3, 4)]
+    assert kept(*near) == [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]
+    nearer = [(-99.0 + 0.99e-4 * step, float(step)) for step in range(-3, 4)]
+    assert kept(*nearer) == [-3.0, -1.0, 1.0, 3.0]
+
+
+def test_models_of_one_misfit_that_differ_beside_the_curve_are_two():
+    """Of two that grow alike x is y wherever it was measured; half of the sum is the same beside it as well."""
+    alike = Known(("x", "y"), lambda _, z: [z[0] * (1.0 - z[0]), z[1] * (1.0 - z[1])])
+    comparison = compare(alike, measurements(alike, [[0.1, 0.1]], 0.1 * np.arange(60.0)))
+    near = comparison.fit_model([alike.parsed("x*(1.0 - x)"), alike.parsed("y*(1.0 - y)")])
+    texts = ("x*(1.0 - x)", "x - 1.0*x*x", "y*(1.0 - x)")
+    models = comparison.narrow_down(near, 0, [alike.parsed(text) for text in texts], ((40, 5),))
+    assert {structure(model.programs[0]) for model in models} == {
+        structure(alike.parsed(texts[place])) for place in (0, 2)
+    }
+    state = comparison.disputed_state(models[0], models[1:], 0)
+    assert abs(state["x"] - state["y"]) > 0.1
 
 
 def test_constants_of_a_fixed_equation_stay():

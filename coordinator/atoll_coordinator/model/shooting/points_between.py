@@ -1,0 +1,73 @@
+"""Points beside measured curves, from two measured ones that are far apart. Pure.
+
+Letters: N measured points, V numbers of each, G points beside them.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.model.thinning import thinned_places
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+
+MOST_POINTS: Final = 500
+"""Measured points that are looked at, about. Taken in step with a period they would all be the same state."""
+
+
+def points_between(points: FloatArray) -> FloatArray:
+    """Return points (G, V) on the lines between two measured ones each, which are far out among all `points` (V, N).
+
+    What holds of all measured ones, such as a sum that does not change or a sign, holds between them as well, and
+    energies are not as large as in the corners of a box of many states.
+    """
+    first, second, (share,) = _pairs(points, 1)
+    return np.asarray(first + share[:, None] * (second - first))
+
+
+def points_beside(points: FloatArray, moved: int) -> FloatArray:
+    """Return points (G, V) in the boxes that two measured ones span: they lose what sums and the like keep on lines.
+
+    The first so many numbers are `moved`; the others, such as inputs, stay as they are at the first of the two.
+    """
+    first, second, shares = _pairs(points, moved)
+    first[:, :moved] += shares.T * (second - first)[:, :moved]
+    return first
+
+
+def _pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return two measured points (G, V), twice, and so many shares (numbers, G) of the way from one to the other."""
+    count, width = SETTINGS.effort.beam, np.maximum(np.ptp(points, axis=1), 1e-300)
+    known = points.T[thinned_places(points.shape[1], MOST_POINTS)]
+    outer = known[_far_apart(known / width, 2 * count)]
+    first_coordinates, second_coordinates, *shares = _latin_hypercube(count, 2 + numbers).T
+    first, second = (
+        outer[(coordinates * len(outer)).astype(int)] for coordinates in (first_coordinates, second_coordinates)
+    )
+    return first, second, np.array(shares)
+
+
+def _far_apart(points: FloatArray, count: int) -> list[int]:
+    """Return the places of up to so many of the `points` (N, D), each as far from those before as any (Gonzalez 1985).
+
+    However long a process rests, the way there counts as much.
+    """
+    places, nearest = [0], np.full(len(points), math.inf)
+    for _ in range(1, count):
+        nearest = np.minimum(nearest, ((points - points[places[-1]]) ** 2).sum(axis=1))
+        farthest = int(np.argmax(nearest))
+        if not nearest[farthest] > 0.0:
+            break
+        places.append(farthest)
+    return places
+
+
+def _latin_hypercube(count: int, dimensions: int) -> FloatArray:
+    """Return points (G, K) of [0, 1): each of `count` equal parts of each dimension has one (McKay et al. 1979).
+
+    As scipy.stats.qmc does it, whose import takes as long as many a search.
+    """
+    rng = np.random.default_rng(0)
+    parts = rng.permuted(np.tile(np.arange(float(count)), (dimensions, 1)), axis=1)
+    return np.asarray((parts + rng.random(parts.shape)).T / count)
