@@ -220,7 +220,7 @@ class _Model:
     def agrees(self, tree: ast.expr, points: Mapping[str, FloatArray]) -> bool:
         """Tell whether the truth with the factors of the last match has the values of an equation at other points."""
         sought = self._run({**points, **dict(zip(self._names, self._factors.tolist(), strict=True))})
-        values = _evaluated(tree, points)
+        sought, values = np.broadcast_arrays(sought, np.atleast_1d(_evaluated(tree, points)))
         scale = self._scale + np.abs(sought)
         seen = np.isfinite(scale) & np.isfinite(values)
         return bool((np.abs(values - sought)[seen] <= NEGLIGIBLE * scale[seen]).all())

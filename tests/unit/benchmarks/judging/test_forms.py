@@ -450,3 +450,9 @@ def test_hopeless_models_are_refused_and_do_not_hang(model):
 def test_names_that_the_data_lack_are_refused():
     with pytest.raises(UsageError, match="'z'"):
         judge("x + z", "-x/10")
+
+
+def test_a_constant_is_a_form_too():
+    data = {"x": np.linspace(0.0, 1.0, 50)}
+    assert compare("0.5", "0.5", data).is_right
+    assert not compare("0.5 + x", "0.5", data).is_right
