@@ -20,20 +20,24 @@ from atoll_core.expression.program import Program
 
 
 def fit_jointly(
-    task: ModellingTask, lists: Sequence[Sequence[Program]], begun: Sequence[Program] | None = None
-) -> SelectedModel | None:
+    task: ModellingTask, lists: Sequence[Sequence[Program]], begun: Sequence[Program] | None = None, *,
+    are_laws: bool = False,
+) -> SelectedModel | None:  # fmt: skip
     """Return the best system of these candidates, None when none can be simulated.
 
     Args:
         task: what is modelled.
         lists: candidates of each variable, the best first.
         begun: a system to begin with; the best of a few unless given.
+        are_laws: whether no terms are sought beyond those of the candidates, so that none can describe what coarse
+            steps of the integration err by.
     """
     comparison = task.comparison
     best = combine(comparison, lists) if begun is None else comparison.fit_model(begun)
     if best is None:
         return None
-    comparison, best = _without_noise(task, comparison, best)
+    if not are_laws:
+        comparison, best = _without_noise(task, comparison, best)
     best = exchange(comparison, comparison.calibrate(best), lists)
     return SelectedModel(task, comparison, comparison.calibrate(best), lists)
 

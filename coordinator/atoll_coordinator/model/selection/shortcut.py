@@ -84,7 +84,7 @@ def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -
     task = replace(task, piece=min(task.piece, rows))
     if task.is_nearly_clean:
         task = in_stretches(task, begun.model.programs)
-    selection = fit_jointly(task, lists, begun.model.programs)
+    selection = fit_jointly(task, lists, begun.model.programs, are_laws=True)
     if selection is None:
         return None
     comparison, best = selection.comparison, selection.model
