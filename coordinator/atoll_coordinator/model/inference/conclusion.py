@@ -581,7 +581,7 @@ def refined_equation(
         chaos=long_run.chaos,
         fails_beyond=final.task.piece if long_run.fits is False else None,
         alternative=min((alternative.nats for alternative in nearest), default=None),
-        rivals=rivals,
+        rivals=rivals if task.is_nearly_clean else 0.0,
         rivals_agree=not is_told,
         passes_pole=_passes_pole(final, program),
         distinct_rows=_distinct_rows(measurements),

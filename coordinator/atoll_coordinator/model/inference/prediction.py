@@ -74,9 +74,9 @@ def foretell(
 
     for rival in rivals:
         add(rival)
-    for system in islice(drawn, _MOST_DRAWS):
+    for count, system in enumerate(islice(drawn, _MOST_DRAWS), 1):
         add(Rival(system, _DRAWN, 1.0))
-        if all(misses.is_decided(state) for state in states):
+        if count >= SETTINGS.effort.beam and all(misses.is_decided(state) for state in states):
             break
     distances = elsewhere.distances(courses)
     farthest = int(np.argmax([course_distances.max() for course_distances in distances]))
@@ -280,7 +280,7 @@ class _Misses:
         from scipy import special
 
         if _DRAWN not in self._odds:
-            return False
+            return True  # whatever is drawn takes too many steps
         count, against = self._odds[_DRAWN], float(self._against[_DRAWN][state])
         wrong = math.exp(-SETTINGS.inference.distinct_nats)
         below = float(special.betainc(count - against + 0.5, against + 0.5, 1.0 - wrong))

@@ -143,9 +143,9 @@ def _loosest(evidence: Evidence) -> str | None:
 
 def _undecided(evidence: Evidence) -> str | None:
     """Return what the data do not tell from an equation that may be the law, None where that is hardly another one."""
-    share = evidence.rivals / (1.0 + evidence.rivals)
-    if share <= math.exp(-SETTINGS.inference.exact_nats):
+    if evidence.rivals <= math.exp(-SETTINGS.inference.exact_nats):
         return None
+    share = evidence.rivals / (1.0 + evidence.rivals)
     return (
         f"it cannot be told from other equations, which agree along what was measured and differ beside it "
         f"({_percent(share)} of the odds){_to_decide(evidence.prediction)}"

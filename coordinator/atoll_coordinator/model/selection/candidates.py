@@ -95,8 +95,12 @@ def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dic
 class RankedCandidates:
     """Candidates for the equation of one variable, ranked by its trajectories alone."""
 
-    def __init__(self, comparison: ModelComparison, problem: Problem) -> None:
-        """`comparison` is for this variable alone; by the `problem` constants are fitted first."""
+    def __init__(self, comparison: ModelComparison, problem: Problem, whole: ModelComparison | None = None) -> None:
+        """`comparison` is for this variable alone; by the `problem` constants are fitted first.
+
+        What is too long is told by the comparison of the `whole` system.
+        """
+        self._whole = whole or comparison
         self._comparison = comparison
         self._problem = problem
         self._known: set[bytes] = set()
@@ -135,9 +139,9 @@ class RankedCandidates:
     def _short(self, programs: Iterable[Program], most: float) -> Iterator[Program]:
         """Yield programs in a short writing, as far as their length is below `most`; constants alone tell of many."""
         for program in programs:
-            if self._comparison.constant_nats * len(constant_places(program)) < most:
+            if self._whole.constant_nats * len(constant_places(program)) < most:
                 brief = shortened(program)
-                if self._comparison.length(brief) < most:
+                if self._whole.length(brief) < most:
                     yield brief
 
     @property

@@ -66,7 +66,8 @@ def differ(first: FloatArray, second: FloatArray, share: float = SETTINGS.common
     """Tell whether values (R,) of two equations are apart by more than this share of their deviation."""
     with np.errstate(all="ignore"):
         difference = float(np.sqrt(np.mean((first - second) ** 2)))
-        return not difference <= share * float(np.std(second))
+        size = SETTINGS.common.negligible * float(np.sqrt(np.mean(second**2)))  # a constant has no deviation
+        return not difference <= share * max(float(np.std(second)), size)
 
 
 class ModelComparison:

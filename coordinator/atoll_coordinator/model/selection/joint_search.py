@@ -93,6 +93,8 @@ def combine(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -> 
         for rank in range(1, SETTINGS.effort.rounds[1][1] + 1)
     ]
     models = comparison.fit_all(comparison.fit_model, systems)
+    if not models and comparison.estimator.deadline.is_over:
+        return comparison.fit_model(first)  # as it is, without a step
     return models[0] if models else None
 
 

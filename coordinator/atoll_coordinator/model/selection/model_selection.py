@@ -144,7 +144,7 @@ def with_further_operators(selection: SelectedModel) -> SelectedModel:
     given = {
         name: [program] for name, program in zip(task.variables, before.programs, strict=True) if name not in widened
     }
-    pool = CandidatePool(task, comparison, given, before)
+    pool = CandidatePool(task, comparison, given, before, is_calibrating=False)
     pool.add(propose_further_sums)
     if not any(pool.lists[task.variables.index(name)] for name in widened):
         return selection

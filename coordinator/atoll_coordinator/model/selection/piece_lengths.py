@@ -188,14 +188,15 @@ def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingT
     ends that. Of a whole trajectory, terms that do not belong to the law would describe the sum of such errors.
     """
     lengths: dict[int, float] = {}
+    tasks = {task.piece: task}
     for piece in (task.piece, *reversed(SETTINGS.shooting.lengths)):
-        here = replace(task, piece=piece)
+        here = tasks.setdefault(piece, replace(task, piece=piece))
         comparison = here.comparison
         model = comparison.fit_model(programs)
         if model is not None:
             lengths[piece] = _stretch_length(comparison, model) / comparison.estimator.measurements.rows
     best = min(lengths, key=lambda piece: (lengths[piece], -piece), default=task.piece)
-    return replace(task, piece=best)
+    return tasks[best]
 
 
 def _stretch_length(comparison: ModelComparison, model: FittedModel) -> float:

@@ -26,17 +26,19 @@ class CandidatePool:
 
     def __init__(
         self, task: ModellingTask, comparison: ModelComparison, given: Mapping[str, Sequence[Program]],
-        best: FittedModel | None = None,
+        best: FittedModel | None = None, *, is_calibrating: bool = True,
     ) -> None:  # fmt: skip
         """Candidates of some variables may be `given`: there are no others of these.
 
-        The `best` system, if there is one already, has calibrated the errors of the `comparison`.
+        The `best` system, if there is one already, has calibrated the errors of the `comparison`. Unless the pool
+        `is_calibrating`, no better one does: what was measured before is compared with what comes.
         """
+        self._is_calibrating = is_calibrating
         self.comparison: Final = comparison
         self.best = best
         self._task = task
         self._given = given
-        self._ranked = {name: _alone(task, name) for name in task.variables if name not in given}
+        self._ranked = {name: _alone(task, name, comparison) for name in task.variables if name not in given}
         self.lists: list[list[Program]] = [list(given.get(name, ())) for name in task.variables]
 
     def add(self, propose: Proposer) -> None:
@@ -55,7 +57,7 @@ class CandidatePool:
             return
         begun = combine(self.comparison, self.lists)
         if begun is not None and (self.best is None or begun.nats < self.best.nats):
-            self.best = self.comparison.calibrate(begun)
+            self.best = self.comparison.calibrate(begun) if self._is_calibrating else begun
 
     @property
     def suffices(self) -> bool:
@@ -70,6 +72,6 @@ class CandidatePool:
         return all(target.uncertainty <= SETTINGS.inference.largest_uncertainty for target in targets)
 
 
-def _alone(task: ModellingTask, name: str) -> RankedCandidates:
+def _alone(task: ModellingTask, name: str, whole: ModelComparison) -> RankedCandidates:
     measurements = task.measurements([name]).thinned(SETTINGS.selection.compared_rows)
-    return RankedCandidates(task.compare(measurements, [name]), task.dataset.problem(name))
+    return RankedCandidates(task.compare(measurements, [name]), task.dataset.problem(name), whole)

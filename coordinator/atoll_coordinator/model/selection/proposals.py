@@ -30,7 +30,8 @@ def propose_sums(task: ModellingTask, name: str, most: float) -> Proposals:
 
 
 def propose_all(task: ModellingTask, name: str, most: float) -> Proposals:
-    """Return all that the search handed on; and libraries of terms where longer programs may matter."""
+    """Return all that the search handed on, and libraries of terms, whose sums may be short however long they are."""
+    del most
     columns, operators = task.columns(name), task.operators(name)
     terms = chain(libraries(columns, operators), fractions(columns, operators, task.sizes))
     return task.candidates[name].programs, terms

@@ -129,8 +129,13 @@ def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Ite
                 if comparison.length(other) < comparison.length(own) and equation not in comparison.fixed
             ]
             models = comparison.narrow_down(best, equation, shorter, ((steps, len(shorter)),), SETTINGS.effort.work)
-            as_good = [model for model in models if np.all(model.fit.squares <= most)]
-            best = min(as_good, key=lambda model: comparison.length(model.programs[equation]), default=best)
+            as_good = [
+                (length, place, model)
+                for place, model in enumerate(models)
+                if np.all(model.fit.squares <= most)
+                and (length := comparison.length(model.programs[equation])) < comparison.length(own)
+            ]
+            best = min(as_good)[2] if as_good else best
         if best is before:
             yield best
             if best is not begun:

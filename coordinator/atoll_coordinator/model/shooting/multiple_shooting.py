@@ -502,7 +502,7 @@ class MultipleShooting:
             if done < len(own):
                 return done, all_taken
             all_done += done
-            if not len(gradients):
+            if not len(gradients) or not len(own):
                 continue
             rows = np.concatenate([np.arange(first, end) for first, end in own.tolist()])
             for place, (column, multiple) in enumerate(zip(columns, system.sharing.multiples, strict=True)):

@@ -1,5 +1,6 @@
 """From pools to the refinement that a job shows: chosen, fitted, rounded, assessed and judged by trajectories."""
 
+import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.deadline import CHOICE_SHARE, Deadline
 from atoll_coordinator.model.inference import conclusion
 from atoll_coordinator.model.inference.conclusion import _no_elaborations, _shortened, _show, _standard_deviation
 from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
@@ -635,3 +636,30 @@ def test_constants_keep_few_digits_beside_a_simple_number_that_costs_something(m
     assert rate == 0.5
     assert abs(offset - 0.31472926535) < 1e-4
     assert len(str(offset)) <= 9
+
+
+STEADY = Known(("x",), lambda _, z: [1.5])
+
+
+def test_a_constant_rate_is_no_rival_of_its_own():
+    equation = refined(STEADY, ([0.0],), {"x": ("x", "1.5")}, times=0.1 * np.arange(40.0), noise=0.02).equations["x"]
+    assert equation.grade == "good", equation.reason
+
+
+@pytest.mark.parametrize("calls", [400.0, 1500.0])
+def test_the_best_system_so_far_is_simulated_when_the_time_to_choose_is_over(calls):
+    """The clock counts how often it was asked, so that the end falls between two candidates."""
+    asked = itertools.count(1.0)
+    config = JobConfig(space=ARITHMETIC)
+    preparation = prepare(table(LOTKA, LOTKA_STARTS, TIMES, 0.05, 3), config)
+    deadline = Deadline(calls / CHOICE_SHARE, lambda: next(asked))
+    refinement = refine_all(preparation, config, pools(preparation, **LOTKA_POOL), deadline)
+    assert refinement.end == "max-time"
+    assert refinement.simulation is not None
+
+
+@pytest.mark.slow
+def test_bounds_that_lay_out_an_equation_longer_do_not_end_the_search_for_shorter_ones():
+    config = JobConfig(space=ARITHMETIC, prior=PriorConfig(bounds={"x": ("c > -1.5",)}))
+    refinement = refined(LOTKA, LOTKA_STARTS, LOTKA_POOL, times=0.1 * np.arange(40.0), config=config)
+    assert set(refinement.equations) == {"x", "y"}

@@ -42,6 +42,12 @@ def test_a_function_that_makes_the_description_shorter_is_taken_and_named(noise)
     assert "with sqrt the description is shorter" in sentence
 
 
+@pytest.mark.parametrize("begun", ["0.4 - 0.9*h", "0.3 - 0.1*h*h"])
+def test_a_law_is_taken_whatever_errors_the_equation_before_it_left(begun):
+    found = with_further_operators(selected(TANK, begun))
+    assert found.comparison.is_exact(found.model), TANK.text(found.model.programs[0])
+
+
 def test_operators_that_are_named_are_kept_to():
     selection = selected(TANK, "0.45 - 1.6*h/(0.7 + h) - 0.15*h", config=NAMED)
     assert with_further_operators(selection) is selection
