@@ -37,8 +37,12 @@ def libraries(
 
 
 def values_of_products(terms: Sequence[Product], inputs: FloatArray) -> FloatArray:
-    """Return the values (K, R) at `inputs` (V, R)."""
-    return np.array([np.prod(inputs[list(term)], axis=0) for term in terms])
+    """Return the values (K, R) at `inputs` (V, R), factors multiplied in their order."""
+    values = np.ones((len(terms), inputs.shape[1]))
+    for row, term in zip(values, terms, strict=True):
+        for variable in term:
+            row *= inputs[variable]
+    return values
 
 
 def expression_of(term: Product) -> Expression:
