@@ -148,7 +148,7 @@ def with_further_operators(selection: SelectedModel) -> SelectedModel:
     pool.add(propose_further_sums)
     if not any(pool.lists[task.variables.index(name)] for name in widened):
         return selection
-    best = exchange(comparison, before, pool.lists)
+    best = exchange(comparison, pool.best or before, pool.lists)
     if best.nats > before.nats - SETTINGS.selection.least_gain:
         return selection
     best = search_locally(task, comparison, best, [[program] for program in best.programs])

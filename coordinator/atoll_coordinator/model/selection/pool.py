@@ -5,20 +5,19 @@ are no longer taken in.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from atoll_coordinator.model.selection.candidates import RankedCandidates
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.joint_search import combine
+from atoll_coordinator.model.selection.proposals import Proposals
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.expression.builder import Expression
 from atoll_core.expression.program import Program
 
-Proposer = Callable[[ModellingTask, str, float], tuple[Iterable[Program], Iterable[list[Expression]]]]
-"""Returns programs for the equation of a variable, and libraries of terms, of which only those matter that are shorter
-than so many nats (see `ModelComparison.length`)."""
+Proposer = Callable[[ModellingTask, str, float], Proposals]
+"""Proposes for the equation of a variable what may be shorter than so many nats (see `ModelComparison.length`)."""
 
 
 class CandidatePool:
@@ -37,7 +36,6 @@ class CandidatePool:
         self.comparison: Final = comparison
         self.best = best
         self._task = task
-        self._given = given
         self._ranked = {name: _alone(task, name, comparison) for name in task.variables if name not in given}
         self.lists: list[list[Program]] = [list(given.get(name, ())) for name in task.variables]
 

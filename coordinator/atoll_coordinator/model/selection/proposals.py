@@ -14,6 +14,7 @@ from atoll_core.expression.builder import Expression
 from atoll_core.expression.program import Program
 
 Proposals = tuple[Iterable[Program], Iterable[list[Expression]]]
+"""Programs, and libraries of terms."""
 
 
 def propose_nearest(task: ModellingTask, name: str, most: float) -> Proposals:

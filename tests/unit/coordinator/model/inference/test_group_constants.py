@@ -177,3 +177,13 @@ def test_groups_may_have_names_in_files_and_in_frames(tmp_path):
     (tmp_path / "c.csv").write_text("strain,t,x\n1,0.0,1.0\n1,0.1,1.1\n")
     with pytest.raises(DataError, match=r"holds numbers in c\.csv and text"):
         read_table([tmp_path / "a.csv", tmp_path / "c.csv"], DataConfig(group="strain"))
+
+
+def test_a_group_may_have_one_trajectory_that_is_short():
+    """Of ten rows there is one segment, and of those of longer trajectories every second one is integrated alone."""
+    measured = table()
+    kept = (measured.columns[0] < 3.0) | (measured.columns[1] < 2.0)
+    rows = {name: getattr(measured, name)[kept] for name in ("file_of_row", "line_of_row")}
+    preparation = prepare(replace(measured, columns=measured.columns[:, kept], **rows), config(group="strain"))
+    refinement = refine_all(preparation, config(group="strain"), pools(preparation, x=("x", "x*(2 - x)")))
+    assert [group.group for group in refinement.equations["x"].by_group] == ["1", "2", "3"]
