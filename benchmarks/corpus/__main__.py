@@ -4,22 +4,26 @@
 settings, figures come from others), simulates or measures them at each of --qualities, searches them on one coordinator
 and its workers, and prints tables in Markdown. A file that exists is gone on with. ``--named`` searches single systems
 of textbooks instead, one trajectory each, ``--families`` such with constants drawn from the seed; ``--methods`` gives
-the same data to other programs as well; ``--show`` draws systems without searching them.
+the same data to other programs as well; ``--show`` draws systems without searching them. ``--keep-pools DIR`` keeps
+what searches hand on to refining, and ``--pools DIR`` refines that again, perhaps with other settings.
 """
 
 import argparse
+import json
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from atoll.terminal.output import say
 from atoll_core.errors import UsageError
-from benchmarks.corpus.campaign import judge_again, run_jobs
+from benchmarks.corpus.campaign import configuration, judge_again, line, run_jobs
 from benchmarks.corpus.cases import OURS, SAMPLINGS, UNTOLD, Key, make_case
 from benchmarks.corpus.families import FAMILIES, NAMED, WITH_FUNCTIONS
 from benchmarks.corpus.outcomes import Outcome
+from benchmarks.corpus.pools import keep_pools, refine_all_kept, refine_kept
 from benchmarks.corpus.qualities import NAMED_QUALITIES, QUALITIES, quality
 from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
 from benchmarks.harness.campaign import journal_of
@@ -102,6 +106,14 @@ def _quality(text: str) -> str:
     return text
 
 
+def _change(text: str) -> tuple[str, Any]:
+    name, _, value = text.partition("=")
+    try:
+        return name, json.loads(value)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"STAGE.NAME=NUMBER was expected, but {text!r} was given") from error
+
+
 @program(
     "benchmarks.corpus",
     __doc__,
@@ -120,6 +132,16 @@ def _quality(text: str) -> str:
     option("--out", "--resume", type=Path, metavar="FILE", help="file of JSON lines, gone on with if it exists"),
     option("--judge-again", action="store_true", help="judge what the file holds by the present rules"),
     option("--only-judge", action="store_true", help="search nothing; tables of what the file holds"),
+    option("--keep-pools", type=Path, metavar="DIR", help="only search, and keep there what is handed on"),
+    option("--pools", type=Path, metavar="DIR", help="only refine what is kept there, each in one process"),
+    option(
+        "--set",
+        type=_change,
+        nargs="+",
+        default=[],
+        metavar="STAGE.NAME=VALUE",
+        help="of the settings, for --pools; without.propose_sums=1 leaves a stage of proposals out",
+    ),
     option("--show", action="store_true", help="draw the systems and print them, nothing else"),
 )
 def main(options: Namespace) -> int:
@@ -134,8 +156,14 @@ def main(options: Namespace) -> int:
     journal = journal_of("corpus", Outcome, options)
     if options.judge_again:
         judge_again(wanted, journal)
+    if options.keep_pools:
+        keep_pools(wanted, options.keep_pools, options.workers, lambda key, case: configuration(key, case, None, {}))
+        return 0
     if options.only_judge:
         outcomes = [journal.outcomes[key] for key in wanted if key in journal.outcomes]
+    elif options.pools:
+        refine = partial(refine_kept, folder=options.pools, changes=dict(options.set), max_time=options.max_time)
+        outcomes = refine_all_kept(wanted, journal, refine, options.workers, line)
     else:
         changes: dict[str, Any] = {} if options.epochs is None else {"max_epochs": options.epochs}
         outcomes = run_jobs(wanted, journal, options.workers, options.max_time, changes)

@@ -165,7 +165,8 @@ class Machines:
     """Programs by name: `coordinator`, perhaps `router`, and workers `w0`, `w1` and so on.
 
     `folder` takes state and logs. With `has_networks` each worker gets a network that can be cut. `guests` are further
-    workers, which are not started with the others. With `programs`, a folder of another revision's, those are started.
+    workers, which are not started with the others. With `programs`, a folder of another revision's, those are started;
+    `coordinator` is another text of the coordinator's program.
     """
 
     folder: Path
@@ -174,6 +175,7 @@ class Machines:
     has_networks: bool = False
     guests: tuple[str, ...] = ()
     programs: Path | None = None
+    coordinator: str = TIED_COORDINATOR
 
     def __post_init__(self) -> None:
         self.workers = tuple(f"w{number}" for number in range(self.number))
@@ -289,7 +291,7 @@ class Machines:
                 return [str(self.programs / "island-worker"), "--connect", self.address, "--processes", "1"]
             return worker_command(self.address, name)
         listen = f"tcp/{'0.0.0.0' if self._networks else '127.0.0.1'}:{self._port}"
-        tied = [sys.executable, "-c", TIED_COORDINATOR, str(os.getpid())]
+        tied = [sys.executable, "-c", self.coordinator, str(os.getpid())]
         if self.programs is not None:
             tied = [str(self.programs / "coordinator")]
         if name == ROUTER:
@@ -391,9 +393,9 @@ def running(workers: int, keep: Path | None = None, **settings: Any) -> Iterator
 
 
 @contextmanager
-def searching(workers: int) -> Iterator[Searches]:
+def searching(workers: int, **settings: Any) -> Iterator[Searches]:
     """Start a coordinator and `workers`, see `Machines`, and load all that they need; end them afterwards."""
-    with running(workers) as (machines, client):
+    with running(workers, **settings) as (machines, client):
         searches = Searches(client, machines)
         searches.warm_up()
         note(f"{workers} workers ready at {machines.address}")

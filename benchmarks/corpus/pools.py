@@ -1,0 +1,145 @@
+"""What searches of the corpus handed on, kept in files: refining repeated alone, by other revisions or settings.
+
+A pool is kept by a coordinator of `benchmarks.harness.service` whose refiner writes down what it is given. Files are
+pickles: made and read on one machine.
+"""
+
+import os
+import pickle
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from atoll.terminal.output import note
+from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
+from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.selection import model_selection
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.errors import UsageError
+from benchmarks.corpus.cases import Case, Key, make_case
+from benchmarks.corpus.outcomes import Outcome, judge_job
+from benchmarks.harness.campaign import attempt
+from benchmarks.harness.journal import Journal
+from benchmarks.harness.parallel import in_parallel
+from benchmarks.harness.service import searching
+from benchmarks.harness.stopwatch import Stopwatch
+
+FILE: Final = "BENCHMARK_POOL"
+"""Variable of the environment: where a coordinator keeps the pool of the job it has refined last."""
+
+COORDINATOR: Final = """
+import sys
+from atoll.cli.main import main
+from atoll_coordinator.service.background import dependencies
+from atoll_island_worker.processes.parent import end_with_parent
+from benchmarks.corpus.pools import keep
+end_with_parent(int(sys.argv[1]))
+
+class Keeping(dependencies.Dependencies):
+    def __init__(self, *given, **named):
+        super().__init__(*given, refiner=keep, **named)
+
+dependencies.Dependencies = Keeping
+sys.exit(main(sys.argv[2:]))
+"""
+"""A program of the coordinator's package that keeps pools and refines nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class KeptPool:
+    """What refining is given."""
+
+    preparation: Preparation
+    config: JobConfig
+    pools: Pools
+    laws: LawsByGroup | None
+
+
+def keep(
+    preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline, laws: LawsByGroup | None
+) -> Refinement:
+    """Keep what refining is given in the file that the environment names; a refiner of a coordinator."""
+    del deadline
+    Path(os.environ[FILE]).write_bytes(pickle.dumps(KeptPool(preparation, config, pools, laws)))
+    return Refinement()
+
+
+def file_of(folder: Path, key: Key) -> Path:
+    """Return the file of the pool of a job."""
+    return folder / f"{key.title.replace(' ', '_').replace(':', '')}.pickle"
+
+
+def refine_kept(key: Key, folder: Path, changes: Mapping[str, Any], max_time: float | None = None) -> Outcome:
+    """Refine the kept pool of a job with these `changes` of settings, and judge what comes of it.
+
+    Raises UsageError where no pool is kept.
+    """
+    file = file_of(folder, key)
+    if not file.exists():
+        raise UsageError(f"{file} does not exist; make it with --keep-pools {folder} and the same options")
+    kept: KeptPool = pickle.loads(file.read_bytes())
+    change_settings(changes)
+    stopwatch, begun, used = Stopwatch(), time.monotonic(), time.process_time()
+    made = refine_all(kept.preparation, kept.config, kept.pools, Deadline(max_time), kept.laws)
+    stopwatch.seconds["refining"] = time.monotonic() - begun
+    stopwatch.processor["refining"] = time.process_time() - used
+    outcomes = [
+        VariableOutcome(name, pool.front, 0, refined=made.equations.get(name), runners_up=pool.runners_up)
+        for name, pool in kept.pools.items()
+    ]
+    account = Account("done", stopwatch.seconds["refining"], 0.0)
+    result = build_result(key.title, kept.config, kept.preparation, outcomes, account, made)
+    return judge_job(key, make_case(key), result.model_dump(mode="json"), stopwatch, config=kept.config)
+
+
+def change_settings(changes: Mapping[str, Any]) -> None:
+    """Set numbers of `atoll_coordinator.settings` in this process, by STAGE.NAME.
+
+    Of ``without.NAME`` a stage of proposals in `model_selection`, such as ``propose_sums``, proposes nothing. Raises
+    UsageError for others.
+    """
+    for name, value in changes.items():
+        stage, _, field = name.partition(".")
+        if stage == "without" and hasattr(model_selection, field):
+            setattr(model_selection, field, lambda *_: ((), ()))
+            continue
+        part = getattr(SETTINGS, stage, None)
+        if not hasattr(part, field):
+            raise UsageError(f"there is no setting {name}; atoll_coordinator/settings.py has them all")
+        object.__setattr__(part, field, value)
+
+
+def keep_pools(keys: Sequence[Key], folder: Path, workers: int, configured: Callable[[Key, Case], JobConfig]) -> None:
+    """Search those of `keys` of which `folder` has no pool, and keep what the searches hand on."""
+    folder.mkdir(parents=True, exist_ok=True)
+    last = folder / "last"
+    os.environ[FILE] = str(last)
+    missing = [key for key in keys if not file_of(folder, key).exists()]
+    with searching(workers, coordinator=COORDINATOR) as searches:
+        for number, key in enumerate(missing, start=1):
+            case = make_case(key)
+            done = attempt(searches, key.title, case.table, configured(key, case), Stopwatch())
+            if done.failure is None:
+                last.replace(file_of(folder, key))
+            note(f"{number} of {len(missing)}: {key.title}: {done.failure or f'{done.seconds:.1f} s'}")
+
+
+def refine_all_kept(
+    keys: Sequence[Key],
+    journal: Journal[Outcome],
+    refine: Callable[[Key], Outcome],
+    workers: int,
+    line: Callable[[Outcome], str],
+) -> list[Outcome]:
+    """Refine the pools of `keys` that the journal does not have in `workers` processes; return the outcomes of all."""
+    missing = [key for key in keys if key not in journal.outcomes]
+    for number, outcome in enumerate(in_parallel(refine, missing, workers), start=1):
+        journal.add(outcome)
+        note(f"{number} of {len(missing)}: {line(outcome)}")
+    return [journal.outcomes[key] for key in keys if key in journal.outcomes]
