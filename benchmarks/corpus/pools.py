@@ -8,7 +8,7 @@ import os
 import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +19,7 @@ from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.model.selection import model_selection
+from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.errors import UsageError
@@ -53,12 +54,13 @@ sys.exit(main(sys.argv[2:]))
 
 @dataclass(frozen=True, eq=False)
 class KeptPool:
-    """What refining is given."""
+    """What refining is given. `key` is that of the job, None until the search has ended."""
 
     preparation: Preparation
     config: JobConfig
     pools: Pools
     laws: LawsByGroup | None
+    key: Key | None = None
 
 
 def keep(
@@ -98,21 +100,36 @@ def refine_kept(key: Key, folder: Path, changes: Mapping[str, Any], max_time: fl
     return judge_job(key, make_case(key), result.model_dump(mode="json"), stopwatch, config=kept.config)
 
 
-def change_settings(changes: Mapping[str, Any]) -> None:
-    """Set numbers of `atoll_coordinator.settings` in this process, by STAGE.NAME.
+def change_settings(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Set numbers of `atoll_coordinator.settings` in this process, by STAGE.NAME; return what they were.
 
-    Of ``without.NAME`` a stage of proposals in `model_selection`, such as ``propose_sums``, proposes nothing. Raises
-    UsageError for others.
+    Of ``without.NAME`` a function of `model_selection`, such as ``propose_sums``, is replaced. Raises UsageError for
+    others.
     """
+    before: dict[str, Any] = {}
     for name, value in changes.items():
         stage, _, field = name.partition(".")
         if stage == "without" and hasattr(model_selection, field):
-            setattr(model_selection, field, lambda *_: ((), ()))
+            before[name] = getattr(model_selection, field)
+            setattr(model_selection, field, value if callable(value) else _WITHOUT.get(field, _nothing))
             continue
         part = getattr(SETTINGS, stage, None)
         if not hasattr(part, field):
             raise UsageError(f"there is no setting {name}; atoll_coordinator/settings.py has them all")
+        before[name] = getattr(part, field)
         object.__setattr__(part, field, value)
+    return before
+
+
+def _nothing(*_: object) -> tuple[tuple[()], tuple[()]]:
+    return (), ()
+
+
+def _unchanged(task: ModellingTask) -> ModellingTask:
+    return task
+
+
+_WITHOUT: Final[Mapping[str, Callable[..., Any]]] = {"with_laws": _unchanged}
 
 
 def keep_pools(keys: Sequence[Key], folder: Path, workers: int, configured: Callable[[Key, Case], JobConfig]) -> None:
@@ -126,7 +143,8 @@ def keep_pools(keys: Sequence[Key], folder: Path, workers: int, configured: Call
             case = make_case(key)
             done = attempt(searches, key.title, case.table, configured(key, case), Stopwatch())
             if done.failure is None:
-                last.replace(file_of(folder, key))
+                kept = replace(pickle.loads(last.read_bytes()), key=key)
+                file_of(folder, key).write_bytes(pickle.dumps(kept))
             note(f"{number} of {len(missing)}: {key.title}: {done.failure or f'{done.seconds:.1f} s'}")
 
 
