@@ -373,20 +373,21 @@ class ModelComparison:
     def room(self, model: FittedModel) -> float:
         """Return how many nats the misfit of `model`, by which the errors are calibrated, could be less.
 
-        Where the residuals are as small as the smoother's noise, it could at most explain what is slow in them beyond
-        what is so in independent errors. Where there is no such noise, a model leaves none that misses whole
-        trajectories by less than a term of a law would.
+        Of nearly clean measurements it could fall to their noise, or to what an exact model leaves. Where the residuals
+        are as small as the smoother's noise, it could at most explain what is slow in them beyond what is so in
+        independent errors.
         """
-        measurements = self.estimator.measurements
+        measurements, squares = self.estimator.measurements, self.squares(model.fit)
         noise = np.sqrt(self.misfit.high)
-        if np.any(noise < 2.0 * SETTINGS.selection.least_noise * measurements.scales[measurements.observed]):
-            return 0.0 if self._is_explained(model) else math.inf
+        scales = measurements.scales[measurements.observed]
+        if np.any(noise < 2.0 * SETTINGS.selection.least_noise * scales):
+            least = np.maximum(measurements.noise, SETTINGS.inference.exact * scales) ** 2
+            return self.misfit.total(squares) - self.misfit.total(np.minimum(squares, least))
         is_sensor = np.zeros(len(noise), np.bool_) if self.errors is None else self.errors.shares > 0.0
         if np.any(~is_sensor & (model.fit.squares > self._spread * measurements.noise**2)):
             return math.inf
         shares, expected = slow_shares(measurements, self.whitened(model.fit), self.pieces)
         left = np.minimum((1.0 - shares) / np.maximum(1.0 - expected, 1e-12), 1.0)
-        squares = self.squares(model.fit)
         return self.misfit.total(squares) - self.misfit.total(left * squares)
 
     def _noise(self, errors: ErrorModel | None) -> FloatArray:
@@ -401,16 +402,6 @@ class ModelComparison:
         Whatever it explains, it gains no more than the `room` there is.
         """
         return self.length(model.programs[equation]) + self.room(model) + SETTINGS.inference.distinct_nats
-
-    def _is_explained(self, model: FittedModel) -> bool:
-        """Tell whether nearly clean trajectories are simulated so well that no term of a law can be missing.
-
-        What a missing term adds up to grows with the rows that are simulated at a stretch.
-        """
-        measurements = self.estimator.measurements
-        pieces = len(measurements.bounds) / len(np.unique(measurements.owners))
-        limit = SETTINGS.selection.least_noise * measurements.scales[measurements.observed] / pieces
-        return bool(np.all(model.fit.squares <= np.maximum(limit, self.least_errors) ** 2))
 
     def is_exact(self, model: FittedModel) -> bool:
         """Tell whether all errors are those of the integration."""
