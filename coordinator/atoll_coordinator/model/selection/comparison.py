@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Final, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_coordinator.model.criteria import (
     TrajectoryMisfit,
@@ -70,6 +71,11 @@ def differ(first: FloatArray, second: FloatArray, share: float = SETTINGS.common
         return not difference <= share * max(float(np.std(second)), size)
 
 
+def _spread(rows: FloatArray) -> FloatArray:
+    """Return by what factors (O,) variances that the roughness of so many rows tells may be wrong."""
+    return np.asarray(1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(rows, 4.0)))
+
+
 class ModelComparison:
     """Fits and compares systems over the same measurements.
 
@@ -98,7 +104,7 @@ class ModelComparison:
         self.pieces: Final = np.minimum(
             np.maximum(count_pieces(measurements), SETTINGS.selection.systematic_numbers), self.counts
         )
-        self._spread: Final = 1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(self.counts, 4.0))
+        self._spread: Final = _spread(self.counts)
         smallest = SETTINGS.selection.least_noise * measurements.scales[measurements.observed]
         self._is_noisy: Final = measurements.noise >= smallest
         self.errors: ErrorModel | None = None
@@ -373,22 +379,19 @@ class ModelComparison:
     def room(self, model: FittedModel) -> float:
         """Return how many nats the misfit of `model`, by which the errors are calibrated, could be less.
 
-        Of nearly clean measurements it could fall to their noise, or to what an exact model leaves. Where the residuals
-        are as small as the smoother's noise, it could at most explain what is slow in them beyond what is so in
+        Of a nearly clean state it could fall to the noise, or to what an exact model leaves. Where the residuals of a
+        state are as small as the smoother's noise, it could at most explain what is slow in them beyond what is so in
         independent errors.
         """
         measurements, squares = self.estimator.measurements, self.squares(model.fit)
-        noise = np.sqrt(self.misfit.high)
         scales = measurements.scales[measurements.observed]
-        if np.any(noise < 2.0 * SETTINGS.selection.least_noise * scales):
-            least = np.maximum(measurements.noise, SETTINGS.inference.exact * scales) ** 2
-            return self.misfit.total(squares) - self.misfit.total(np.minimum(squares, least))
-        is_sensor = np.zeros(len(noise), np.bool_) if self.errors is None else self.errors.shares > 0.0
-        if np.any(~is_sensor & (model.fit.squares > self._spread * measurements.noise**2)):
+        is_clean = np.sqrt(self.misfit.high) < 2.0 * SETTINGS.selection.least_noise * scales
+        if not np.all(is_clean | self._is_like_noise(model)):
             return math.inf
+        least = np.minimum(np.maximum(measurements.noise, SETTINGS.inference.exact * scales) ** 2, squares)
         shares, expected = slow_shares(measurements, self.whitened(model.fit), self.pieces)
         left = np.minimum((1.0 - shares) / np.maximum(1.0 - expected, 1e-12), 1.0)
-        return self.misfit.total(squares) - self.misfit.total(left * squares)
+        return self.misfit.total(squares) - self.misfit.total(np.where(is_clean, least, left * squares))
 
     def _noise(self, errors: ErrorModel | None) -> FloatArray:
         """Return the standard deviations (O,) of errors: the smoother's noise, which is that of independent ones, or
@@ -402,6 +405,18 @@ class ModelComparison:
         Whatever it explains, it gains no more than the `room` there is.
         """
         return self.length(model.programs[equation]) + self.room(model) + SETTINGS.inference.distinct_nats
+
+    def _is_like_noise(self, model: FittedModel) -> npt.NDArray[np.bool_]:
+        """Tell of which states (O,) no more is left than a sensor's errors, or the smoother's noise.
+
+        That is known from few rows where errors are of uneven size, such as outliers and rounding to so many digits:
+        the variance of their variance is that of as many normal errors as have this kurtosis.
+        """
+        measurements = self.estimator.measurements
+        errors = measurements.weights * model.fit.residuals**2
+        rows = 3.0 * errors.sum(axis=1) ** 2 / np.maximum((errors**2).sum(axis=1), 1e-300)
+        is_known = model.fit.squares <= _spread(np.minimum(rows, self.counts)) * measurements.noise**2
+        return is_known if self.errors is None else is_known | (self.errors.shares > 0.0)
 
     def is_exact(self, model: FittedModel) -> bool:
         """Tell whether all errors are those of the integration."""

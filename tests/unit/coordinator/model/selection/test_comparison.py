@@ -241,6 +241,30 @@ def test_without_noise_only_errors_of_integration_leave_no_room():
     assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
 
 
+@pytest.mark.parametrize("size", [1.2e-4, 3e-4])
+def test_of_a_nearly_clean_state_beside_a_noisy_one_noise_leaves_no_room(size):
+    rows = measurements(LOTKA, STARTS, 0.05 * np.arange(150.0), noise=NOISE, seed=3)
+    errors = size * np.random.default_rng(1).standard_normal(rows.rows)
+    clean = np.array([rows.scales[0] * size, rows.noise[1]])
+    exact = measurements(LOTKA, STARTS, 0.05 * np.arange(150.0)).measured[0]
+    measured = np.stack([exact + rows.scales[0] * errors, rows.measured[1]])
+    comparison = compare(LOTKA, replace(rows, measured=measured, noise=clean), 1e-10)
+    assert not comparison.has_room(calibrated(comparison, TRUTH, OTHER))
+    assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
+
+
+def test_outliers_leave_no_room():
+    """Two rows have errors of eight times the size: the variance of the noise is known badly."""
+    rows = measurements(LOTKA, STARTS, 0.05 * np.arange(150.0), noise=NOISE, seed=3)
+    measured = rows.measured.copy()
+    measured[1, [40, 260]] += 8.0 * rows.noise[1]
+    comparison = compare(LOTKA, replace(rows, measured=measured), 1e-10)
+    model = calibrated(comparison, TRUTH, OTHER)
+    assert model.fit.squares[1] > 1.25 * rows.noise[1] ** 2
+    assert not comparison.has_room(model)
+    assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
+
+
 def test_an_absent_species_must_stay_absent():
     """Along the second trajectory x is 0 throughout: an equation with a constant term would bring it in."""
     times = 0.1 * np.arange(40.0)
