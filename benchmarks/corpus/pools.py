@@ -125,11 +125,11 @@ def _nothing(*_: object) -> tuple[tuple[()], tuple[()]]:
     return (), ()
 
 
-def _unchanged(task: ModellingTask) -> ModellingTask:
-    return task
+def _without_laws(task: ModellingTask) -> ModellingTask:
+    return replace(task, laws=dict.fromkeys(task.variables, ()))
 
 
-_WITHOUT: Final[Mapping[str, Callable[..., Any]]] = {"with_laws": _unchanged}
+_WITHOUT: Final[Mapping[str, Callable[..., Any]]] = {"with_laws": _without_laws}
 
 
 def keep_pools(keys: Sequence[Key], folder: Path, workers: int, configured: Callable[[Key, Case], JobConfig]) -> None:

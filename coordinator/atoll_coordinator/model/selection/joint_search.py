@@ -15,7 +15,7 @@ from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
-from atoll_coordinator.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS, Rounds
 from atoll_core.expression.program import Program
 
 
@@ -98,10 +98,14 @@ def combine(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -> 
     return models[0] if models else None
 
 
-def exchange(comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]) -> FittedModel:
+def exchange(
+    comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]],
+    rounds: Rounds = SETTINGS.effort.rounds,
+) -> FittedModel:  # fmt: skip
     """Return the best system that comes of exchanging one variable's program at a time; all of them at first.
 
-    Where the errors are those of the integration, no longer program could make the description shorter.
+    Where the errors are those of the integration, no longer program could make the description shorter. By `rounds`
+    candidates are narrowed down.
     """
     until = comparison.estimator.work + SETTINGS.effort.work
     if comparison.is_exact(best):
@@ -117,7 +121,7 @@ def exchange(comparison: ModelComparison, best: FittedModel, lists: Sequence[Seq
             most = comparison.affordable(best, equation)
             programs = [program for program in others if comparison.length(program) < most]
             if programs and (len(programs) > 1 or programs[0] is not best.programs[equation]):
-                models = comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, until)
+                models = comparison.narrow_down(best, equation, programs, rounds, until)
                 if models and models[0].nats < best.nats - SETTINGS.selection.least_gain:
                     best = models[0]
         if best.nats > before - SETTINGS.selection.least_gain or comparison.estimator.work >= until:

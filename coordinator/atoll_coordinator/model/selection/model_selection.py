@@ -9,13 +9,14 @@ trajectories can be simulated; last come operators with which no search begins.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from atoll_coordinator.model.selection.joint_search import combine, exchange, search_locally
+from atoll_coordinator.model.selection.joint_search import combine, exchange, reduce_all, search_locally
 from atoll_coordinator.model.selection.piece_lengths import search_in_pieces
 from atoll_coordinator.model.selection.pool import CandidatePool
 from atoll_coordinator.model.selection.proposals import (
     may_be_widened,
     propose_all,
     propose_further_sums,
+    propose_like,
     propose_nearest,
     propose_sums,
 )
@@ -43,7 +44,7 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     if by_laws is not None:
         return by_laws
     selection = search_in_pieces(*collect_pool(task))
-    return None if selection is None else with_further_operators(selection)
+    return None if selection is None else with_further_operators(with_sums_like(selection))
 
 
 def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
@@ -132,6 +133,22 @@ def _is_exact(task: ModellingTask, programs: Sequence[Program]) -> bool:
     comparison = task.compare(task.compared_measurements, task.variables, has_noise=False)
     model = comparison.fit_model(programs)
     return model is not None and comparison.is_exact(model)
+
+
+def with_sums_like(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by sums that say about what its equations do.
+
+    Their constants are those of the curves of the selection, from which it takes more than a few steps to the best.
+    """
+    task, comparison, before = selection.task, selection.comparison, selection.model
+    if task.recording.groups or task.solver is not None or task.is_over or not comparison.has_room(before):
+        return selection
+    lists = [
+        [program] if name in task.known else propose_like(before, comparison, task, name)
+        for name, program in zip(task.variables, before.programs, strict=True)
+    ]
+    best = exchange(comparison, before, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
+    return selection if best is before else replace(selection, model=reduce_all(comparison, best))
 
 
 def with_further_operators(selection: SelectedModel) -> SelectedModel:

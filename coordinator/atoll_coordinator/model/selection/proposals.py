@@ -4,13 +4,19 @@ Each takes what is modelled, a variable, and the nats from which on a program is
 is not known), and returns programs and libraries of terms.
 """
 
+import math
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 from itertools import chain
 
+import numpy as np
+
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.model.structure.term_libraries import fractions, libraries
 from atoll_core.expression.builder import Expression
+from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 
 Proposals = tuple[Iterable[Program], Iterable[list[Expression]]]
@@ -28,6 +34,24 @@ def propose_nearest(task: ModellingTask, name: str, most: float) -> Proposals:
 def propose_sums(task: ModellingTask, name: str, most: float) -> Proposals:
     """Return sums of a polynomial and of functions, see `pursue`."""
     return _pursued(task, name, most), ()
+
+
+def propose_like(model: FittedModel, comparison: ModelComparison, task: ModellingTask, name: str) -> list[Program]:
+    """Return sums that say about what the equation of one variable does, along the curves that its system simulates.
+
+    A fitted system knows derivatives better than smoothing does, by as much as it misses the measurements by less.
+    """
+    equation, points = task.variables.index(name), comparison.estimator.measurements
+    states = np.concatenate([model.fit.simulated, points.inputs])
+    inputs = np.ascontiguousarray(states[[points.variables.index(column) for column in comparison.names]])
+    values = values_of(model.programs[equation], inputs)
+    missed = float(np.sqrt((comparison.squares(model.fit) / points.scales[points.observed] ** 2).max()))
+    problem, deviation = task.dataset.problem(name), float(values.std())
+    if not 0.0 < deviation < math.inf:
+        return []
+    target = replace(problem.target, values=values, uncertainty=missed, standard_deviation=deviation)
+    along = replace(problem, inputs=inputs, target=target)
+    return pursue(along, task.columns(name), task.operators(name), (), comparison.affordable(model, equation))
 
 
 def propose_all(task: ModellingTask, name: str, most: float) -> Proposals:

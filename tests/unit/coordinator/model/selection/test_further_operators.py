@@ -5,28 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.selection.model_selection import operator_remarks, with_further_operators
-from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_core.config import BASE_OPERATORS, JobConfig, SpaceConfig
-from tests.unit.coordinator.model.shooting.made import Known, pools, table
+from tests.unit.coordinator.model.selection.begun import selected
+from tests.unit.coordinator.model.shooting.made import Known
 
-UNSET = JobConfig()
 NAMED = JobConfig(space=SpaceConfig(operators=BASE_OPERATORS))
 TANK = Known(("h",), lambda _, z: [0.5 - np.sqrt(z[0])])
 DECAY = Known(("h",), lambda _, z: [0.5 - z[0]])
-TIMES = 0.06 * np.arange(50.0)
-
-
-def selected(known, text, noise=0.0, config=UNSET):
-    """Return what is selected when the equation `text` is all that there is."""
-    prepared = prepare(table(known, ([4.0], [1.0], [0.05]), TIMES, noise, 150), config)
-    candidates = collect_candidates(prepared.dataset, config, pools(prepared, h=(text,)))
-    task = ModellingTask(prepared.dataset, prepared.recording, config, candidates)
-    comparison = task.compare(task.compared_measurements, task.variables)
-    model = comparison.fit_model([candidates["h"].front[0].program])
-    return SelectedModel(task, comparison, comparison.calibrate(model))
 
 
 def remarks(selection):

@@ -1,0 +1,28 @@
+"""Sums that say about what the best system does: tried where that leaves more than noise."""
+
+import pytest
+
+from atoll_coordinator.model.selection.model_selection import with_sums_like
+from tests.unit.coordinator.model.selection.begun import selected
+from tests.unit.coordinator.model.shooting.made import Known
+
+SATURATED = Known(("h",), lambda _, z: [1.5 / (1.0 + z[0] ** 2) - 0.6 * z[0]])
+DECAY = Known(("h",), lambda _, z: [0.5 - z[0]])
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.0005])
+def test_a_law_takes_the_place_of_what_is_about_the_same(noise):
+    selection = selected(SATURATED, "1.4 - 1.5*h + 0.3*h*h - 0.05*h*h*h", noise)
+    found = with_sums_like(selection)
+    text = SATURATED.text(found.model.programs[0])
+    assert "/(" in text
+    assert "h**2" in text
+    assert found.model.nats < selection.model.nats - 20.0
+    if not noise:
+        assert found.comparison.is_exact(found.model)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_where_nothing_is_left_none_are_tried(noise):
+    selection = selected(DECAY, "0.4 - 0.9*h", noise)
+    assert with_sums_like(selection) is selection
