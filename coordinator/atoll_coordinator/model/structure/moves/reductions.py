@@ -1,9 +1,10 @@
 """Smaller programs: what is left of a program when a part of it is left out."""
 
 from collections.abc import Iterator
+from itertools import chain
 from typing import Final
 
-from atoll_coordinator.model.structure.moves.replacement import FRESH_CONSTANT, cofunctions, replace_node
+from atoll_coordinator.model.structure.moves.replacement import FRESH_CONSTANT, cofunctions, replace_nodes
 from atoll_core.expression.builder import Expression
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT
 from atoll_core.expression.program import Node, Program, structure
@@ -15,16 +16,18 @@ def reductions(program: Program) -> Iterator[Program]:
     """Yield smaller programs, collected, whose constants want to be fitted; each structure once, from the output down.
 
     An operator gives way to an argument or a constant, a constant to 0, 1 or -1; a factor that two terms share is
-    taken out of their sum; the cosine of a multiple becomes a square.
+    taken out of their sum; the cosine of a multiple becomes a square; a constant and a quotient become one quotient.
     """
     nodes = program.nodes()
     known = {structure(program)}
-    for index in range(len(nodes) - 1, -1, -1):
-        for replacement in _reduced_at(nodes, index):
-            reduced = replace_node(nodes, index, replacement)
-            if _weight(reduced) < _weight(program) and structure(reduced) not in known:
-                known.add(structure(reduced))
-                yield reduced
+    one_by_one = (
+        {index: replacement} for index in range(len(nodes) - 1, -1, -1) for replacement in _reduced_at(nodes, index)
+    )
+    for replacements in chain(one_by_one, _saturating(nodes)):
+        reduced = replace_nodes(nodes, replacements)
+        if _weight(reduced) < _weight(program) and structure(reduced) not in known:
+            known.add(structure(reduced))
+            yield reduced
 
 
 def _weight(program: Program) -> tuple[int, int]:
@@ -47,6 +50,28 @@ def _reduced_at(nodes: list[Node], index: int) -> Iterator[Expression]:
         yield from _factored(nodes, index)
     if code in (SIN, COS) and ARITY[nodes[left][0]] == 2:
         yield from cofunctions(code, nodes[left])
+
+
+def _saturating(nodes: list[Node]) -> Iterator[dict[int, Expression]]:
+    """Yield what makes k + a/(b + u) the quotient k u/(b + u), as which it is written where k b = -a."""
+    added = [
+        place
+        for code, *parts, _ in nodes
+        if code in (ADD, SUBTRACT)
+        for place in parts
+        if nodes[place][0] == CONSTANT and nodes[place][3]
+    ]
+    for index, (code, above, below, _) in enumerate(nodes):
+        if code != DIVIDE or nodes[above][0] != CONSTANT or nodes[below][0] not in (ADD, SUBTRACT):
+            continue
+        join, *parts, _ = nodes[below]
+        for constant, argument in (parts, parts[::-1]):
+            if nodes[constant][0] != CONSTANT or not nodes[constant][3]:
+                continue
+            sign = -1.0 if join == ADD else 1.0
+            factor = sign * nodes[above][3] / nodes[constant][3]
+            saturated: Expression = (DIVIDE, (MULTIPLY, factor, argument), below)
+            yield from ({place: 0.0, index: saturated} for place in added if place != constant)
 
 
 def _factored(nodes: list[Node], index: int) -> Iterator[Expression]:

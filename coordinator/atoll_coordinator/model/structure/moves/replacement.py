@@ -1,6 +1,6 @@
 """One node of a program replaced by an expression, which every structural move does."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Final
 
 from atoll_core.expression.builder import Expression, ProgramBuilder, operators_in
@@ -13,14 +13,21 @@ FRESH_CONSTANT: Final = 1.5
 
 
 def replace_node(nodes: list[Node], index: int, replacement: Expression) -> Program:
-    """Return the program, as a sum of products, in which `replacement` stands for node `index`.
+    """Return the program, as a sum of products, in which `replacement` stands for node `index`, see `replace_nodes`."""
+    return replace_nodes(nodes, {index: replacement})
 
-    Nodes in `replacement` are those up to `index`, the old one included.
+
+def replace_nodes(nodes: list[Node], replacements: Mapping[int, Expression]) -> Program:
+    """Return the program, as a sum of products, in which others stand for some nodes (by index).
+
+    Nodes in a replacement are those up to its index, the old one included.
     """
     builder = ProgramBuilder()
-    places = builder.copy(nodes[: index + 1])
-    places[index] = builder.build(replacement, places)
-    return collected(builder.program(builder.copy(nodes[index + 1 :], places)[-1]))
+    places: list[int] = []
+    for index in sorted(replacements):
+        places = builder.copy(nodes[len(places) : index + 1], places)
+        places[index] = builder.build(replacements[index], places)
+    return collected(builder.program(builder.copy(nodes[len(places) :], places)[-1]))
 
 
 def replace_each(

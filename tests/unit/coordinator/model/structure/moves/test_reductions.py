@@ -29,6 +29,12 @@ def test_phases_and_double_angles_are_tried_away():
     assert "cos(y)**2" in reduced_to("cos(2.0*y)")
 
 
+def test_a_constant_and_a_quotient_become_one_quotient():
+    assert "x/(1.5 + x)" in reduced_to("1.0 - 1.5/(1.5 + x)")
+    assert "y - 2.0*x/(3.0 + x)" in reduced_to("y + 6.0/(3.0 + x) - 2.0")
+    assert "2.0*x*y/(3.0 - x)" in reduced_to("y*(6.0/(3.0 - x) - 2.0)")
+
+
 def test_reductions_are_smaller_and_told_once():
     program = parsed("0.45*cos(2.0*y)*sin(x) + 0.55*sin(x) - x/(1.0 + y)")
     reduced = list(reductions(program))
