@@ -1,5 +1,6 @@
 """From one system to a shorter description: its equations reduced, extended, changed in one place, again and again."""
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Final
 
@@ -10,7 +11,7 @@ from atoll_coordinator.model.selection.comparison import FittedModel, ModelCompa
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.program import Program, constant_places, structure, with_constants
 from atoll_core.expression.writing.shortest import collected
 
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
@@ -22,7 +23,8 @@ Around = Callable[[int, Program], Iterator[Program]]
 class LocalSearch:
     """Shortens systems until nothing near is shorter, or the estimator's `budget` of work is used up.
 
-    What was begun then is finished, unless that takes more than the overdraft beyond.
+    What was begun then is finished, unless that takes more than the overdraft beyond. A descent that comes to a system
+    that was tried before ends there.
     """
 
     def __init__(
@@ -32,6 +34,8 @@ class LocalSearch:
         self._around = around
         self._leaps = leaps
         self._budget = budget
+        self._explored: Final[dict[tuple[int, tuple[bytes, ...]], float]] = {}
+        self._reduced: Final[dict[tuple[int, tuple[bytes, ...]], float]] = {}
         self._until = budget + SETTINGS.effort.work
 
     @property
@@ -55,6 +59,8 @@ class LocalSearch:
         """Return `model` with whatever one equation can do without left out."""
         while not self.is_exhausted:
             model = self.prune(model, equation)
+            if not self._is_new(self._reduced, model, equation):
+                break
             programs = reductions(model.programs[equation])
             models = self._comparison.narrow_down(model, equation, programs, SETTINGS.effort.rounds, self._until)
             if not models or models[0].nats > model.nats - SETTINGS.selection.least_gain:
@@ -106,8 +112,18 @@ class LocalSearch:
                 programs.append(shorter)
         return programs
 
+    def _is_new(self, tried: dict[tuple[int, tuple[bytes, ...]], float], model: FittedModel, equation: int) -> bool:
+        """Tell whether that has not been `tried` with one equation of a system, or with worse constants only."""
+        system = equation, tuple(map(structure, model.programs))
+        if model.nats > tried.get(system, math.inf) - SETTINGS.selection.least_gain:
+            return False
+        tried[system] = model.nats
+        return True
+
     def _improved(self, model: FittedModel, equation: int) -> FittedModel:
         best = self.reduce(model, equation)
+        if not self._is_new(self._explored, best, equation):
+            return best
         programs = self._around(equation, best.programs[equation])
         models = self._comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, self._until)
         near = [

@@ -118,3 +118,19 @@ def test_an_exhausted_descent_changes_nothing(swinging):
     assert descent.is_exhausted
     assert descent.improve(start, [0, 1]) is start
     assert descent.reduce(start, 1) is start
+
+
+def test_a_descent_that_comes_to_a_system_that_was_tried_ends_there(swinging):
+    tried = []
+
+    def near(equation, program):
+        tried.append(equation)
+        return around(equation, program)
+
+    descent = LocalSearch(swinging, near, PLENTY)
+    end = descent.improve(begun(swinging, "y", "-2.1*x - 0.3*y"), [0, 1])
+    first = len(tried)
+    again = descent.improve(begun(swinging, "y + 0.05*x", "-2.1*x - 0.3*y"), [0, 1])
+    assert forms(again) == forms(end)
+    assert first > 0
+    assert len(tried) == first
