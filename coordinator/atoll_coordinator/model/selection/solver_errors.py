@@ -23,7 +23,8 @@ from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.compiled import function_of
+from atoll_core.expression.evaluation import NUMPY
 from atoll_core.expression.program import Program
 
 
@@ -213,12 +214,11 @@ def _solved(
     """Return the states (S, N) that the solver gives at the first rows of all runs, None when it fails."""
     from scipy import integrate
 
-    programs = system.programs
     order = [part.variables.index(name) for name in task.dataset.names]
+    values = function_of(system.programs, len(order), NUMPY)
 
     def rates(_: float, state: FloatArray) -> FloatArray:
-        point = state[order][:, None]
-        return np.array([values_of(program, point)[0] for program in programs])
+        return np.array(values(*state[order]), dtype=np.float64)
 
     method, solved = getattr(integrate, solver.method), []
     for run, (first, end) in zip(runs, part.bounds.tolist(), strict=True):
