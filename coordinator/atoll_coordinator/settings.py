@@ -120,7 +120,7 @@ class RowSettings:
 class EffortSettings:
     """How much is tried. Work is counted by the estimator, see `MultipleShooting.work`."""
 
-    work: int = 30_000_000
+    work: int = 60_000_000
     """Work of each part of a selection, libraries, exchange and local search, after which it tries nothing new: some
     seconds of one core. What was begun may take as much again."""
     steps: int = 40
