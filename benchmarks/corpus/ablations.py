@@ -30,7 +30,7 @@ from benchmarks.harness.tables import markdown
 from benchmarks.judging.forms import judge_form
 
 STAGES: Final = (
-    "common", "effort", "criterion", "structure", "regression", "sparse", "rates", "windows", "shooting", "selection",
+    "common", "effort", "criterion", "regression", "sparse", "rates", "windows", "shooting", "selection",
     "inference",
 )  # fmt: skip
 """Of the settings, those that kept pools can tell of: no number of preparing, none of stochastic processes."""

@@ -135,6 +135,11 @@ class EffortSettings:
     """Programs that stay for the next stage where there are hundreds."""
 
     @property
+    def longest_sum(self) -> int:
+        """Terms of the longest sum that is fitted again without each of them: that costs the square of their number."""
+        return 2 * self.beam
+
+    @property
     def rounds(self) -> Rounds:
         """Rounds by which many programs are narrowed down to a few: successive halving."""
         return (1, self.beam), (self.brief_steps, self.beam // 3), (self.steps, self.beam // 6)
@@ -155,14 +160,6 @@ class CriterionSettings:
     """A sine, an exponential, a power with a constant exponent: one of thirty-two."""
     nested: float = 5.0
     """A function inside a function, beside the prices of both."""
-
-
-@dataclass(frozen=True)
-class StructureSettings:
-    """Structural moves: libraries of terms, extensions, neighbours, reductions."""
-
-    longest_sum: int = 24
-    """Terms of the longest sum that is fitted again without each of them: that costs the square of their number."""
 
 
 @dataclass(frozen=True)
@@ -213,12 +210,8 @@ class SparseSettings:
     214, of three 590."""
     pursued_functions: int = 2
     """Products with functions that are added."""
-    pursued_beam: int = 16
-    """Sums that go on when a term is added; twice as many are fitted."""
     pursued_constants: int = 7
     """Larger sums are no candidates."""
-    pursued_kept: int = 8
-    """Sums of each number of constants that are candidates."""
     reweightings: int = 3
     """Fits by which the weights of windows settle, each by the law of the one before."""
 
@@ -232,10 +225,6 @@ class RateSettings:
     a run, the errors of that many were 1e-3 of the deviation, of seven in ten 0.3."""
     most_atoms: int = 40_000
     """Products with functions, one for each inner constant tried, that are compared: some seconds."""
-    polished: int = 64
-    """Products with functions whose constants are fitted, the polynomial projected out."""
-    beam: int = 8
-    """Of these, those that are fitted to all rows together with the polynomial."""
     screened: int = 8
     """Variables that an equation is taken to have at most, where there are too many for a library of all products."""
 
@@ -260,10 +249,6 @@ class WindowSettings:
     """Fits by which the errors of quadrature settle."""
     brief_rounds: int = 3
     """Steps of a fit on the way from a library to a short sum."""
-    few: int = 10
-    """Terms of a sum that is short: it is fitted until it settles."""
-    promising: int = 6
-    """Terms that are taken in again."""
 
 
 @dataclass(frozen=True)
@@ -384,7 +369,6 @@ class Settings:
     rows: RowSettings = RowSettings()
     effort: EffortSettings = EffortSettings()
     criterion: CriterionSettings = CriterionSettings()
-    structure: StructureSettings = StructureSettings()
     regression: RegressionSettings = RegressionSettings()
     sparse: SparseSettings = SparseSettings()
     rates: RateSettings = RateSettings()

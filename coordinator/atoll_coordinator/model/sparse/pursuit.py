@@ -168,7 +168,7 @@ class _Pursuit:
         wanted = (candidate for candidate in sums.values() if any(has_needed[term] for term in candidate.terms))
         for candidate in self._sorted(wanted):
             constants = sum(1 + self._shapes[term].has_constant for term in candidate.terms)
-            if len(kept.setdefault(constants, [])) < SETTINGS.sparse.pursued_kept:
+            if len(kept.setdefault(constants, [])) < SETTINGS.effort.beam:
                 kept[constants].append(candidate)
         most = SETTINGS.sparse.pursued_constants
         return [self._made(candidate) for size in sorted(kept) if size <= most for candidate in kept[size]]
@@ -179,7 +179,7 @@ class _Pursuit:
         orders = [len(shape.factors) for shape in self._plain]
         for degree in range(1, max(orders, default=0) + 1):
             terms = tuple(index for index, order in enumerate(orders) if order <= degree)
-            most = min(SETTINGS.structure.longest_sum, len(self._target) / SETTINGS.sparse.rows_per_term)
+            most = min(SETTINGS.effort.longest_sum, len(self._target) / SETTINGS.sparse.rows_per_term)
             if len(terms) <= most and self._is_short(terms):
                 polynomial = self._solved(terms, np.ones(len(terms)))
                 if polynomial is not None:
@@ -199,13 +199,13 @@ class _Pursuit:
 
     def _extended(self, beam: Sequence[_Sum], beginning: _Sum | None) -> list[_Sum]:
         """Return the best sums with one term more than those of the beam, or with two more than the `beginning`."""
-        width = 2 * SETTINGS.sparse.pursued_beam
+        width = 2 * SETTINGS.effort.beam
         chosen = _best((self._promises(parent) for parent in beam), width)
         are_few = len(self._atoms) <= _MOST_PAIRED
         if are_few and beginning is not None and len(beam[0].terms) == len(beginning.terms) + 1:
             chosen |= _best([self._pairs(beginning)], width)
         fits = (self._fitted(*choice) for choice in chosen.values())
-        return self._sorted(fit for fit in fits if fit is not None)[: SETTINGS.sparse.pursued_beam]
+        return self._sorted(fit for fit in fits if fit is not None)[: SETTINGS.effort.beam]
 
     def _promises(self, parent: _Sum) -> Iterator[_Promise]:
         """Yield the best further terms, inner constants as they are."""
@@ -218,7 +218,7 @@ class _Pursuit:
             if is_new and self._is_short((*parent.terms, term)):
                 seen.add(term)
                 yield float(-gains[atom]) + parent.square, (*parent.terms, term), np.append(parent.constants, constant)
-                if len(seen) >= 2 * SETTINGS.sparse.pursued_beam:
+                if len(seen) >= 2 * SETTINGS.effort.beam:
                     return
 
     def _pairs(self, parent: _Sum) -> Iterator[_Promise]:
@@ -248,7 +248,7 @@ class _Pursuit:
                 seen.add((term, partner))
                 constants = np.append(parent.constants, (first, second))
                 yield parent.square - float(gains.flat[place]), (*parent.terms, term, partner), constants
-                if len(seen) >= 2 * SETTINGS.sparse.pursued_beam:
+                if len(seen) >= 2 * SETTINGS.effort.beam:
                     return
 
     def _beside(self, parent: _Sum) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -35,7 +35,7 @@ def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[
             pairs = list(combinations(plain, 2))
             phases = [(join, *pair) for pair in pairs for join in (SUBTRACT, ADD)]
             candidates.append([1.0, *waves, *((code, phase) for phase in phases for code in (SIN, COS))])
-    yield from (terms for terms in candidates if len(terms) <= SETTINGS.structure.longest_sum)
+    yield from (terms for terms in candidates if len(terms) <= SETTINGS.effort.longest_sum)
 
 
 def fractions(
@@ -61,7 +61,7 @@ def fractions(
             below = (ADD, product_of([own] * power), sizes[variable] ** power)
             mixed: list[Expression] = [(DIVIDE, product_of([other, own]), below) for other in others]
             for quotients in ([*mixed], [(DIVIDE, own, below), *mixed]):
-                if quotients and len(quotients) + len(_powers(plain, 2)) <= SETTINGS.structure.longest_sum:
+                if quotients and len(quotients) + len(_powers(plain, 2)) <= SETTINGS.effort.longest_sum:
                     yield [*_powers(plain, 2), *quotients]
     if {SIN, COS} <= set(operators):
         waves: list[Expression] = [(code, variable) for variable in plain for code in (SIN, COS)]

@@ -126,7 +126,7 @@ class Beside:
             if candidate is not None
         ]
         candidates.sort(key=lambda candidate: candidate[0])
-        return [atom for _, atom in candidates[: SETTINGS.rates.beam]]
+        return [atom for _, atom in candidates[: SETTINGS.effort.beam]]
 
     def best(self, tried: Sequence[Shape]) -> list[tuple[Shape, float]]:
         """Return the shapes that explain most with the inner constants, on their grids, at which they do.
@@ -142,7 +142,7 @@ class Beside:
                 peaks = np.flatnonzero((gains >= around[:-2]) & (gains >= around[2:]))
                 ranked += [(-float(gains[peak]), index, constants[peak]) for peak in peaks]
         ranked.sort()
-        return [(tried[index], constant) for _, index, constant in ranked[: SETTINGS.rates.polished]]
+        return [(tried[index], constant) for _, index, constant in ranked[: SETTINGS.effort.kept]]
 
     def _gains(self, columns: FloatArray) -> FloatArray:
         if not len(columns):

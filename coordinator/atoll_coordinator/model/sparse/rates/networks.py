@@ -85,7 +85,7 @@ def with_network(rows: RateRows, begun: Sequence[Atom], columns: Sequence[int]) 
     node = _Node(np.array([atom.values for atom in begun]), rows.values, rows.errors, inputs)
     coarse = replace(node, errors=np.full(len(rows.values), float(rows.values.std())))
     ends = [coarse.fit(coarse.begun(weights)) for weights in _starts(rows, columns)]
-    for numbers in sorted(ends, key=coarse.misfit)[: SETTINGS.rates.beam]:
+    for numbers in sorted(ends, key=coarse.misfit)[: SETTINGS.effort.beam]:
         errors = np.maximum(rows.errors, coarse.misfit(numbers) * coarse.errors)
         fine = node.fit(replace(node, errors=errors).fit(numbers))
         fitted_sum = _sum(rows, begun, columns, fine[len(begun) + 1 :])

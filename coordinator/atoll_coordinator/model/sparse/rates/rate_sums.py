@@ -69,7 +69,7 @@ def shortest_sum(rows: RateRows, atoms: Sequence[Atom]) -> RateSum | None:
     factors = whole.weights / rows.errors
     columns = np.array([atom.values for atom in atoms]) * factors
     path = eliminated(columns, rows.values * factors)
-    steps = range(max(1, len(atoms) - SETTINGS.structure.longest_sum), len(atoms))
+    steps = range(max(1, len(atoms) - SETTINGS.effort.longest_sum), len(atoms))
     shorter = (fitted(rows, [atoms[place] for place in path.kept(step)], whole.weights) for step in steps)
     return pruned(rows, shortest([whole, *shorter]) or whole)
 
@@ -78,7 +78,7 @@ def pruned(rows: RateRows, best: RateSum) -> RateSum:
     """Return the sum without the terms that it can do without, one after another."""
 
     def fewer(rate_sum: RateSum) -> Iterator[RateSum | None]:
-        for atoms in without_one(rate_sum.atoms, SETTINGS.structure.longest_sum):
+        for atoms in without_one(rate_sum.atoms, SETTINGS.effort.longest_sum):
             yield fitted(rows, atoms, rate_sum.weights)
 
     return improved(best, fewer)

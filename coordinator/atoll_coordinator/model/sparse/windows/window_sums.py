@@ -199,7 +199,7 @@ def _longer(window_sum: WindowSum) -> Iterator[WindowSum | None]:
 
 
 def _fewer(window_sum: WindowSum) -> Iterator[WindowSum | None]:
-    for kept in without_one(window_sum.kept, SETTINGS.structure.longest_sum):
+    for kept in without_one(window_sum.kept, SETTINGS.effort.longest_sum):
         yield fitted(window_sum.terms, kept, window_sum)
 
 
@@ -213,7 +213,7 @@ def _without_least(window_sum: WindowSum) -> WindowSum | None:
     near = replace(window_sum, coefficients=moved)
     kept = window_sum.kept[:least] + window_sum.kept[least + 1 :]
     return fitted(
-        window_sum.terms, kept, near, SETTINGS.windows.brief_rounds if len(kept) > SETTINGS.windows.few else 0
+        window_sum.terms, kept, near, SETTINGS.windows.brief_rounds if len(kept) > SETTINGS.effort.beam else 0
     )
 
 
@@ -232,7 +232,7 @@ def _promising(window_sum: WindowSum) -> list[int]:
     free = np.diag(normal)[others] - (carried * beside).sum(axis=1)
     pull = slope[others] - carried @ slope[kept]
     gains = np.where(free > 1e-9 * np.diag(normal)[others], pull**2 / np.maximum(free, 1e-300), 0.0)
-    return [others[place] for place in np.argsort(-gains, kind="stable")[: SETTINGS.windows.promising].tolist()]
+    return [others[place] for place in np.argsort(-gains, kind="stable")[: SETTINGS.effort.beam // 2].tolist()]
 
 
 def polished(window_sum: WindowSum) -> WindowSum:

@@ -31,7 +31,7 @@ def test_polynomials_waves_and_coupled_phases_over_two_variables():
 @pytest.mark.parametrize("variables", [1, 2, 3, 5, 8])
 def test_no_library_is_larger_than_allowed_and_none_has_a_term_twice(variables):
     for terms in libraries(range(variables), [operator.code for operator in BY_NAME.values()]):
-        assert len(terms) <= SETTINGS.structure.longest_sum
+        assert len(terms) <= SETTINGS.effort.longest_sum
         assert len(set(terms)) == len(terms)
 
 
