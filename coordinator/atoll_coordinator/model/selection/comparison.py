@@ -27,7 +27,7 @@ from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
-from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
+from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.points_between import points_beside
 from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -217,17 +217,21 @@ class ModelComparison:
 
     def fit_beside(
         self, near: FittedModel, programs: Sequence[Program], steps: int = SETTINGS.effort.steps,
-        fixed_nodes: Sequence[Iterable[int]] = (), shared: Collection[SharedNumber] = (),
+        fixed_nodes: Sequence[Iterable[int]] = (), shared: Collection[SharedNumber] = (), most: float = math.inf,
     ) -> FittedModel | None:  # fmt: skip
         """Return the fitted `system` of `programs` and the rest, begun with the initial states of `near`.
 
-        None when it cannot be simulated or may not stand.
+        None when it cannot be simulated or may not stand. A fit ends where it is told that it does not come to a
+        description of at most so many nats.
         """
         admitted = self.admitted(programs)
         if admitted is None:
             return None
         near_fit, system = near.fit, self.system(admitted, fixed_nodes, near.fit.system, shared)
-        fit = self.estimator.fit(system, None, steps, near_fit.starts, near_fit.errors, is_stiff=near_fit.is_stiff)
+        goal = self._goal(system, most)
+        fit = self.estimator.fit(
+            system, None, steps, near_fit.starts, near_fit.errors, is_stiff=near_fit.is_stiff, goal=goal
+        )
         return None if fit is None else self.measure(fit)
 
     def _is_refuted(self, begun: TrajectoryFit, fit: TrajectoryFit) -> bool:
@@ -244,26 +248,31 @@ class ModelComparison:
         distance = 2.0 * quadratic_form(moved, self._inflation(begun) * bounded_covariance(begun))
         return bool(special.chdtrc(len(moved), distance) < SETTINGS.inference.improbable)
 
-    def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
-        """Return `near` with another program for one equation."""
-        return self.fit_beside(near, [*near.programs[:equation], program, *near.programs[equation + 1 :]], steps)
+    def fit_exchanged(
+        self, near: FittedModel, equation: int, program: Program, steps: int, most: float = math.inf
+    ) -> FittedModel | None:
+        """Return `near` with another program for one equation, see `fit_beside`."""
+        programs = [*near.programs[:equation], program, *near.programs[equation + 1 :]]
+        return self.fit_beside(near, programs, steps, most=most)
 
     def narrow_down(
         self, near: FittedModel, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
-        until: float = math.inf,
+        until: float = math.inf, most: float | None = None,
     ) -> list[FittedModel]:  # fmt: skip
         """Return models of the best of `programs` for one equation, fewer of them after each of the `rounds`.
 
         Each round is a number of steps and how many programs stay. Of those that say the same in other words the one of
         shortest description stays, see `distinct`. Once the estimator's work is `until`, no more are taken
-        in than the next few.
+        in than the next few. Descriptions of more than `most` nats are of no use; unless given, those that are longer
+        than `near` by a term.
         """
+        limit = near.nats + least_term_length(self.constant_nats) if most is None else most
         models: list[FittedModel] = []
         waiting = list(programs)
         for steps, kept in rounds:
 
             def fitted(program: Program, steps: int = steps) -> FittedModel | None:
-                return self.fit_exchanged(near, equation, program, steps)
+                return self.fit_exchanged(near, equation, program, steps, limit)
 
             models = self.distinct(self._bounded(fitted, waiting, until), equation)[:kept]
             waiting = [model.programs[equation] for model in models]
@@ -273,10 +282,16 @@ class ModelComparison:
 
     def measure(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model that a fit of one of this comparison's systems gives."""
-        programs = fit.system.programs[len(self.leading) :]
         misfit = self.misfit.total(self.squares(fit)) + self._drift(fit)
-        nats = system_length(misfit, programs, 1, self._constants_length(fit.system))
-        return FittedModel(programs, fit, misfit, nats)
+        return FittedModel(fit.system.programs[len(self.leading) :], fit, misfit, self._length(misfit, fit.system))
+
+    def _length(self, misfit: float, system: System) -> float:
+        """Return the nats of a system with this misfit."""
+        return system_length(misfit, system.programs[len(self.leading) :], 1, self._constants_length(system))
+
+    def _goal(self, system: System, most: float) -> Goal | None:
+        """Return the misfit at which the description with a system takes `most` nats; None where that has no end."""
+        return Goal(self.misfit, most - self._length(0.0, system)) if most < math.inf else None
 
     def _constants_length(self, system: System) -> float:
         """Return the nats of all fitted numbers: those of one group are known from its rows alone."""

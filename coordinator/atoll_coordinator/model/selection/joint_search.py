@@ -4,6 +4,7 @@ From the best systems the descent looks for shorter descriptions nearby; whateve
 work is bounded by counts, never by the clock.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
@@ -179,7 +180,7 @@ def _restarted(
     """Return the best end of descents that begin with other programs for one equation, all others as they are."""
     effort = SETTINGS.effort
     rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
-    others = comparison.narrow_down(best, equation, programs[: effort.kept], rounds)
+    others = comparison.narrow_down(best, equation, programs[: effort.kept], rounds, most=math.inf)
     by_kind = {_kind(model.programs[equation]): model for model in reversed(others)}
     for start in sorted(by_kind.values(), key=lambda model: model.nats):
         if descent.is_exhausted:

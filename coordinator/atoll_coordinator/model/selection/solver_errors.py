@@ -8,6 +8,7 @@ accepted with some constants and rejected with others makes them jump. Equations
 before, and so does another solver: nothing is taken off then.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -129,7 +130,8 @@ def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Ite
                 for other in (*reductions(own), *others)
                 if comparison.length(other) < comparison.length(own) and equation not in comparison.fixed
             ]
-            models = comparison.narrow_down(best, equation, shorter, ((steps, len(shorter)),), SETTINGS.effort.work)
+            rounds = ((steps, len(shorter)),)
+            models = comparison.narrow_down(best, equation, shorter, rounds, SETTINGS.effort.work, math.inf)
             as_good = [
                 (length, place, model)
                 for place, model in enumerate(models)

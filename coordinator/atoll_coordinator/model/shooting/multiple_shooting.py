@@ -13,6 +13,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from atoll_coordinator.model.criteria import TrajectoryMisfit
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.least_squares import LEAST_DAMPING, Solver, minimize, without
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
@@ -88,6 +89,26 @@ class _Done:
 
 
 @dataclass(frozen=True, eq=False)
+class Goal:
+    """What a fit has to come to, to be of use: a `misfit` of at most so many nats."""
+
+    misfit: TrajectoryMisfit
+    most: float
+
+    def to_bytes(self) -> bytes:
+        """Return what tells this goal from others."""
+        return self.misfit.low.tobytes() + self.misfit.high.tobytes() + np.float64(self.most).tobytes()
+
+    def is_beyond(self, squares: FloatArray, promise: float, steps: int) -> bool:
+        """Tell whether errors of these mean squares (O,) are too large for `steps` that gain as much as the next.
+
+        Steps gain less towards the end of a fit. What the next one promises, see `_solver`, is twice its gain in
+        squares over variances, of which two are a nat: half of that is taken, as if each step gained twice as much.
+        """
+        return self.misfit.total(squares) - 0.5 * promise * steps > self.most
+
+
+@dataclass(frozen=True, eq=False)
 class _Method:
     """How to integrate: most steps for each row, how many of them are free, the error (D,) allowed in one."""
 
@@ -141,9 +162,9 @@ class MultipleShooting:
         self._own = threading.local()
         self._cache: Final = FitCache[_Done](_FIT_BYTES + 8 * 2 * measurements.smoothed.size)
 
-    def fit(
+    def fit(  # noqa: PLR0913, where a fit begins, how far it goes, and what it is for
         self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
-        errors: ErrorModel | None = None, *, is_stiff: bool = False,
+        errors: ErrorModel | None = None, *, is_stiff: bool = False, goal: Goal | None = None,
     ) -> TrajectoryFit | None:  # fmt: skip
         """Return `system` fitted to segments of about `length` rows, None when it cannot be integrated from `starts`.
 
@@ -155,12 +176,13 @@ class MultipleShooting:
             errors: what they are taken to be at first; independent, of the smoother's noise, unless given.
             is_stiff: whether similar systems are; in a fit of few steps no other is taken for stiff, since most
                 candidates that seem so are bad ones.
+            goal: a fit ends where it is told that it does not come to this.
         """
-        key = key_of(system, starts, errors, length, steps, is_stiff)
+        key = key_of(system, starts, errors, length, steps, is_stiff, None if goal is None else goal.to_bytes())
         done = self._cache.get(key)
         if done is None:
             self._own.work = 0
-            fit = self._fitted(system, length, steps, starts, errors, is_stiff=is_stiff)
+            fit = self._fitted(system, length, steps, starts, errors, is_stiff=is_stiff, goal=goal)
             done = _Done(fit, self._own.work)
             if not self.deadline.is_over:  # one that time has cut short is to be fitted again
                 self._cache.put(key, done)
@@ -263,9 +285,9 @@ class MultipleShooting:
         """Return the sum of squared residuals of a fit of whole trajectories, over the variances of its errors."""
         return _cost(self._layout(None), fit.residuals, fit.errors)
 
-    def _fitted(
+    def _fitted(  # noqa: PLR0913, see `fit`
         self, system: System, length: int | None, steps: int, starts: FloatArray | None, errors: ErrorModel | None,
-        *, is_stiff: bool,
+        *, is_stiff: bool, goal: Goal | None,
     ) -> TrajectoryFit | None:  # fmt: skip
         """Return what `fit` does, and add what it takes to the work of this thread."""
         measurements = self.measurements
@@ -295,8 +317,14 @@ class MultipleShooting:
         def settled(at: _Point) -> float:
             return max(SETTINGS.effort.settled * at.here.cost, float((rounding / at.errors.sigmas**2).sum()))
 
+        def is_over(at: _Point, promise: float, taken: int) -> bool:
+            if goal is None or self.deadline.is_over:
+                return self.deadline.is_over
+            residuals = layout.whitened(at.here.residuals, at.errors) if at.errors.shares.any() else at.here.residuals
+            return goal.is_beyond(self.squares(residuals), promise, SETTINGS.effort.steps - taken)
+
         begun = _Point(system, starts, errors, here)
-        end = minimize(begun, _solver, move, settled, steps, lambda *_: self.deadline.is_over)
+        end = minimize(begun, _solver, move, settled, steps, is_over)
         here = end.here
         squares = self.squares(here.residuals)
         return TrajectoryFit(

@@ -11,10 +11,19 @@ from atoll_coordinator.model.shooting import multiple_shooting
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
+from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import system_of, variable_program
 from atoll_coordinator.settings import SETTINGS
-from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, recording
+from tests.unit.coordinator.model.shooting.made import (
+    DECAY,
+    DRIVEN,
+    LOTKA,
+    SWING,
+    Known,
+    compare,
+    measurements,
+    recording,
+)
 
 TIMES = 0.1 * np.arange(50.0)
 LOTKA_STARTS = ([1.0, 3.0], [4.0, 1.0], [3.0, 3.0])
@@ -367,3 +376,23 @@ def test_segments_of_groups_are_joined_with_the_constants_of_each():
     assert short.simulated == pytest.approx(whole.simulated, abs=1e-6)
     best = estimator.fit(its_system, None, 20, starts)
     assert estimator.cost(whole) < 1.02 * estimator.cost(replace(best, errors=whole.errors))
+
+
+def test_a_fit_ends_where_it_cannot_come_to_its_goal():
+    """A decay has no constants with which it gives a growth, and those with which it gives the least are far away."""
+    rows = measurements(DECAY, ([4.0],), 0.1 * np.arange(60.0), noise=0.02)
+    start, misfit = system(DECAY, "-0.3*x"), compare(DECAY, rows).misfit
+    far = system(DECAY, "-0.1*x*x*x")
+
+    def ended(begun, most):
+        estimator = MultipleShooting(rows, 1e-6)
+        fit = estimator.fit(begun, None, 40, goal=Goal(misfit, most))
+        return misfit.total(fit.squares), estimator.work
+
+    least, work = ended(start, 0.0)
+    free, its_work = ended(far, np.inf)
+    left, its_little = ended(far, least + 3.0)
+    assert free > least + 3.0
+    assert left >= free
+    assert its_little < its_work
+    assert ended(start, least + 3.0) == (least, work)
