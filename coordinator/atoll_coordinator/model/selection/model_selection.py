@@ -3,7 +3,8 @@
 Laws by sparse regression that stand at the noise level come first, then what searches of targets without noise have
 converged to; then fronts, sums by pursuit, all that the search handed on and libraries of terms, each stage only where
 the one before leaves something to explain. The best systems of the pool are searched around, in pieces as long as
-trajectories can be simulated; last come operators with which no search begins.
+trajectories can be simulated; last come sums that say about what the best system does, and operators with which no
+search begins.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
