@@ -1,1 +1,0 @@
-"""Kernels of scores: the Kalman filter along a system of equations."""
