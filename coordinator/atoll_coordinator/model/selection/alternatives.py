@@ -5,7 +5,6 @@ place of the misfit to all trajectories and of the price of constants, which sta
 the region that the data visit must be shorter by `InferenceSettings.distinct_nats` than any without.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,6 +14,7 @@ from atoll_coordinator.model.criteria import structure_length, validated_length
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import FittedModel, differ
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
+from atoll_coordinator.model.selection.proposals import rates_of
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
@@ -221,19 +221,17 @@ def _agreeing(selection: SelectedModel, index: int) -> list[Program]:
     if not task.is_nearly_clean or task.recording.groups or task.is_over:
         return []
     name = task.variables[index]
-    problem, columns, operators = task.dataset.problem(name), task.columns(name), task.operators(name)
-    values, most = values_of(own, problem.inputs), comparison.length(own) + SETTINGS.inference.exact_nats
-    deviation = float(values.std())
-    if not 0.0 < deviation < math.inf:
+    problem = rates_of(own, task.dataset.problem(name), EXACT_ERROR)
+    if problem is None:
         return []
-    target = replace(problem.target, values=values, uncertainty=EXACT_ERROR, standard_deviation=deviation)
-    problem, candidates = replace(problem, target=target), task.candidates[name].programs
+    columns, operators, candidates = task.columns(name), task.operators(name), task.candidates[name].programs
+    most = comparison.length(own) + SETTINGS.inference.exact_nats
     if any(_are_dependent(terms, problem.inputs) for terms in libraries(columns, operators)):
         unfactored = most + SETTINGS.inference.exact_nats  # it prices sums term by term
         candidates += [*neighbours(own, columns, operators), *pursue(problem, columns, operators, (), unfactored)]
     squares = LeastSquares(problem, restrictions=comparison.restrictions(index))
     short = {structure(program): program for program in candidates if structure_length(program) <= most}
-    limit = (SETTINGS.common.negligible * deviation) ** 2
+    limit = (SETTINGS.common.negligible * problem.target.standard_deviation) ** 2
     fitted = (squares.fit(program, enough=limit) for program in short.values())
     close = [_with_neutral_constants(candidate.program) for candidate in fitted if candidate.mse <= limit]
     others = {structure(program): program for program in close if structure(program) != structure(own)}

@@ -15,6 +15,7 @@ from atoll_coordinator.model.selection.comparison import FittedModel, ModelCompa
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.model.structure.term_libraries import fractions, libraries
+from atoll_core.data.dataset import Problem
 from atoll_core.expression.builder import Expression
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
@@ -44,14 +45,23 @@ def propose_like(model: FittedModel, comparison: ModelComparison, task: Modellin
     equation, points = task.variables.index(name), comparison.estimator.measurements
     states = np.concatenate([model.fit.simulated, points.inputs])
     inputs = np.ascontiguousarray(states[[points.variables.index(column) for column in comparison.names]])
-    values = values_of(model.programs[equation], inputs)
     missed = float(np.sqrt((comparison.squares(model.fit) / points.scales[points.observed] ** 2).max()))
-    problem, deviation = task.dataset.problem(name), float(values.std())
+    along = rates_of(model.programs[equation], replace(task.dataset.problem(name), inputs=inputs), missed)
+    most = comparison.affordable(model, equation)
+    return [] if along is None else pursue(along, task.columns(name), task.operators(name), (), most)
+
+
+def rates_of(program: Program, problem: Problem, uncertainty: float) -> Problem | None:
+    """Return the problem whose target is what a program says at the inputs, a share of its deviation uncertain.
+
+    None where that is constant, or not finite.
+    """
+    values = values_of(program, problem.inputs)
+    deviation = float(values.std())
     if not 0.0 < deviation < math.inf:
-        return []
-    target = replace(problem.target, values=values, uncertainty=missed, standard_deviation=deviation)
-    along = replace(problem, inputs=inputs, target=target)
-    return pursue(along, task.columns(name), task.operators(name), (), comparison.affordable(model, equation))
+        return None
+    target = replace(problem.target, values=values, uncertainty=uncertainty, standard_deviation=deviation)
+    return replace(problem, target=target)
 
 
 def propose_all(task: ModellingTask, name: str, most: float) -> Proposals:
