@@ -286,6 +286,7 @@ def _least_half(noise: float) -> int:
     return half
 
 
+@np.errstate(all="ignore")
 def _nats_of(form: WeakForm, program: Program) -> float:
     """Return the nats of another program by the same criterion; infinite where it has no finite value.
 
@@ -293,21 +294,21 @@ def _nats_of(form: WeakForm, program: Program) -> float:
     """
     measured = form.measured
     steps = np.diag(measured.noise)[:, :, None]
-    with np.errstate(all="ignore"):
-        values = values_of(program, measured.values)
-        moved = [(values_of(program, measured.smoothed + step) - values_of(program, measured.smoothed - step))
-                 / (2.0 * size)
-                 if size else np.zeros(len(measured.times))
-                 for step, size in zip(steps, measured.noise, strict=True)]  # fmt: skip
-    slopes = np.array(moved)
+    values = values_of(program, measured.values)
+    slopes = np.array([
+        (values_of(program, measured.smoothed + step) - values_of(program, measured.smoothed - step)) / (2.0 * size)
+        if size
+        else np.zeros(len(measured.times))
+        for step, size in zip(steps, measured.noise, strict=True)
+    ])  # fmt: skip
     if not (np.isfinite(values).all() and np.isfinite(slopes).all()):
         return math.inf
     constants = len(constant_places(program))
     integrals, variances = form.integrals(values), form.variances_of(slopes)
     factor = _factor(form.sides, integrals, variances) if constants else 1.0
     left = form.sides - factor * integrals
-    price = structure_length(program) + constants * constant_nats_of(form.independent)
-    return misfit(form, left, form.variances_of(factor * slopes)) + price
+    nats = misfit(form, left, form.variances_of(factor * slopes)) + structure_length(program)
+    return nats + constants * constant_nats_of(form.independent) if math.isfinite(nats) else math.inf
 
 
 def _factor(sides: FloatArray, integrals: FloatArray, variances: FloatArray) -> float:
