@@ -5,11 +5,10 @@ settings, figures come from others), simulates or measures them at each of --qua
 and its workers, and prints tables in Markdown. A file that exists is gone on with. ``--named`` searches single systems
 of textbooks instead, one trajectory each, ``--families`` such with constants drawn from the seed; ``--methods`` gives
 the same data to other programs as well; ``--show`` draws systems without searching them. ``--keep-pools DIR`` keeps
-what searches hand on to refining, and ``--pools DIR`` refines that again, perhaps with other settings.
+what searches hand on to refining, and ``--pools DIR`` refines that again, by another revision, say.
 """
 
 import argparse
-import json
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
@@ -106,14 +105,6 @@ def _quality(text: str) -> str:
     return text
 
 
-def _change(text: str) -> tuple[str, Any]:
-    name, _, value = text.partition("=")
-    try:
-        return name, json.loads(value)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"STAGE.NAME=NUMBER was expected, but {text!r} was given") from error
-
-
 @program(
     "benchmarks.corpus",
     __doc__,
@@ -134,14 +125,6 @@ def _change(text: str) -> tuple[str, Any]:
     option("--only-judge", action="store_true", help="search nothing; tables of what the file holds"),
     option("--keep-pools", type=Path, metavar="DIR", help="only search, and keep there what is handed on"),
     option("--pools", type=Path, metavar="DIR", help="only refine what is kept there, each in one process"),
-    option(
-        "--set",
-        type=_change,
-        nargs="+",
-        default=[],
-        metavar="STAGE.NAME=VALUE",
-        help="of the settings, for --pools; without.propose_sums=1 leaves a stage of proposals out",
-    ),
     option("--show", action="store_true", help="draw the systems and print them, nothing else"),
 )
 def main(options: Namespace) -> int:
@@ -157,12 +140,13 @@ def main(options: Namespace) -> int:
     if options.judge_again:
         judge_again(wanted, journal)
     if options.keep_pools:
-        keep_pools(wanted, options.keep_pools, options.workers, lambda key, case: configuration(key, case, None, {}))
+        limit = options.max_time
+        keep_pools(wanted, options.keep_pools, options.workers, lambda key, case: configuration(key, case, limit, {}))
         return 0
     if options.only_judge:
         outcomes = [journal.outcomes[key] for key in wanted if key in journal.outcomes]
     elif options.pools:
-        refine = partial(refine_kept, folder=options.pools, changes=dict(options.set), max_time=options.max_time)
+        refine = partial(refine_kept, folder=options.pools, max_time=options.max_time)
         outcomes = refine_all_kept(wanted, journal, refine, options.workers, line)
     else:
         changes: dict[str, Any] = {} if options.epochs is None else {"max_epochs": options.epochs}

@@ -7,10 +7,10 @@ pickles: made and read on one machine.
 import os
 import pickle
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from atoll.terminal.output import note
 from atoll_coordinator.data.recording import Preparation
@@ -18,9 +18,6 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
-from atoll_coordinator.model.selection import model_selection
-from atoll_coordinator.model.selection.task import ModellingTask
-from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.errors import UsageError
 from benchmarks.corpus.cases import Case, Key, make_case
@@ -77,8 +74,8 @@ def file_of(folder: Path, key: Key) -> Path:
     return folder / f"{key.title.replace(' ', '_').replace(':', '')}.pickle"
 
 
-def refine_kept(key: Key, folder: Path, changes: Mapping[str, Any], max_time: float | None = None) -> Outcome:
-    """Refine the kept pool of a job with these `changes` of settings, and judge what comes of it.
+def refine_kept(key: Key, folder: Path, max_time: float | None = None) -> Outcome:
+    """Refine the kept pool of a job, and judge what comes of it.
 
     Raises UsageError where no pool is kept.
     """
@@ -86,7 +83,6 @@ def refine_kept(key: Key, folder: Path, changes: Mapping[str, Any], max_time: fl
     if not file.exists():
         raise UsageError(f"{file} does not exist; make it with --keep-pools {folder} and the same options")
     kept: KeptPool = pickle.loads(file.read_bytes())
-    change_settings(changes)
     stopwatch, begun, used = Stopwatch(), time.monotonic(), time.process_time()
     made = refine_all(kept.preparation, kept.config, kept.pools, Deadline(max_time), kept.laws)
     stopwatch.seconds["refining"] = time.monotonic() - begun
@@ -100,38 +96,6 @@ def refine_kept(key: Key, folder: Path, changes: Mapping[str, Any], max_time: fl
     return judge_job(key, make_case(key), result.model_dump(mode="json"), stopwatch, config=kept.config)
 
 
-def change_settings(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Set numbers of `atoll_coordinator.settings` in this process, by STAGE.NAME; return what they were.
-
-    Of ``without.NAME`` a function of `model_selection`, such as ``propose_sums``, is replaced. Raises UsageError for
-    others.
-    """
-    before: dict[str, Any] = {}
-    for name, value in changes.items():
-        stage, _, field = name.partition(".")
-        if stage == "without" and hasattr(model_selection, field):
-            before[name] = getattr(model_selection, field)
-            setattr(model_selection, field, value if callable(value) else _WITHOUT.get(field, _nothing))
-            continue
-        part = getattr(SETTINGS, stage, None)
-        if not hasattr(part, field):
-            raise UsageError(f"there is no setting {name}; atoll_coordinator/settings.py has them all")
-        before[name] = getattr(part, field)
-        object.__setattr__(part, field, value)
-    return before
-
-
-def _nothing(*_: object) -> tuple[tuple[()], tuple[()]]:
-    return (), ()
-
-
-def _without_laws(task: ModellingTask) -> ModellingTask:
-    return replace(task, laws=dict.fromkeys(task.variables, ()))
-
-
-_WITHOUT: Final[Mapping[str, Callable[..., Any]]] = {"with_laws": _without_laws}
-
-
 def keep_pools(keys: Sequence[Key], folder: Path, workers: int, configured: Callable[[Key, Case], JobConfig]) -> None:
     """Search those of `keys` of which `folder` has no pool, and keep what the searches hand on."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -141,8 +105,9 @@ def keep_pools(keys: Sequence[Key], folder: Path, workers: int, configured: Call
     with searching(workers, coordinator=COORDINATOR) as searches:
         for number, key in enumerate(missing, start=1):
             case = make_case(key)
+            last.unlink(missing_ok=True)
             done = attempt(searches, key.title, case.table, configured(key, case), Stopwatch())
-            if done.failure is None:
+            if done.failure is None and last.exists():
                 kept = replace(pickle.loads(last.read_bytes()), key=key)
                 file_of(folder, key).write_bytes(pickle.dumps(kept))
             note(f"{number} of {len(missing)}: {key.title}: {done.failure or f'{done.seconds:.1f} s'}")

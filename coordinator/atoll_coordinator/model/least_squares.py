@@ -49,14 +49,14 @@ def minimize(
         settled: the fall of the cost at a point below which a step is none: one that promises less is not tried, and
             after one that lowers it by less the fit ends. Of costs in nats, what counts in a description.
         steps: most steps, successful or not.
-        is_over: whether to end the fit at a point, given what the next step promises and how many were tried.
+        is_over: whether to end the fit at a point, given what its first step promises and how many were tried.
     """
     point, solve, damping = begun, None, FIRST_DAMPING
     for taken in range(steps):
-        solve = solve or linearise(point)
+        is_new, solve = solve is None, solve or linearise(point)
         solved, least, moved = solve(damping), settled(point), None
         if solved is not None and np.isfinite(solved[1]):
-            if solved[1] <= least or is_over(point, solved[1], taken):
+            if solved[1] <= least or (is_new and is_over(point, solved[1], taken)):
                 break
             moved = move(point, solved[0])
         if moved is None or not moved[1] >= 0.0:

@@ -5,6 +5,7 @@ place of the misfit to all trajectories and of the price of constants, which sta
 the region that the data visit must be shorter by `InferenceSettings.distinct_nats` than any without.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -198,6 +199,7 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
         index,
         list(programs.values())[: SETTINGS.effort.kept],
         ((SETTINGS.effort.steps, SETTINGS.effort.kept),),
+        most=math.inf,
     )
     distinct_models, functions = [best], [values_of(best.programs[index], inputs)]
     for model in comparison.distinct([best, *near], index)[1:]:

@@ -104,10 +104,10 @@ class ModelComparison:
         self.pieces: Final = np.minimum(
             np.maximum(count_pieces(measurements), SETTINGS.selection.systematic_numbers), self.counts
         )
-        self._spread: Final = _spread(self.counts)
         smallest = SETTINGS.selection.least_noise * measurements.scales[measurements.observed]
         self._is_noisy: Final = measurements.noise >= smallest
         self.errors: ErrorModel | None = None
+        self._roughness = measurements.noise
         self.misfit = self._misfit(measurements.noise)
         self._shared_nats: Final = constant_nats_of(measurements.rows)
         count = 1 if self.groups is None else self.groups.count
@@ -321,11 +321,13 @@ class ModelComparison:
         """
         fit = self._with_errors(model.fit, None) if model.fit.errors.shares.any() else model.fit
         fit, measurements = fit or model.fit, self.estimator.measurements
-        self.errors, self.misfit = None, self._misfit(roughness(measurements, fit.residuals))
+        self._roughness = roughness(measurements, fit.residuals)
+        self.errors, self.misfit = None, self._misfit(self._roughness)
         correlated = self._with_sensor_errors(fit)
         if correlated is not None:
             fit, self.errors = correlated, correlated.errors
-            self.misfit = self._misfit(roughness(measurements, self.whitened(fit)))
+            self._roughness = roughness(measurements, self.whitened(fit))
+            self.misfit = self._misfit(self._roughness)
         self.tried.clear()
         return self.measure(fit)
 
@@ -357,7 +359,7 @@ class ModelComparison:
 
     def _misfit(self, noise: FloatArray) -> TrajectoryMisfit:
         """Return the misfit of errors whose independent part has about the standard deviation `noise` (O,)."""
-        spread = self._spread
+        spread = _spread(self.counts)
         smallest = (
             SETTINGS.selection.least_noise * self.estimator.measurements.scales[self.estimator.measurements.observed]
         )
@@ -396,14 +398,15 @@ class ModelComparison:
 
         Of a nearly clean state it could fall to the noise, or to what an exact model leaves. Where the residuals of a
         state are as small as the smoother's noise, it could at most explain what is slow in them beyond what is so in
-        independent errors.
+        independent errors. Where those of a noisy state are larger, there is no limit.
         """
         measurements, squares = self.estimator.measurements, self.squares(model.fit)
         scales = measurements.scales[measurements.observed]
-        is_clean = np.sqrt(self.misfit.high) < 2.0 * SETTINGS.selection.least_noise * scales
+        is_clean = self.misfit.low == self.misfit.high
         if not np.all(is_clean | self._is_like_noise(model)):
             return math.inf
-        least = np.minimum(np.maximum(measurements.noise, SETTINGS.inference.exact * scales) ** 2, squares)
+        noise = np.minimum(measurements.noise, self._roughness)
+        least = np.minimum(np.maximum(noise, SETTINGS.inference.exact * scales) ** 2, squares)
         shares, expected = slow_shares(measurements, self.whitened(model.fit), self.pieces)
         left = np.minimum((1.0 - shares) / np.maximum(1.0 - expected, 1e-12), 1.0)
         return self.misfit.total(squares) - self.misfit.total(np.where(is_clean, least, left * squares))
@@ -424,14 +427,16 @@ class ModelComparison:
     def _is_like_noise(self, model: FittedModel) -> npt.NDArray[np.bool_]:
         """Tell of which states (O,) no more is left than a sensor's errors, or the smoother's noise.
 
-        That is known from few rows where errors are of uneven size, such as outliers and rounding to so many digits:
-        the variance of their variance is that of as many normal errors as have this kurtosis.
+        Errors that are independent may be of uneven size, such as outliers: n with the kurtosis k tell their variance
+        as well as 2 n/(k - 1) normal ones.
         """
-        measurements = self.estimator.measurements
+        measurements, rows, squares = self.estimator.measurements, self.counts, model.fit.squares
         errors = measurements.weights * model.fit.residuals**2
-        rows = 3.0 * errors.sum(axis=1) ** 2 / np.maximum((errors**2).sum(axis=1), 1e-300)
-        is_known = model.fit.squares <= _spread(np.minimum(rows, self.counts)) * measurements.noise**2
-        return is_known if self.errors is None else is_known | (self.errors.shares > 0.0)
+        kurtosis = rows * (errors**2).sum(axis=1) / np.maximum(errors.sum(axis=1) ** 2, 1e-300)
+        uneven = _spread(rows * 2.0 / np.maximum(kurtosis - 1.0, 2.0)) * measurements.noise**2
+        is_independent = squares <= _spread(rows) * self._roughness**2
+        is_noise = (squares <= _spread(rows) * measurements.noise**2) | (is_independent & (squares <= uneven))
+        return is_noise if self.errors is None else is_noise | (self.errors.shares > 0.0)
 
     def is_exact(self, model: FittedModel) -> bool:
         """Tell whether all errors are those of the integration."""

@@ -132,7 +132,7 @@ class LocalSearch:
             if neighbour.nats < best.nats + least_term_length(self._comparison.constant_nats)
         ]
         leaps = self._leaps(equation, best.programs[equation])
-        near += self._comparison.narrow_down(best, equation, leaps, SETTINGS.effort.rounds[1:], self._until)
+        near += self._comparison.narrow_down(best, equation, leaps, SETTINGS.effort.rounds[1:], self._until, math.inf)
         return min(
             [best, *(self.reduce(neighbour, equation) for neighbour in near)],
             key=lambda model: model.nats + SETTINGS.selection.least_gain * (model is not best),

@@ -149,7 +149,10 @@ def with_sums_like(selection: SelectedModel) -> SelectedModel:
         for name, program in zip(task.variables, before.programs, strict=True)
     ]
     best = exchange(comparison, before, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
-    return selection if best is before else replace(selection, model=reduce_all(comparison, best))
+    if best is before:
+        return selection
+    best = reduce_all(comparison, best)
+    return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
 
 
 def with_further_operators(selection: SelectedModel) -> SelectedModel:

@@ -48,7 +48,8 @@ def propose_like(model: FittedModel, comparison: ModelComparison, task: Modellin
     missed = float(np.sqrt((comparison.squares(model.fit) / points.scales[points.observed] ** 2).max()))
     along = rates_of(model.programs[equation], replace(task.dataset.problem(name), inputs=inputs), missed)
     most = comparison.affordable(model, equation)
-    return [] if along is None else pursue(along, task.columns(name), task.operators(name), (), most)
+    sums = [] if along is None else pursue(along, task.columns(name), task.operators(name), (), most)
+    return [program for program in sums if task.may_be_shown(program)]
 
 
 def rates_of(program: Program, problem: Problem, uncertainty: float) -> Problem | None:

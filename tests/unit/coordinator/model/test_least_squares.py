@@ -50,16 +50,16 @@ def test_a_step_that_promises_nothing_is_not_tried():
     assert tried == 0
 
 
-def test_the_fit_ends_when_it_is_told_to():
-    promises = []
+def test_the_fit_ends_when_it_is_told_to_which_is_asked_once_at_a_point():
+    points = []
 
     def is_over(point, promise, taken):
-        promises.append(promise)
-        return taken == 3
+        points.append(tuple(point))
+        return taken >= 3
 
     _, tried = fitted(is_over=is_over)
-    assert tried == 3
-    assert len(promises) == 4
+    assert tried >= 3
+    assert len(set(points)) == len(points) > 1
 
 
 def test_steps_that_never_lower_the_cost_and_equations_without_solution_leave_the_point():

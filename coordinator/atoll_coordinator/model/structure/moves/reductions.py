@@ -53,7 +53,10 @@ def _reduced_at(nodes: list[Node], index: int) -> Iterator[Expression]:
 
 
 def _saturating(nodes: list[Node]) -> Iterator[dict[int, Expression]]:
-    """Yield what makes k + a/(b + u) the quotient k u/(b + u), as which it is written where k b = -a."""
+    """Yield what makes a sum with a constant k and a quotient a/(b + u) one with k u/(b + u) alone, likewise a/(b - u).
+
+    They are the same where k b = -a.
+    """
     added = [
         place
         for code, *parts, _ in nodes

@@ -265,6 +265,16 @@ def test_outliers_leave_no_room():
     assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
 
 
+def test_what_is_missed_in_a_few_rows_is_no_outlier():
+    """Rows beside each other are off to one side, as where a short pulse of an input is not in the law."""
+    rows = measurements(LOTKA, STARTS, 0.05 * np.arange(150.0), noise=NOISE, seed=3)
+    measured = rows.measured.copy()
+    measured[1, 40:55] += 3.5 * rows.noise[1]
+    measured[1, 260:275] += 3.5 * rows.noise[1]
+    comparison = compare(LOTKA, replace(rows, measured=measured), 1e-10)
+    assert comparison.has_room(calibrated(comparison, TRUTH, OTHER))
+
+
 def test_an_absent_species_must_stay_absent():
     """Along the second trajectory x is 0 throughout: an equation with a constant term would bring it in."""
     times = 0.1 * np.arange(40.0)
