@@ -30,7 +30,7 @@ OUTSIDE: Final = (
 """Documents that stand outside of ``docs``; the README is the front page."""
 
 CONTENTS: Final = {
-    "Start": ("tutorial", "concepts", "comparison"),
+    "Start": ("tutorial", "concepts", "score", "comparison"),
     "How to": (
         "how-to/notebooks",
         "how-to/several-machines",
