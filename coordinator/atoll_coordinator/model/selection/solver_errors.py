@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.recording import Recording, Smoothing
+from atoll_coordinator.model.regression.rounding import find_simple
 from atoll_coordinator.model.selection.comparison import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
@@ -151,7 +152,10 @@ def _times(recording: Recording) -> Iterator[FloatArray]:
 
 
 def _fitted(task: ModellingTask, whole: Measurements, solver: Solver, system: System) -> _Found | None:
-    """Return the constants with which the solver gives all rows, None when there are none."""
+    """Return the constants with which the solver gives all rows, None when there are none.
+
+    Along chaotic trajectories their last digits decide: there it takes simple numbers, which are known exactly.
+    """
     at = whole.times + task.recording.offset  # LSODA's first step depends on the time
     runs = [_Run(at[first:end], whole.measured[:, first:end]) for first, end in whole.bounds.tolist()]
     longest, rows = max(len(run.times) for run in runs), SETTINGS.shooting.lengths[1]
@@ -160,7 +164,12 @@ def _fitted(task: ModellingTask, whole: Measurements, solver: Solver, system: Sy
             (first, min(first + rows, end), owner)
             for (first, end), owner in zip(whole.bounds.tolist(), whole.owners.tolist(), strict=True)
         ]
-        system, left, share = _settled(task, whole.pieces(ranges), solver, system, runs)
+        begun, part = system, whole.pieces(ranges)
+        system, left, share = _settled(task, part, solver, begun, runs)
+        if share > SETTINGS.common.negligible:
+            system, left, share = min(
+                (system, left, share), _settled(task, part, solver, _simplified(begun), runs), key=lambda end: end[2]
+            )
         if share > SETTINGS.selection.solver_share:
             return None
         if rows >= longest:
@@ -196,6 +205,14 @@ def _settled(
         slopes = fit.integrated_sensitivities()[:, :, : system.count].transpose(1, 0, 2) / scales[:, :, None]
         system = _moved(system, slopes[is_known], rest[is_known])
     return best, found, share
+
+
+def _simplified(system: System) -> System:
+    """Return the system with the simple numbers that constants are but for the share of an exact model's errors."""
+    values = system.values.copy()
+    simple = find_simple(values, np.diag((SETTINGS.inference.exact * values) ** 2))
+    values[[*simple]] = [*simple.values()]
+    return system.with_values(values)
 
 
 def _moved(system: System, slopes: FloatArray, residuals: FloatArray) -> System:

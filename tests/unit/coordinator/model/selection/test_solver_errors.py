@@ -39,10 +39,18 @@ def predation(_: float, z: Sequence[float]) -> Sequence[float]:
     return [1.1 * z[0] - 0.4 * z[0] * z[1], 0.1 * z[0] * z[1] - 0.4 * z[1]]
 
 
-def corrected(known: Known, texts: Sequence[str], noise: float = 0.0) -> ModellingTask | None:
+def convection(_: float, z: Sequence[float]) -> Sequence[float]:
+    return [10.0 * (z[1] - z[0]), z[0] * (28.0 - z[2]) - z[1], z[0] * z[1] - 8.0 / 3.0 * z[2]]
+
+
+def corrected(
+    known: Known, texts: Sequence[str], noise: float = 0.0, starts: Sequence[Sequence[float]] = STARTS,
+    times: FloatArray = TIMES,
+) -> ModellingTask | None:  # fmt: skip
     """Return the task without the errors of a solver, by these equations fitted to short pieces."""
-    prepared = prepare(table(known, STARTS, TIMES, noise), CONFIG)
-    candidates = collect_candidates(prepared.dataset, CONFIG, pools(prepared, x=("x",), y=("y",)))
+    prepared = prepare(table(known, starts, times, noise), CONFIG)
+    given = {name: (name,) for name in prepared.dataset.names}
+    candidates = collect_candidates(prepared.dataset, CONFIG, pools(prepared, **given))
     task = ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates)
     comparison = task.compare(task.compared_measurements, task.variables)
     fit = comparison.fit_model([known.parsed(text) for text in texts], lengths=(10,))
@@ -57,6 +65,15 @@ def test_without_the_errors_of_its_solver_a_table_is_the_exact_solution(method, 
     for part, start in zip(task.recording.trajectories, STARTS, strict=True):
         np.testing.assert_allclose(part.measured, exact.values(start, TIMES), rtol=1e-6)
     assert max(smoothing.relative_noise for smoothing in task.recording.smoothing) < 1e-8
+
+
+def test_along_chaotic_trajectories_simple_numbers_are_known_exactly():
+    """After 35 time units of Lorenz's system the sixteenth digit of a constant decides."""
+    known = Computed(("x", "y", "z"), convection)
+    texts = ("10.02*y - 10.02*x", "27.98*x - x*z - y", "x*y - 2.667*z")
+    task = corrected(known, texts, starts=[(1.0, 1.0, 1.0)], times=np.linspace(0.0, 36.0, 1800))
+    assert task is not None
+    assert "RK45, rtol=0.001" in task.solver
 
 
 @pytest.mark.parametrize(
