@@ -1,4 +1,4 @@
-"""What searches of the corpus handed on, kept in files: refining repeated alone, by other revisions or settings.
+"""What searches of the corpus handed on, kept in files: refining repeated alone, by another revision, say.
 
 A pool is kept by a coordinator of `benchmarks.harness.service` whose refiner writes down what it is given. Files are
 pickles: made and read on one machine.

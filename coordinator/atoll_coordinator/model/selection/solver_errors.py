@@ -158,15 +158,15 @@ def _fitted(task: ModellingTask, whole: Measurements, solver: Solver, system: Sy
     """
     at = whole.times + task.recording.offset  # LSODA's first step depends on the time
     runs = [_Run(at[first:end], whole.measured[:, first:end]) for first, end in whole.bounds.tolist()]
-    longest, rows = max(len(run.times) for run in runs), SETTINGS.shooting.lengths[1]
+    longest, rows, share = max(len(run.times) for run in runs), SETTINGS.shooting.lengths[1], np.inf
     while True:
         ranges = [
             (first, min(first + rows, end), owner)
             for (first, end), owner in zip(whole.bounds.tolist(), whole.owners.tolist(), strict=True)
         ]
-        begun, part = system, whole.pieces(ranges)
+        begun, before, part = system, share, whole.pieces(ranges)
         system, left, share = _settled(task, part, solver, begun, runs)
-        if share > SETTINGS.common.negligible:
+        if before <= SETTINGS.common.negligible < share and system.count <= SETTINGS.effort.beam:
             system, left, share = min(
                 (system, left, share), _settled(task, part, solver, _simplified(begun), runs), key=lambda end: end[2]
             )
