@@ -10,6 +10,7 @@ import numpy as np
 
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
+from atoll_core.errors import AtollError
 from benchmarks.corpus.families import NAMED
 from benchmarks.corpus.qualities import measure, quality
 from benchmarks.corpus.systems import CorpusSystem, draw_family, draw_system, named_system, solution
@@ -84,9 +85,7 @@ def make_case(key: Key, *, has_fresh: bool = True) -> Case:
     """Return the data of one job; equal keys give equal data. `has_fresh`: whether fresh trajectories are made."""
     system = _system(key)
     rng = np.random.default_rng([key.seed, key.states, key.trajectories, SAMPLINGS.index(key.sampling), 2])
-    starts, times, clean = _trajectories(key, system, rng)
-    noise_rng = np.random.default_rng([key.seed, key.states, 3])
-    measured = measure(quality(key.quality), system, starts, times, clean, noise_rng)
+    starts, times, clean, measured = _measured(key, system, rng)
     table = table_of(Sampled(system.states, tuple(times), tuple(measured)))
     columns = dict(zip(system.states, np.concatenate(clean).T, strict=True))
     data = {"robust": True} if key.quality.startswith("outliers") else {}
@@ -99,6 +98,20 @@ def _system(key: Key) -> CorpusSystem:
     if key.system == "random":
         return draw_system(key.seed, key.states)
     return named_system(key.system) if key.system in NAMED else draw_family(key.system, key.seed)
+
+
+def _measured(
+    key: Key, system: CorpusSystem, rng: np.random.Generator
+) -> tuple[list[tuple[float, ...]], list[FloatArray], list[FloatArray], list[FloatArray]]:
+    """Return initial states, times, exact solutions and what is measured; a coarse solver comes to their ends, too."""
+    for _ in range(_ATTEMPTS):
+        starts, times, clean = _trajectories(key, system, rng)
+        noise_rng = np.random.default_rng([key.seed, key.states, 3])
+        try:
+            return starts, times, clean, list(measure(quality(key.quality), system, starts, times, clean, noise_rng))
+        except DivergedError:
+            continue
+    raise AtollError(f"{key.title}: the solver of this quality comes to the end of no drawn trajectory; leave it out")
 
 
 def _trajectories(

@@ -253,6 +253,17 @@ def test_of_a_nearly_clean_state_beside_a_noisy_one_noise_leaves_no_room(size):
     assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
 
 
+@pytest.mark.parametrize("taken", [1e-5, 1e-2])
+def test_what_a_clean_state_is_missed_by_leaves_room_whatever_noise_the_smoother_takes_it_to_have(taken):
+    times = 0.05 * np.arange(150.0)
+    rows = measurements(LOTKA, STARTS, times)
+    missed = 1e-3 * rows.scales[0] * np.sin(np.tile(times, len(STARTS)))
+    measured = rows.measured + np.array([missed, np.zeros(rows.rows)])
+    noise = taken * rows.scales[rows.observed]
+    comparison = compare(LOTKA, replace(rows, measured=measured, noise=noise), 1e-10)
+    assert comparison.has_room(calibrated(comparison, TRUTH, OTHER))
+
+
 def test_outliers_leave_no_room():
     """Two rows have errors of eight times the size: the variance of the noise is known badly."""
     rows = measurements(LOTKA, STARTS, 0.05 * np.arange(150.0), noise=NOISE, seed=3)

@@ -1,0 +1,34 @@
+"""What a search hands on, kept in a file and refined again."""
+
+import pickle
+from dataclasses import replace
+
+import pytest
+
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.deadline import Deadline
+from atoll_core.errors import UsageError
+from benchmarks.corpus import pools
+from benchmarks.corpus.campaign import configuration
+from benchmarks.corpus.cases import Key, make_case
+from tests.unit.coordinator.model.shooting import made
+
+KEY = Key("logistic", 1, 1, "even", "exact", 1000)
+
+
+def test_what_is_kept_is_refined_and_judged(tmp_path, monkeypatch):
+    case = make_case(KEY, has_fresh=False)
+    config = configuration(KEY, case, None, {})
+    preparation = prepare(case.table, config)
+    monkeypatch.setenv(pools.FILE, str(tmp_path / "last"))
+    pools.keep(preparation, config, made.pools(preparation, x=("x", "x*(2.0 - x)")), Deadline(), None)
+    kept = replace(pickle.loads((tmp_path / "last").read_bytes()), key=KEY)
+    pools.file_of(tmp_path, KEY).write_bytes(pickle.dumps(kept))
+    (equation,) = pools.refine_kept(KEY, tmp_path).equations
+    assert equation.is_right, equation.expression
+    assert equation.grade == "exact"
+
+
+def test_a_pool_that_is_not_kept_is_named(tmp_path):
+    with pytest.raises(UsageError, match="--keep-pools"):
+        pools.refine_kept(KEY, tmp_path)
