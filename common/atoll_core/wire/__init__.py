@@ -1,6 +1,7 @@
 """What coordinator, workers and clients exchange: messages, their bytes, and the bus that carries them.
 
 - ``messages``: the messages as validated models. ``codec``: their bytes, and those of arrays and datasets.
+- ``values``: bytes of dataclasses, arrays and programs, read by the type that is expected.
 - ``topics``: the keys of the bus, built and parsed. ``bus``: the interface of a bus, and Zenoh behind it.
 - ``addresses``, ``connect_file``: where a coordinator is. ``security``: certificates, role bindings, access rules.
 - ``state_pieces``: states of islands, split into messages and put together. ``rejects``: what peers sent in error.

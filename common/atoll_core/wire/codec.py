@@ -55,7 +55,7 @@ def encode(model: Frozen) -> bytes:
     Raises:
         LocalProtocolError: the message holds something that cannot travel.
     """
-    return _pack(model.model_dump(warnings="none"))
+    return pack(model.model_dump(warnings="none"))
 
 
 def decode(data: bytes, kind: type[M], max_bytes: int = MAX_PAYLOAD) -> M:
@@ -64,7 +64,7 @@ def decode(data: bytes, kind: type[M], max_bytes: int = MAX_PAYLOAD) -> M:
     Raises:
         RemoteProtocolError: `data` is oversized, malformed or not what `kind` describes.
     """
-    tree = _unpack(data, max_bytes)
+    tree = unpack(data, max_bytes)
     try:
         return kind.model_validate(tree)
     except ValidationError as error:
@@ -82,7 +82,7 @@ def encode_arrays(header: Mapping[str, object], arrays: Mapping[str, AnyArray]) 
         LocalProtocolError: an array is not of a type in `DTYPES`, or the header cannot travel.
     """
     plain = {name: _little_endian(name, array) for name, array in arrays.items()}
-    head = _pack({"header": dict(header), "arrays": [[n, a.dtype.str[1:], list(a.shape)] for n, a in plain.items()]})
+    head = pack({"header": dict(header), "arrays": [[n, a.dtype.str[1:], list(a.shape)] for n, a in plain.items()]})
     parts = [_MAGIC, struct.pack("<Q", len(head)), head]
     place = len(_MAGIC) + 8 + len(head)
     for array in plain.values():
@@ -146,7 +146,8 @@ def dataset_from_bytes(data: bytes) -> Dataset:
         raise RemoteProtocolError(f"a dataset is malformed: {_brief(error)}") from error
 
 
-def _pack(tree: object) -> bytes:
+def pack(tree: object) -> bytes:
+    """Return the msgpack bytes of plain values; raises LocalProtocolError where something cannot travel."""
     try:
         _check_tree(tree)
         return cast(bytes, msgpack.packb(tree, default=_plain))
@@ -160,7 +161,8 @@ def _plain(value: object) -> object:
     raise TypeError(f"{type(value).__name__} cannot travel")
 
 
-def _unpack(data: bytes, max_bytes: int) -> object:
+def unpack(data: bytes, max_bytes: int) -> object:
+    """Return the plain values in msgpack bytes; raises RemoteProtocolError where these are none, or too much."""
     if len(data) > max_bytes:
         raise RemoteProtocolError(f"a message has {len(data)} bytes, more than the {max_bytes} allowed")
     try:
@@ -263,7 +265,7 @@ def _decode_arrays(data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     if data[: len(_MAGIC)] != _MAGIC or len(data) < start:
         raise ValueError("it does not begin as one")
     (head_bytes,) = struct.unpack_from("<Q", data, len(_MAGIC))
-    head = _unpack(bytes(data[start : start + head_bytes]), min(len(data) - start, MAX_PAYLOAD))
+    head = unpack(bytes(data[start : start + head_bytes]), min(len(data) - start, MAX_PAYLOAD))
     if not isinstance(head, dict) or head.keys() != {"header", "arrays"} or not isinstance(head["header"], dict):
         raise ValueError("its head is not a header and a list of arrays")
     place = start + head_bytes
