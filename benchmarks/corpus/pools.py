@@ -1,6 +1,6 @@
 """What searches of the corpus handed on, kept in files: refining repeated alone, by another revision, say.
 
-A pool is kept by a coordinator of `benchmarks.harness.service` whose refiner writes down what it is given. Files are
+A pool is kept by a coordinator of `benchmarks.harness.service` that writes down what it would have refined. Files are
 pickles: made and read on one machine.
 """
 
@@ -18,6 +18,8 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.service.tasks.outcomes import JobRefined
+from atoll_coordinator.service.tasks.task_controller import TaskController
 from atoll_core.config import JobConfig
 from atoll_core.errors import UsageError
 from benchmarks.corpus.cases import Case, Key, make_case
@@ -34,16 +36,11 @@ FILE: Final = "BENCHMARK_POOL"
 COORDINATOR: Final = """
 import sys
 from atoll.cli.main import main
-from atoll_coordinator.service.background import dependencies
+from atoll_coordinator.service.tasks.task_controller import TaskController
 from atoll_island_worker.processes.parent import end_with_parent
 from benchmarks.corpus.pools import keep
 end_with_parent(int(sys.argv[1]))
-
-class Keeping(dependencies.Dependencies):
-    def __init__(self, *given, **named):
-        super().__init__(*given, refiner=keep, **named)
-
-dependencies.Dependencies = Keeping
+TaskController.refine = keep
 sys.exit(main(sys.argv[2:]))
 """
 """A program of the coordinator's package that keeps pools and refines nothing."""
@@ -60,13 +57,15 @@ class KeptPool:
     key: Key | None = None
 
 
-def keep(
-    preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline, laws: LawsByGroup | None
-) -> Refinement:
-    """Keep what refining is given in the file that the environment names; a refiner of a coordinator."""
-    del deadline
-    Path(os.environ[FILE]).write_bytes(pickle.dumps(KeptPool(preparation, config, pools, laws)))
-    return Refinement()
+def keep(  # noqa: PLR0913  # takes the place of that method
+    controller: TaskController, job: str, config: JobConfig, pools: Pools, seconds: float | None, now: float
+) -> None:
+    """Keep what refining would be given in the file that the environment names; in place of `TaskController.refine`."""
+    del seconds, now
+    prepared = controller.prepared(job)
+    kept = KeptPool(prepared.preparation, config, pools, prepared.laws)
+    Path(os.environ[FILE]).write_bytes(pickle.dumps(kept))
+    controller.post(JobRefined(job, Refinement()))
 
 
 def file_of(folder: Path, key: Key) -> Path:

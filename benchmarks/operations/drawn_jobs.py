@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from atoll_coordinator.model.refinement import Pool
-from atoll_coordinator.service.jobs.job import Prepared
+from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core.config import PRESETS, Angle, DataConfig, JobConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table

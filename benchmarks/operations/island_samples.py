@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Final
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.service.jobs.defaults import resolve
 from atoll_coordinator.service.jobs.job import commit_order_of
+from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.wire.codec import dataset_to_bytes, decode, encode
 from atoll_core.wire.messages.epochs import EpochReport, IslandReport, Reports
 from atoll_island_worker.compute.engine import Engine

@@ -27,20 +27,12 @@ import numpy as np
 
 from atoll.terminal.output import note, say
 from atoll.text.render import render_text
-from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
+from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import Result
-from atoll_coordinator.service.background.job_tasks import (
-    PreparationFailed,
-    Refiner,
-    prepare_job,
-    prepare_table,
-    refine,
-    refine_job,
-)
-from atoll_core.config import JobConfig
+from atoll_coordinator.tasks.preparing import prepare_job
+from atoll_core.errors import DataError, RemoteProtocolError, UsageError
 from atoll_core.machine.cores import usable_cores
 from benchmarks.harness.campaign import journal_of
 from benchmarks.harness.command_line import option, program, whole
@@ -84,11 +76,13 @@ def played(seed: int) -> tuple[End, str]:
         config = config_of(draw, table)
     except ValueError as error:  # options that no configuration has
         return "refused", str(error).splitlines()[0]
-    outcome = prepare_job(prepare_table, "job", table.to_bytes(), config)
-    if isinstance(outcome, PreparationFailed):
-        return ("refused" if outcome.fault == "data" and "\n" not in outcome.sentence else "broke"), outcome.sentence
-    prepared, pools = outcome.prepared, pools_of(draw, outcome.prepared)
-    refinement = refine_job(_timed(float(draw.choice(SECONDS))), "job", prepared, pools).refinement
+    try:
+        prepared, _ = prepare_job(table.to_bytes(), config)
+    except (DataError, UsageError, RemoteProtocolError) as error:
+        return ("refused" if "\n" not in str(error) else "broke"), str(error)
+    pools = pools_of(draw, prepared)
+    deadline = Deadline(float(draw.choice(SECONDS)), time.process_time)
+    refinement = refine_all(prepared.preparation, prepared.config, pools, deadline, prepared.laws)
     outcomes = [
         VariableOutcome(name, pool.front, 1, refined=refinement.equations.get(name)) for name, pool in pools.items()
     ]
@@ -97,17 +91,6 @@ def played(seed: int) -> tuple[End, str]:
     render_text(Result.load(json.loads(json.dumps(result.as_dict(), allow_nan=False))))
     broken = [warning for warning in result.warnings if "broke (" in warning]
     return ("broke", broken[0]) if broken else ("done", "")
-
-
-def _timed(seconds: float) -> Refiner:
-    """Return what refines within so many seconds of processor time."""
-
-    def refiner(
-        preparation: Preparation, config: JobConfig, pools: Pools, _: Deadline, laws: LawsByGroup | None
-    ) -> Refinement:
-        return refine(preparation, config, pools, Deadline(seconds, time.process_time), laws)
-
-    return refiner
 
 
 def play(seed: int) -> Outcome:

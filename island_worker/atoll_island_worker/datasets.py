@@ -1,63 +1,14 @@
 """The datasets of a worker's jobs: fetched chunk by chunk, checked, loaded by the compute thread, forgotten."""
 
-import hashlib
-import itertools
 from collections.abc import Callable
-from typing import Final
 
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.codec import decode
-from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE, chunk_count
+from atoll_core.wire.messages.limits import MAX_MESSAGE, chunk_count
 from atoll_core.wire.messages.workers import Control, JobAnnouncement
 from atoll_island_worker.compute.compute_thread import ComputeThread
 from atoll_island_worker.connection.requests import Requests
-
-WINDOW: Final = 2
-"""Chunks asked for at the same time."""
-
-
-class Download:
-    """The chunks of one dataset: which are missing, and whether the whole is what was announced."""
-
-    def __init__(self, announcement: JobAnnouncement) -> None:
-        """Raises RemoteProtocolError when size and number of chunks do not fit."""
-        if announcement.chunks != chunk_count(announcement.size):
-            raise RemoteProtocolError(
-                f"a dataset of {announcement.size} bytes cannot come in {announcement.chunks} chunks"
-            )
-        self.announcement: Final = announcement
-        self._chunks: dict[int, bytes] = {}
-        self._under_way: set[int] = set()
-
-    def take(self) -> list[int]:
-        """Return the chunks to ask for now; they are under way from then on."""
-        missing = (i for i in range(self.announcement.chunks) if i not in self._chunks and i not in self._under_way)
-        taken = list(itertools.islice(missing, WINDOW - len(self._under_way)))
-        self._under_way.update(taken)
-        return taken
-
-    def give_back(self, index: int) -> None:
-        """Have chunk `index` asked for again, which did not come."""
-        self._under_way.discard(index)
-
-    def offer(self, index: int, data: bytes) -> bool:
-        """Take in chunk `index`; return False when it has not the right size."""
-        size = min(CHUNK_SIZE, self.announcement.size - index * CHUNK_SIZE)
-        if len(data) != size:
-            return False
-        self._under_way.discard(index)
-        self._chunks[index] = data
-        return True
-
-    def finish(self) -> bytes | None:
-        """Return the whole when it is complete. When it is not what was announced, begin anew and return None."""
-        if len(self._chunks) < self.announcement.chunks:
-            return None
-        data = b"".join(self._chunks[index] for index in range(self.announcement.chunks))
-        if hashlib.sha256(data).hexdigest() == self.announcement.blob:
-            return data
-        self._chunks.clear()
-        return None
+from atoll_island_worker.tasks.downloads import Download
 
 
 class Datasets:
@@ -68,15 +19,19 @@ class Datasets:
         self._requests = requests
         self._compute = compute
         self._is_wanted = is_wanted
+        self._announcements: dict[str, JobAnnouncement] = {}
         self._downloads: dict[str, Download] = {}
         self._here: set[str] = set()
         self._loading: dict[str, int] = {}
 
     def announced(self, announcement: JobAnnouncement) -> None:
         """Begin to fetch a job's dataset, once; raises RemoteProtocolError when the announcement cannot be."""
-        job = announcement.job
+        job, size = announcement.job, announcement.size
+        if announcement.chunks != chunk_count(size):
+            raise RemoteProtocolError(f"a dataset of {size} bytes cannot come in {announcement.chunks} chunks")
         if job not in self._downloads and job not in self._here:
-            self._downloads[job] = Download(announcement)
+            self._announcements[job] = announcement
+            self._downloads[job] = Download(announcement.blob, size)
             self.fetch(job)
 
     def announcement_came(self, job: str, payload: bytes | None) -> None:
@@ -104,16 +59,17 @@ class Datasets:
             self.fetch(job)
             return
         del self._downloads[job]
+        announcement = self._announcements.pop(job)
         self._here.add(job)
         self._loading[job] = self._loading.get(job, 0) + 1
-        self._compute.load(job, download.announcement.config, data, 2.0**download.announcement.priority)
+        self._compute.load(job, announcement.config, data, 2.0**announcement.priority)
 
     def fetch(self, job: str) -> None:
         """Ask for the next missing chunks of a job's dataset, or for its announcement."""
         download = self._downloads.get(job)
         if download is not None:
             for index in download.take():
-                self._requests.ask_chunk(job, download.announcement.blob, index)
+                self._requests.ask_chunk(job, download.digest, index)
         elif self._is_wanted(job) and job not in self._here:
             self._requests.ask_announcement(job)
 
@@ -127,6 +83,7 @@ class Datasets:
     def forget(self, job: str) -> None:
         """Stop fetching a job's dataset; have it discarded when it is here."""
         self._downloads.pop(job, None)
+        self._announcements.pop(job, None)
         if job in self._here:
             self._here.discard(job)
             self._compute.discard_job(job)

@@ -16,6 +16,7 @@ from atoll_island_worker.processes.exit_reasons import ExitReasons
 if TYPE_CHECKING:
     from atoll_core.wire.addresses import Destination
     from atoll_island_worker.processes.supervisor import Child
+    from atoll_island_worker.tasks.task_server import TaskServer
 
 
 def work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
@@ -23,9 +24,10 @@ def work_together(connect: "Destination", names: Sequence[str], options: argpars
     from atoll_island_worker.processes.fork_server import can_fork, load_ahead
     from atoll_island_worker.processes.parent import request_parent_death_signal
     from atoll_island_worker.processes.supervisor import supervise
+    from atoll_island_worker.tasks.task_server import TaskServer
 
     end = time.monotonic() + options.lifetime if options.lifetime is not None else None
-    start = _fork if can_fork() else _start
+    start = partial(_fork, TaskServer()) if can_fork() else _start
     with ExitReasons() as exit_reasons:
         if can_fork():
             with exiting():
@@ -52,16 +54,17 @@ def _start(
 
 
 def _fork(
-    connect: "Destination", name: str, options: argparse.Namespace, end: float | None, exit_reasons: ExitReasons
-) -> "Child":
-    """Start a fork of this process that works until `end`."""
+    tasks: "TaskServer", connect: "Destination", name: str, options: argparse.Namespace, end: float | None,
+    exit_reasons: ExitReasons,
+) -> "Child":  # fmt: skip
+    """Start a fork of this process that works until `end`; `tasks` forks its processes for tasks."""
     from atoll_island_worker.processes.fork_server import Forked
 
     parent = os.getpid()
 
     def act() -> int:
         options.lifetime = _seconds_until(end)
-        return exit_code_of(partial(work, connect, name, options, parent), exit_reasons.report)
+        return exit_code_of(partial(work, connect, name, options, parent, tasks), exit_reasons.report)
 
     return Forked(act)
 
@@ -70,8 +73,14 @@ def _seconds_until(end: float | None) -> float | None:
     return None if end is None else max(0.0, end - time.monotonic())
 
 
-def work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:
-    """Be one worker until there is nothing more to do; `parent`: the process with which this one ends."""
+def work(
+    connect: "Destination", name: str, options: argparse.Namespace, parent: int | None,
+    tasks: "TaskServer | None" = None,
+) -> int:  # fmt: skip
+    """Be one worker until there is nothing more to do; `parent`: the process with which this one ends.
+
+    `tasks` starts processes for tasks; interpreters of their own unless given.
+    """
     from atoll_core.logs import configure
     from atoll_island_worker.processes.parent import end_with_parent
 
@@ -84,4 +93,4 @@ def work(connect: "Destination", name: str, options: argparse.Namespace, parent:
 
         on_signal = partial(draining, parent) if options.grace > 0.0 else lambda leave: nullcontext()
         show = WarmUpDisplay() if sys.stderr.isatty() and options.parent is None else None  # else it is in the log
-        return run_worker(connect, name, options.wait, options.lifetime, options.grace, on_signal, show)
+        return run_worker(connect, name, options.wait, options.lifetime, options.grace, on_signal, show, tasks)

@@ -15,22 +15,26 @@ from atoll_core.compilation.progress import count_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.logs import fields
 from atoll_core.machine.usage import memory_bytes
+from atoll_core.tasks.frames import Begun, Computed, Ended, Failed, Finished, Give
 from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
-from atoll_core.wire.codec import decode
+from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages import epochs
+from atoll_core.wire.messages import tasks as task_messages
 from atoll_core.wire.messages import workers as messages
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.views import Counters, WorkerState
 from atoll_core.wire.rejects import Rejects
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.connection.connection import GRACE, GRACE_S, GREET, LIFETIME, CoordinatorConnection
-from atoll_island_worker.connection.requests import FETCH, Request, Requests
+from atoll_island_worker.connection.requests import FETCH, FETCH_INPUTS, Request, Requests
 from atoll_island_worker.datasets import Datasets
 from atoll_island_worker.session import actions, events
 from atoll_island_worker.session.worker_session import Session
+from atoll_island_worker.tasks.task_process import Starter, TaskProcess
+from atoll_island_worker.tasks.task_runner import TaskRunner
 
 _LOG = logging.getLogger(__name__)
 
@@ -44,7 +48,7 @@ _TICK: Final = "tick"
 class Worker:
     """One worker process on one bus. Owned by the bus's owner thread."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  # one caller, which hands on the options of the command line
         self,
         bus: Bus,
         compute: ComputeThread,
@@ -52,8 +56,12 @@ class Worker:
         wait_s: float,
         lifetime_s: float | None = None,
         grace_s: float = GRACE_S,
+        task_process: TaskProcess | None = None,
     ) -> None:
-        """Set up a worker whose `compute` warms up elsewhere; for the times see `CoordinatorConnection`."""
+        """Set up a worker whose `compute` warms up elsewhere; for the times see `CoordinatorConnection`.
+
+        `task_process` runs tasks; one that starts an interpreter of its own unless given.
+        """
         self.name: Final = name
         self.session = Session(name)
         self.rejects = Rejects(_LOG)
@@ -62,6 +70,8 @@ class Worker:
         self._compute = compute
         self._requests = Requests(self._bus, name)
         self._datasets = Datasets(self._requests, compute, self.session.wants)
+        self._task_process = task_process or TaskProcess()
+        self._tasks = TaskRunner(self._requests, self._task_process, self._answer, bus.now)
         self._connection = CoordinatorConnection(self._bus, self._requests, name, wait_s, lifetime_s, grace_s)
         self._is_drain_requested = False
         self._detail = "loading kernels"
@@ -81,6 +91,7 @@ class Worker:
     def start(self) -> None:
         """Greet the coordinator; start the timers."""
         self._compute.attach(self._bus.post)
+        self._task_process.attach(self._bus.post)
         self._connection.start()
         self._bus.call_later(HEARTBEAT_S, _HEARTBEAT)
         self._bus.call_later(TICK_S, _TICK)
@@ -92,10 +103,13 @@ class Worker:
     def run(self) -> int:
         """Work until the coordinator ends, refuses us or stays away; return the exit code."""
         self.start()
-        while self.exit_code is None:
-            event = self._bus.receive(1.0)
-            if event is not None:
-                self.step(event)
+        try:
+            while self.exit_code is None:
+                event = self._bus.receive(1.0)
+                if event is not None:
+                    self.step(event)
+        finally:
+            self._tasks.close()
         return self.exit_code
 
     def step(self, event: Event) -> None:
@@ -131,6 +145,9 @@ class Worker:
             case events.JobReady() | events.LoadFailed():
                 if self._datasets.finish_loading(item.job):
                     self._handle(item)
+            case Begun() | Finished() | Failed() | Give() | Computed() | Ended():
+                if self._tasks.process_said(item):
+                    self._send_heartbeat()
             case events.Snapshot() | events.Computed() | events.Rejected() | events.Broken() | events.Abandoned():
                 self._handle(item)
 
@@ -143,6 +160,8 @@ class Worker:
             self._connection.check_absence()
             if self._is_drain_requested:
                 self._drain()
+            if self._tasks.is_idle:
+                self._task_process.stop_if_idle()
             self._handle(events.Tick(self._bus.now()))
             self._bus.call_later(TICK_S, _TICK)
         elif event.name == LIFETIME:
@@ -153,6 +172,8 @@ class Worker:
             self._connection.greet()
         elif event.name.startswith(FETCH):
             self._datasets.fetch(event.name.removeprefix(FETCH))
+        elif event.name.startswith(FETCH_INPUTS):
+            self._tasks.fetch(event.name.removeprefix(FETCH_INPUTS))
 
     @_on.register
     def _on_link(self, event: Link) -> None:
@@ -181,12 +202,15 @@ class Worker:
         except RemoteProtocolError:
             self._bus.reply(event, None)
             raise
-        self._handle(events.PullAsked(event, body))
+        if isinstance(body, task_messages.PullBatch):
+            self._tasks.batch_asked(event, body)
+        else:
+            self._handle(events.PullAsked(event, body))
 
     @_on.register
-    def _on_reply(self, event: Reply) -> None:
+    def _on_reply(self, event: Reply) -> None:  # noqa: C901  # a table of what was asked
         request = self._requests.pop(event.token)
-        if event.payload is not None and request is not None and request.question != "pull":
+        if event.payload is not None and request is not None and request.question not in ("pull", "batch"):
             self._connection.coordinator_heard()
         match request:
             case Request("hello"):
@@ -197,6 +221,8 @@ class Worker:
                 self._datasets.announcement_came(request.subject, event.payload)
             case Request("chunk"):
                 self._datasets.chunk_came(request.subject, request.index, event.payload)
+            case Request("input" | "batch"):
+                self._tasks.answered(request, event.payload)
             case Request("placement"):
                 if event.payload is not None:
                     self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
@@ -204,9 +230,13 @@ class Worker:
             case Request("states", states=epochs.PullStates() as pull):
                 self._on_states(pull, event.payload)
             case Request("pull") if event.payload is not None:
-                self._handle(
-                    events.PullAnswered(request.subject, decode(event.payload, epochs.PullAnswer, MAX_MESSAGE).body)
-                )
+                self._on_pull_answer(request.subject, event.payload)
+
+    def _on_pull_answer(self, peer: str, payload: bytes) -> None:
+        answer = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body
+        if isinstance(answer, task_messages.GivenBatch | task_messages.NoTask):
+            raise RemoteProtocolError(f"epochs were asked for, and {answer.kind!r} came")
+        self._handle(events.PullAnswered(peer, answer))
 
     # -------------------------------------------------------------------------------------- coordinator
 
@@ -224,6 +254,9 @@ class Worker:
             case messages.CloseJob():
                 self._handle(body)  # first the islands, then what they are computed from
                 self._datasets.forget(body.job)
+            case task_messages.Lease() | task_messages.Help() | task_messages.Release():
+                self._tasks.told(body)
+                self._send_heartbeat()
             case messages.Shutdown():
                 self._connection.shut_down(body)
             case messages.Reregister():
@@ -234,6 +267,8 @@ class Worker:
         reset = self._connection.handle_answer(request.subject, payload, request.index)
         if reset is not None:
             self._handle(reset)
+            if not reset.incarnation:
+                self._tasks.reset()  # another store: what was leased is nobody's
             for job in self._datasets.jobs():
                 if not self.session.wants(job):
                     self._datasets.forget(job)
@@ -257,6 +292,9 @@ class Worker:
     def _check_cluster(self, cluster: str) -> None:
         if cluster != self._requests.cluster:
             raise RemoteProtocolError(f"a message of cluster {cluster} came, which is not ours")
+
+    def _answer(self, query: Query, answer: epochs.PullAnswer) -> None:
+        self._bus.reply(query, encode(answer))
 
     # ---------------------------------------------------------------------------------------- session
 
@@ -290,6 +328,8 @@ class Worker:
             jobs=tuple(dict.fromkeys((*session.jobs(), *self._datasets.jobs()))),
             detail=self._detail,
             doing=doing,
+            tasks=self._tasks.statuses(),
+            is_loaded=self._tasks.is_loaded,
             counters=counters,
         )
         self._requests.send_status(status)
@@ -325,13 +365,13 @@ OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]
 
 def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of the command line
     connect: str | Destination, name: str, wait_s: float, lifetime_s: float | None, grace_s: float, on_signal: OnSignal,
-    show: Callable[[str], None] | None = None,
+    show: Callable[[str], None] | None = None, tasks: Starter | None = None,
 ) -> int:  # fmt: skip
     """Connect to the coordinator at `connect` as worker `name` and work until it ends or lets us go.
 
     Kernels are made ready while the connection is still being sought. `wait_s` limits both the first connection and
     any later absence of the coordinator. `on_signal` has a function called when this process is told to end,
-    `show` is called with each sentence of the warm-up.
+    `show` is called with each sentence of the warm-up. `tasks` starts processes for tasks, interpreters unless given.
 
     Returns:
         The exit code.
@@ -347,7 +387,7 @@ def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of th
     compute.warm_up()
     try:
         with open_client(connect, wait_s=wait_s) as bus:
-            worker = Worker(bus, compute, name, wait_s, lifetime_s, grace_s)
+            worker = Worker(bus, compute, name, wait_s, lifetime_s, grace_s, TaskProcess(tasks))
             with on_signal(worker.leave):
                 code = worker.run()
             if worker.error is not None:

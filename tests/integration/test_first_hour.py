@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.service.background.job_tasks import prepare_table, refine
+from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.tasks.preparing import prepare_table
 from atoll_core.config import JobConfig
 from benchmarks.first_hour.campaign import BROKE, is_as_it_should_be, line, request
 from benchmarks.first_hour.cases import CASES, Case
@@ -60,7 +61,7 @@ def played(case: Case, folder: Path) -> Outcome:
     """Play the job of a table from its file on; what is raised is not caught."""
     asked = request(case, folder)
     table = read_table(asked.files, asked.config.data)
-    world = World(workers=1, compute=RealCompute, prepare=prepare_table, refiner=refine)
+    world = World(workers=1, compute=RealCompute, prepare=prepare_table, refiner=refine_all)
     try:
         digest = patiently(lambda: world.client.upload(table.to_bytes()))
         patiently(lambda: world.client.submit("job", case.name, short(asked.config), digest, 0))

@@ -8,18 +8,18 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from atoll.client.client import Client
-from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.dependencies import Dependencies
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.wire import topics
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from atoll_island_worker.worker import Worker
-from tests.simulation.harness.simulated_cluster import World, comparable, prepare
+from tests.integration.local_tasks import LocalTasks
+from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import StubCompute
 from tests.simulation.hostile_messages import Mutator, Score, is_understood, key_for, overhear
 from tests.simulation.test_failures import nonsense
-from tests.task_pools import LocalPool, start_thread
 
 LIMIT_S = 60.0
 CONFIG = JobConfig(seed=1, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(max_epochs=14))
@@ -36,7 +36,7 @@ class AtOnce:
 
 def work(endpoint: str, name: str, made: list[Worker]) -> None:
     with open_client(endpoint, wait_s=LIMIT_S) as bus:
-        worker = Worker(bus, StubCompute(AtOnce(), name, 0), name, wait_s=LIMIT_S)  # type: ignore[arg-type]
+        worker = Worker(bus, StubCompute(AtOnce(), name, 0), name, wait_s=LIMIT_S, task_process=LocalTasks())  # type: ignore[arg-type]
         made.append(worker)
         worker.run()
 
@@ -46,7 +46,7 @@ def served() -> Iterator[tuple[Service, Client, ZenohBus, list[Worker]]]:
     """Have a coordinator and two workers at work; yield it, a client, a stranger's bus, and the workers."""
     stop, made = threading.Event(), list[Worker]()
     with Store.open(None) as store, open_router("tcp/127.0.0.1:0") as router:
-        dependencies = Dependencies(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
+        dependencies = Dependencies(lambda: "2026-01-01T00:00:00")
         service = Service(router, store, expected_workers=2, dismisses_workers=True, dependencies=dependencies)
         threads = [threading.Thread(target=service.run, args=(stop,))]
         threads += [threading.Thread(target=work, args=(router.endpoint, f"w{index}", made)) for index in range(2)]

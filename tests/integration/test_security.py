@@ -12,9 +12,9 @@ import pytest
 from atoll.cli.main import main
 from atoll.cli.verbs.router import upstream_settings
 from atoll.client.client import Client, connected
-from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.dependencies import Dependencies
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.errors import RefusedError, UnreachableError
 from atoll_core.wire import topics
@@ -30,10 +30,10 @@ from atoll_core.wire.security.credentials import Credentials, load
 from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
 from atoll_island_worker.worker import Worker
 from tests.certificates import Lab
+from tests.integration.local_tasks import LocalTasks
 from tests.integration.test_foreign_messages import AtOnce, wait_until
-from tests.simulation.harness.simulated_cluster import World, comparable, prepare
+from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import StubCompute
-from tests.task_pools import LocalPool, start_thread
 
 LIMIT_S = 60.0
 CONFIG = JobConfig(seed=1, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(max_epochs=14))
@@ -158,7 +158,7 @@ def served(lab: Lab, role_bindings: RoleBindings, workers: tuple[str, ...] = ())
     """Have a coordinator, and workers that only hash, serve until the end."""
     stop, made = threading.Event(), list[Worker]()
     with Store.open(None) as store, open_router(serving(lab), role_bindings=role_bindings) as bus:
-        dependencies = Dependencies(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
+        dependencies = Dependencies(lambda: "2026-01-01T00:00:00")
         service = Service(
             bus,
             store,
@@ -182,7 +182,7 @@ def served(lab: Lab, role_bindings: RoleBindings, workers: tuple[str, ...] = ())
 def work(lab: Lab, router: ZenohBus, name: str, made: list[Worker]) -> None:
     credentials = load(*lab.files(name.partition("-")[0]), use="connect")
     with open_client(dialling(router, credentials), wait_s=LIMIT_S) as bus:
-        worker = Worker(bus, StubCompute(AtOnce(), name, 0), name, wait_s=LIMIT_S)  # type: ignore[arg-type]
+        worker = Worker(bus, StubCompute(AtOnce(), name, 0), name, wait_s=LIMIT_S, task_process=LocalTasks())  # type: ignore[arg-type]
         made.append(worker)
         worker.run()
 
@@ -274,7 +274,7 @@ def test_roles_that_do_not_fit_hear_why(lab: Lab, role_bindings: RoleBindings) -
 
 def worker_error(lab: Lab, router: ZenohBus, name: str, wait_s: float = LIMIT_S) -> str:
     with open_client(dialling(router, load(*lab.files(name), use="connect"))) as bus:
-        worker = Worker(bus, StubCompute(AtOnce(), name, 0), name, wait_s=wait_s)  # type: ignore[arg-type]
+        worker = Worker(bus, StubCompute(AtOnce(), name, 0), name, wait_s=wait_s, task_process=LocalTasks())  # type: ignore[arg-type]
         worker.run()
         return str(worker.error)
 

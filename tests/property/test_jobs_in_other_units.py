@@ -21,10 +21,11 @@ from atoll.report.findings import Findings
 from atoll.report.fit import trajectories
 from atoll.report.markup import to_text
 from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import Result
-from atoll_coordinator.service.background.job_tasks import JobPrepared, prepare_job, prepare_table, refine, refine_job
+from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_core.config import PRESETS, DataConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset, FloatArray, Problem, Target
 from atoll_core.data.table import Table
@@ -129,15 +130,14 @@ def test_a_search_finds_an_equation_in_any_unit(units: Units) -> None:
 def refined(units: Units) -> dict[str, Any]:
     """Return the result of data without noise, of which the search has handed on a wrong equation and the right one."""
     config = PRESETS["default"].model_copy(update={"seed": 1})
-    job = prepare_job(prepare_table, "j", turning(units, 0.0).to_bytes(), config)
-    assert isinstance(job, JobPrepared)
-    dataset = job.prepared.preparation.dataset
+    prepared, _ = prepare_job(turning(units, 0.0).to_bytes(), config)
+    dataset = prepared.preparation.dataset
     pools = {target.variable: Pool(_front(dataset.problem(target.variable), units)) for target in dataset.targets}
-    refinement = refine_job(refine, "j", job.prepared, pools).refinement
+    refinement = refine_all(prepared.preparation, prepared.config, pools, None, prepared.laws)
     outcomes = [VariableOutcome(name, pool.front, 1, refined=refinement.equations.get(name))
                 for name, pool in pools.items()]  # fmt: skip
     done = Account("done", 1.0, 1.0)
-    return build_result("j", job.prepared.config, job.prepared.preparation, outcomes, done, refinement).as_dict()
+    return build_result("j", prepared.config, prepared.preparation, outcomes, done, refinement).as_dict()
 
 
 def _front(problem: Problem, units: Units) -> tuple[FrontEntry, ...]:

@@ -8,7 +8,7 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.service.jobs.defaults import resolve
+from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import BudgetConfig, DataConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
 from atoll_core.data.dataset import FloatArray, Problem, Target
 from tests.archipelago import Search, search

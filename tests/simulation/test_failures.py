@@ -46,7 +46,7 @@ def test_a_job_without_workers_waits_and_says_so() -> None:
     world.submit(config())
     world.client.pause(5.0)
     view = world.client.status("job")
-    assert view.state == "running"
+    assert view.state == "preparing"
     assert view.reason is not None
     assert "waits for a worker" in view.reason
     world.start_worker("late")

@@ -19,6 +19,14 @@ def memory_bytes() -> int:
         return peak if sys.platform == "darwin" else peak * 1024
 
 
+def total_memory_bytes() -> int:
+    """Return the memory of this machine; 0 where that cannot be told."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError):
+        return 0
+
+
 def collect_rarely() -> None:
     """Look for garbage less often than Python would, from now on.
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Final
 
 from atoll.client.local_coordinator import LocalCoordinator, local_processes
-from atoll_coordinator.service.background.child_main import load_refinement
 from atoll_core.errors import AtollError
 from atoll_core.logs import configure
 from atoll_core.signals import INTERRUPTED, reap_children
@@ -42,15 +41,13 @@ def main(workers: int, parent: int) -> int:
 
 
 def _serve(number: int, parent: int, log: Path, stop: threading.Event) -> None:
-    with local_processes(number, log) as (endpoint, workers, pool):
-        pool.preload(load_refinement)
-        with LocalCoordinator(endpoint, number, pool) as coordinator:
-            coordinator.wait()
-            _say({"endpoint": endpoint})
-            while not stop.wait(CHECK_S) and os.getppid() == parent:
-                coordinator.check()
-                workers.check()
-            workers.dismiss()
+    with local_processes(number, log) as (endpoint, workers), LocalCoordinator(endpoint, number) as coordinator:
+        coordinator.wait()
+        _say({"endpoint": endpoint})
+        while not stop.wait(CHECK_S) and os.getppid() == parent:
+            coordinator.check()
+            workers.check()
+        workers.dismiss()
 
 
 def _wait_for_end(stop: threading.Event) -> None:

@@ -17,23 +17,20 @@ from atoll.client.local_workers import LocalWorkers, NoWorkerLeftError
 from atoll.terminal.output import duration, note
 from atoll.terminal.progress import open_display
 from atoll_coordinator.result.result import Result
-from atoll_coordinator.service.background.process_pool import ProcessPool
 from atoll_core.wire.messages.views import JobView
 
 _CONNECT_LIMIT_S: Final = 20.0
 _WORTH_SAYING_S: Final = 0.05
 
 
-def run_locally(
-    options: argparse.Namespace, folder: Path, endpoint: str, workers: LocalWorkers, pool: ProcessPool, started: float
-) -> int:
+def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, workers: LocalWorkers, started: float) -> int:
     """Start the coordinator, follow the job, write and print its result; return the exit code.
 
-    `workers` and `pool` have been started and are ended by the caller; `started` is the monotonic second at which the
+    `workers` have been started and are ended by the caller; `started` is the monotonic second at which the
     command began. Raises UsageError or DataError.
     """
     request = request_of(options)
-    with LocalCoordinator(endpoint, workers.number, pool) as coordinator:
+    with LocalCoordinator(endpoint, workers.number) as coordinator:
         table = request.read()
         coordinator.wait()
 

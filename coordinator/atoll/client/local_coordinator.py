@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Final, Self
 
 from atoll.client.local_workers import LocalWorkers
-from atoll_coordinator.service.background.child_main import load_preparation
-from atoll_coordinator.service.background.process_pool import ProcessPool
 from atoll_core.errors import AtollError, UnreachableError
 from atoll_core.wire.addresses import own_address
 
@@ -17,25 +15,19 @@ _OPEN_LIMIT_S: Final = 20.0
 
 
 @contextlib.contextmanager
-def local_processes(number: int, log: Path) -> Iterator[tuple[str, LocalWorkers, ProcessPool]]:
-    """Start what is to load first: workers, which dial the address that is yielded, and a pool that prepares data."""
-    with (
-        own_address() as address,
-        LocalWorkers(str(address), number, log) as workers,
-        contextlib.closing(ProcessPool()) as pool,
-    ):
-        pool.preload(load_preparation)
-        yield str(address), workers, pool
+def local_processes(number: int, log: Path) -> Iterator[tuple[str, LocalWorkers]]:
+    """Start what is to load first: workers, which dial the address that is yielded."""
+    with own_address() as address, LocalWorkers(str(address), number, log) as workers:
+        yield str(address), workers
 
 
 class LocalCoordinator:
     """Router and service in a thread of their own, the store in memory; a context manager."""
 
-    def __init__(self, endpoint: str, workers: int, pool: ProcessPool) -> None:
-        """`workers` is how many are expected to join; `pool` prepares and refines, and is closed by its owner."""
+    def __init__(self, endpoint: str, workers: int) -> None:
+        """`workers` is how many are expected to join."""
         self._endpoint = endpoint
         self._workers = workers
-        self._pool = pool
         self._stop = threading.Event()
         self._listening = threading.Event()
         self._error: BaseException | None = None
@@ -64,16 +56,12 @@ class LocalCoordinator:
 
     def _run(self) -> None:
         try:
-            from atoll_coordinator.service.background.dependencies import Dependencies
             from atoll_coordinator.service.service_loop import Service
             from atoll_coordinator.service.store.store import Store
             from atoll_core.wire.bus.zenoh_bus import open_router
 
             with Store.open(None) as store, open_router(self._endpoint) as bus:
-                dependencies = Dependencies(self._pool)
-                service = Service(
-                    bus, store, expected_workers=self._workers, dismisses_workers=True, dependencies=dependencies
-                )
+                service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True)
                 self._listening.set()
                 service.run(self._stop)
         except BaseException as error:  # handed to the main thread, which raises it

@@ -14,7 +14,6 @@ from typing import Final
 from pydantic import ValidationError
 
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.jobs import checks
 from atoll_coordinator.service.jobs.job import (
     CommitCuts,
@@ -22,7 +21,6 @@ from atoll_coordinator.service.jobs.job import (
     Fault,
     Job,
     JobAction,
-    Prepared,
     PublishCommit,
     Refine,
 )
@@ -37,13 +35,17 @@ from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.task_controller import TaskController
+from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.worker_controller import WorkerController
+from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Submit
 from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
+from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.views import FINAL_STATES
 from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, Placements, WorkerStatus
 
@@ -52,20 +54,24 @@ class JobController:
     """All live jobs, and the workers that compute them; `shown` are the views of these jobs and of those that ended."""
 
     def __init__(
-        self, store: Store, channel: WorkerChannel, tasks: TaskRunner, clock: Callable[[], str],
-        expected_workers: int = 1,
+        self, store: Store, channel: WorkerChannel, writer: CheckpointWriter, post: Callable[[object], None],
+        clock: Callable[[], str], expected_workers: int = 1,
     ) -> None:  # fmt: skip
-        """`clock` gives the time of day as ISO text; no island is placed before the expected workers are ready."""
+        """Set up the jobs of a store; no island is placed before the expected workers are ready.
+
+        `writer` makes checkpoints durable, `post` hands outcomes to the loop, `clock` gives the time of day as ISO text.
+        """
         self.jobs: dict[str, Job] = {}
         self.events: Final = EventLog(store, clock)
         self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
         self.workers: Final = WorkerController(self, store, channel, self.events, expected_workers)
         self.counters: Final = self.workers.counters
-        self.shown: Final = JobViews(self.jobs, self.workers, store, self.breakages)
+        self.shown: Final = JobViews(self.jobs, self, store, self.breakages)
         self.checkpoints: Final = PullBudget()
         self._store = store
+        self.tasks: Final = TaskController(channel, self.workers.membership, store, post, self._rank)
         self._channel = channel
-        self._tasks = tasks
+        self._writer = writer
         self._clock = clock
 
     # ------------------------------------------------------------------------------------------- jobs
@@ -213,8 +219,39 @@ class JobController:
             StoreError: There is: another coordinator has taken over.
         """
         is_known = self.workers.add_heartbeat(worker, status, now)
+        if is_known:
+            with self.breakages.tolerated("taking in which tasks a worker has"):
+                self.tasks.add_heartbeat(worker, status, now)
         for assignment_status in status.holdings if is_known else ():
             self._advance_checkpoint(assignment_status.job, assignment_status.variable, now)
+
+    def has_task(self, worker: str) -> bool:
+        """Tell whether a worker has a task that has not ended."""
+        return any(task.worker == worker for task in self.tasks.table)
+
+    def lose_tasks(self, worker: str, now: float) -> None:
+        """Take in that a worker is lost: others get its tasks."""
+        with self.breakages.tolerated("taking tasks from a worker that is lost"):
+            self.tasks.lose(worker, now)
+
+    def stalls(self, job_id: str) -> tuple[str, ...]:
+        """Return why archipelagos of a job stand still, in words, by variable."""
+        return self.workers.stalls(job_id)
+
+    def waiting_reason(self, job: Job) -> str | None:
+        """Return in words what the islands or tasks of a job wait for; None: they do not."""
+        return self.workers.waiting_reason(job) or self.tasks.waiting_reason(job.id)
+
+    def add_task_report(self, worker: str, report: TaskReport, now: float) -> None:
+        """Take in what came of a task; raises RemoteProtocolError when it cannot be."""
+        task = self.tasks.table.get(report.body.task)
+        with self.guarded(task.job if task is not None else "", "taking in what came of a task", now, by_peer=True):
+            self.tasks.add_report(worker, report, now)
+
+    def _rank(self, job_id: str) -> tuple[float, ...]:
+        """Return by what the tasks of a job are put in order: by priority, then as the jobs came."""
+        job = self.jobs.get(job_id)
+        return (-job.priority, job.submitted_at) if job is not None else (0.0, 0.0)
 
     def add_report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -239,6 +276,8 @@ class JobController:
         for job_id in [job.id for job in self.jobs.values() if job.state != "queued"]:
             self._change(job_id, "letting time pass", now, lambda job: job.tick(now))
         self._prepare_next(now)
+        with self.breakages.tolerated("leasing tasks"):
+            self.tasks.tick(now)
         self._place(now)
         self._advance_checkpoints(now)
         with self.breakages.tolerated("looking for what stands still"):
@@ -311,7 +350,7 @@ class JobController:
             checkpoint = self.checkpoints.take_complete_checkpoint(archipelago)
             if checkpoint is not None:
                 search_state = encode(checkpoint.stored_search_state(job.search_seconds(now)))
-                self._tasks.write(checkpoint, search_state, now - job.submitted_at)
+                self._writer.write(checkpoint, search_state, now - job.submitted_at)
 
     # --------------------------------------------------------------------------------------- what breaks
 
@@ -355,7 +394,7 @@ class JobController:
         with self.breakages.tolerated("closing a job"):
             self._channel.publish(CloseJob(job=job_id))
         with self.breakages.tolerated("ending the tasks of a job"):
-            self._tasks.cancel(job_id)
+            self.tasks.cancel(job_id)
         with self.breakages.tolerated("forgetting what a job has cost"):
             self.counters.forget(job_id)
         with self.breakages.tolerated("forgetting a job"):
@@ -380,7 +419,7 @@ class JobController:
                 case Refine():
                     if job.prepared is not None:
                         self.events.record_refining(job.id)
-                        self._tasks.refine(job.id, job.prepared, action.pools, action.seconds)
+                        self.tasks.refine(job.id, job.prepared.config, action.pools, action.seconds, now)
                 case CommitResult():
                     self._commit_result(job, now)
 
@@ -398,7 +437,7 @@ class JobController:
         is_crash_loop, finished = job.fault == "poison", self._clock()
         self._store.commit_result(job.id, job.state, text, job.reason, finished, keeps_checkpoints=is_crash_loop)
         self._channel.publish(CloseJob(job=job.id))
-        self._tasks.cancel(job.id)
+        self.tasks.cancel(job.id)
         self.shown.keep_last(job, now)
         del self.jobs[job.id]
         self.events.record_end(job)
@@ -422,7 +461,7 @@ class JobController:
             return
         self._store.update_job(waiting.id, state="preparing")
         waiting.start_preparing()
-        self._tasks.prepare(waiting.id, table, waiting.config)
+        self.tasks.prepare(waiting.id, waiting.table, len(table), waiting.config, now)
 
     def _open_archipelagos(self) -> list[Archipelago]:
         return [archipelago for job in self.jobs.values() for archipelago in job.open_archipelagos]

@@ -10,9 +10,6 @@ from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
-from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.background.job_tasks import JobPrepared, JobRefined, PreparationBegun, PreparationFailed
-from atoll_coordinator.service.background.runner import CheckpointWritten, TaskRunner
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
@@ -20,6 +17,15 @@ from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
 from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.dependencies import Dependencies
+from atoll_coordinator.service.tasks.outcomes import (
+    CheckpointWritten,
+    JobPrepared,
+    JobRefined,
+    PreparationBegun,
+    PreparationFailed,
+)
+from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S
 from atoll_core import VERSION
@@ -39,6 +45,7 @@ from atoll_core.wire.messages.epochs import (
     States,
 )
 from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.views import CoordinatorView, Counters
 from atoll_core.wire.messages.workers import Shutdown, WorkerStatus
 from atoll_core.wire.rejects import Rejects
@@ -76,7 +83,7 @@ class Service:
             store: open; decides cluster and incarnation.
             expected_workers: how many workers the first placement waits for, within limits.
             dismisses_workers: whether workers are shut down when this ends; otherwise they wait for its return.
-            dependencies: the pool of processes, the time of day and so on; the real ones unless given.
+            dependencies: the time of day and so on; the real ones unless given.
             role_bindings: names and roles, where certificates prove names; None: every name may be anybody.
         """
         self.rejects: Final = Rejects(_LOG)
@@ -86,10 +93,12 @@ class Service:
         self._store = store
         self._dismisses_workers = dismisses_workers
         dependencies = dependencies or Dependencies()
-        self._tasks = TaskRunner(dependencies, store, self._bus.post)
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
-        self.controller: Final = JobController(store, self._workers, self._tasks, dependencies.clock, expected_workers)
+        writer = CheckpointWriter(dependencies.writer, store, self._bus.post)
+        self.controller: Final = JobController(
+            store, self._workers, writer, self._bus.post, dependencies.clock, expected_workers
+        )
         authorization = Authorization(role_bindings, store)
         self._deletion = JobDeletion(self.controller, store, dependencies.retention)
         clients = ClientRequests(self.controller, store, authorization, self._deletion, bus.now, self.view)
@@ -105,6 +114,7 @@ class Service:
         self.controller.recover(self._bus.now())
         self._bus.subscribe(topics.all_workers(cluster, "status"))
         self._bus.subscribe(topics.all_workers(cluster, "report"))
+        self._bus.subscribe(topics.all_workers(cluster, "result"))
         self._bus.watch(topics.all_workers(cluster, "alive"))
         for expression in (topics.all_jobs(cluster), topics.all_blobs(cluster), topics.all_clients(cluster)):
             self._bus.serve(expression)
@@ -121,13 +131,10 @@ class Service:
 
     def work(self, stop: threading.Event) -> None:
         """Work until `stop` is set."""
-        try:
-            while not stop.is_set():
-                event = self._bus.receive(0.1)
-                if event is not None:
-                    self.step(event)
-        finally:
-            self._tasks.close()
+        while not stop.is_set():
+            event = self._bus.receive(0.1)
+            if event is not None:
+                self.step(event)
         self.controller.events.flush()
         if self._dismisses_workers:
             self._workers.publish(Shutdown(sentence="the coordinator ended"))
@@ -241,6 +248,9 @@ class Service:
             case topics.WorkerKey(part="report"):
                 report = decode(event.payload, EpochReport, MAX_MESSAGE)
                 self._add_report(key.worker, report)
+            case topics.WorkerKey(part="result"):
+                result = decode(event.payload, TaskReport, MAX_MESSAGE)
+                self.controller.add_task_report(key.worker, result, self._bus.now())
             case _:
                 raise RemoteProtocolError(f"nothing is expected on key {event.key}")
 

@@ -7,6 +7,7 @@ from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.epochs import Mail, Pull, PullAnswer, PullStates
+from atoll_core.wire.messages.tasks import PullBatch, TaskChunk, TaskFailed, TaskReport
 from atoll_core.wire.messages.workers import WorkerStatus
 from atoll_island_worker.session.actions import (
     AskPeer,
@@ -22,19 +23,23 @@ PULL_TIMEOUT_S: Final = 5.0
 FETCH_TIMEOUT_S: Final = 20.0
 FETCH_PAUSE_S: Final = 0.5
 FETCH: Final = "fetch/"
-"""What the names of the timers begin with after which a dataset is asked for again; the job follows."""
+FETCH_INPUTS: Final = "inputs/"
+"""What the names of the timers begin with after which a dataset, or the inputs of a task, are asked for again; the job
+or the task follows."""
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a reply answers: a `question` about `subject` (a job, a peer or a fingerprint), or about `states`.
+    """What a reply answers: a `question` about `subject` (a job, a task, a peer or a fingerprint), or about `states`.
 
-    `index` is the number of a chunk or, of a greeting, how many welcomes had come before it.
+    `index` is the number of a chunk, of the blob `digest` where the subject is a task, or, of a greeting, how many
+    welcomes had come before it.
     """
 
     question: str
     subject: str = ""
     index: int = 0
+    digest: str = ""
     states: PullStates | None = None
 
 
@@ -66,6 +71,24 @@ class Requests:
     def ask_later(self, job: str) -> None:
         """Set the timer after which a job's dataset is asked for again."""
         self._bus.call_later(FETCH_PAUSE_S, FETCH + job)
+
+    def ask_input(self, task: str, digest: str, index: int) -> None:
+        """Ask the coordinator for one chunk of an input of a task."""
+        key = topics.blob(self.cluster, digest, index)
+        self.ask(key, b"", FETCH_TIMEOUT_S, Request("input", task, index, digest))
+
+    def ask_inputs_later(self, task: str) -> None:
+        """Set the timer after which the inputs of a task are asked for again."""
+        self._bus.call_later(FETCH_PAUSE_S, FETCH_INPUTS + task)
+
+    def ask_batch(self, peer: str, pull: PullBatch) -> None:
+        """Ask another worker for a batch of its task."""
+        key = topics.worker(self.cluster, peer, "pull")
+        self.ask(key, encode(Pull(body=pull)), PULL_TIMEOUT_S, Request("batch", pull.task))
+
+    def send_task_report(self, body: TaskChunk | TaskFailed) -> None:
+        """Tell the coordinator what came of a task."""
+        self._bus.put(topics.worker(self.cluster, self._name, "result"), encode(TaskReport(body=body)))
 
     def send_status(self, status: WorkerStatus) -> None:
         """Send a heartbeat."""

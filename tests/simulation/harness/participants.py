@@ -11,9 +11,9 @@ from functools import partial
 from typing import Any, Final
 
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.service.background.dependencies import Dependencies
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.retention import Retention
+from atoll_coordinator.service.tasks.dependencies import Dependencies
 from atoll_core.config import JobConfig
 from atoll_core.errors import StoreError
 from atoll_core.wire.bus.interface import Event
@@ -25,7 +25,7 @@ from tests.simulation.harness.fault_schedule import Schedule, job_config
 from tests.simulation.harness.simulated_cluster import Programs, prepare
 from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk, DiskStore
 from tests.simulation.harness.stub_islands import StubCompute
-from tests.task_pools import LocalPool
+from tests.simulation.harness.stub_tasks import USUAL_S
 
 SUPERVISED_S: Final = 2.0
 """After which a worker that ended with an error is started again."""
@@ -33,7 +33,7 @@ SUPERVISED_S: Final = 2.0
 RETENTION: Final = Retention(age_s=90 * 86400.0, size_bytes=8_000_000)
 """Room for all that jobs of a schedule leave behind, but not for all that guests upload."""
 
-USUAL_BACKGROUND_S: Final = 0.001
+USUAL_BACKGROUND_S: Final = USUAL_S
 _MORNING: Final = datetime(2026, 1, 1, tzinfo=UTC)
 
 
@@ -75,6 +75,7 @@ class Participants(Programs):
         self._written_at = 0.0
         self._processes = 0
         super().__init__(schedule.seed, schedule.plan, schedule.has_own_router, cast.compute)
+        self.preparer, self.refiner = cast.prepare, lambda *_: Refinement()
         self.start_coordinator()
         for number in range(schedule.workers):
             self.start_worker(f"w{number}")
@@ -90,11 +91,8 @@ class Participants(Programs):
             return
         bus = self.buses["coordinator"] = self.coordinator_bus()
         store = self._store = self.disk.open(bus.spend, bus.now)
-        pool = LocalPool(partial(self._do_later, bus, store))
         writer = partial(self._write_later, bus, store)
-        dependencies = Dependencies(
-            pool, self._time_of_day, self.cast.prepare, lambda *_: Refinement(), retention=RETENTION, writer=writer
-        )
+        dependencies = Dependencies(self._time_of_day, RETENTION, writer)
         service = self.service = self.serve(bus, store, dependencies)
         self._watch_reports(service)
         self.note(f"the coordinator starts, incarnation {store.incarnation}")
@@ -107,10 +105,6 @@ class Participants(Programs):
         if service.controller.breakages.total > self.broken:
             self.wrong.append("something broke in the coordinator")
         self.broken = service.controller.breakages.total
-
-    def _do_later(self, bus: SimulatedBus, store: DiskStore, work: Callable[[], None]) -> None:
-        """Do background work of one incarnation, if that one is still alive then."""
-        self.at(bus.now() + self.background_s, lambda: None if store.is_dead else self._guarded(store, work))
 
     def _write_later(self, bus: SimulatedBus, store: DiskStore, work: Callable[[], None]) -> None:
         """Do what one incarnation's writer is given, one piece after the other; the disk keeps nobody else busy."""
@@ -200,6 +194,7 @@ class Participants(Programs):
     def dismiss(self, name: str) -> None:
         """Let a worker's process end in order."""
         self.computes.pop(name).close()
+        self.tasks.pop(name).stop()
         self.workers.pop(name)
         self.buses.pop(name).close()
         if self.is_over:

@@ -16,10 +16,11 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
-from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.background.job_tasks import Preparer, Refiner
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.dependencies import Dependencies
+from atoll_coordinator.tasks.preparing import Preparer
+from atoll_coordinator.tasks.refining import Refiner
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import UnreachableError
@@ -30,7 +31,7 @@ from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus
 from tests.simulation.harness.stub_islands import StubCompute
-from tests.task_pools import LocalPool, call
+from tests.simulation.harness.stub_tasks import USUAL_S, StubTasks
 
 LIMIT_S = 600.0
 WAIT_S: Final = 60.0
@@ -77,6 +78,10 @@ class Programs:
         self.network = SimulatedNetwork(seed, plan)
         self.workers: dict[str, Worker] = {}
         self.computes: dict[str, StubCompute] = {}
+        self.tasks: dict[str, StubTasks] = {}
+        self.preparer: Preparer = prepare
+        self.refiner: Refiner = refine_once
+        self.background_s = USUAL_S
         self.start_router()
 
     def at(self, time_s: float, act: Callable[[], object]) -> None:
@@ -99,6 +104,7 @@ class Programs:
             self.step_service(bus, event, service, store)
             for job in service.controller.jobs.values():
                 job.validate()
+            service.controller.tasks.table.validate()
 
         bus.handle_with(step)
         return service
@@ -111,7 +117,8 @@ class Programs:
         bus = self.network.bus(name)
         compute = self.compute(self.network, name, self.seed, slowness, **options)
         self.watch_worker(name, bus, compute)
-        worker = Worker(bus, compute, name, WAIT_S, lifetime_s)
+        tasks = self.tasks[name] = StubTasks(self.network, self.preparer, self.refiner, self.task_seconds)
+        worker = Worker(bus, compute, name, WAIT_S, lifetime_s, task_process=tasks)
 
         def step(event: Event) -> None:
             self.step_worker(bus, event, worker)
@@ -124,6 +131,10 @@ class Programs:
         worker.start()
         return worker
 
+    def task_seconds(self) -> float:
+        """Return how long a task takes now."""
+        return self.background_s
+
     def watch_worker(self, name: str, bus: SimulatedBus, compute: StubCompute) -> None:
         """Get ready for a worker that is about to start."""
         compute.kill = lambda: self.crash(name) if self.computes.get(name) is compute else None
@@ -133,6 +144,7 @@ class Programs:
 
     def end_worker(self, name: str, worker: Worker, bus: SimulatedBus, compute: StubCompute) -> None:
         """Close what a worker has that has ended; it can still be looked at."""
+        self.tasks.pop(name).stop()
         if not bus.closed:
             compute.close()
             bus.close()
@@ -140,6 +152,7 @@ class Programs:
     def crash(self, name: str) -> None:
         """Let a worker die without a word."""
         self.computes.pop(name).close()
+        self.tasks.pop(name).stop()
         self.workers.pop(name)
         self.network.crash(name)
 
@@ -161,7 +174,7 @@ class World(Programs):
     ) -> None:
         """`options` are those of the workers' `compute`."""
         super().__init__(seed, plan, has_own_router, compute, expected)
-        self.prepare = prepare
+        self.preparer = prepare
         self.refiner = refiner
         self.store = Store.open(None)
         self.service = self.start_service()
@@ -176,7 +189,7 @@ class World(Programs):
         return f"2026-01-01T00:00:{self.network.now:09.3f}"
 
     def start_service(self) -> Service:
-        dependencies = Dependencies(LocalPool(), self.clock, self.prepare, self.refiner, writer=call)
+        dependencies = Dependencies(self.clock, writer=lambda work: work())
         service = self.serve(self.coordinator_bus(), self.store, dependencies)
         service.start()
         return service

@@ -6,8 +6,9 @@ import pytest
 
 from atoll.cli.options.parser import parse
 from atoll.cli.request import request_of
-from atoll_coordinator.service.background.job_tasks import PreparationFailed, prepare_job, prepare_table
+from atoll_coordinator.tasks.preparing import PreparationOutcome, prepare
 from atoll_core.errors import DataError, UsageError
+from atoll_core.wire.values import decode_value
 
 GOOD = "t,x,y\n" + "".join(f"{0.1 * i:.1f},{i * i * 0.01},{1 + 0.1 * i}\n" for i in range(40))
 
@@ -33,9 +34,9 @@ def refusal(text: str | None, *options: str) -> str:
         table = request.read()
     except (DataError, UsageError) as error:
         return error.on_command_line
-    outcome = prepare_job(prepare_table, "j", table.to_bytes(), request.config)
-    assert isinstance(outcome, PreparationFailed)
-    assert outcome.fault == "data"
+    made = prepare(table.to_bytes(), request.config.model_dump_json().encode())
+    outcome = decode_value(made, PreparationOutcome)
+    assert not outcome.is_prepared
     return outcome.sentence
 
 

@@ -3,18 +3,10 @@
 import logging
 import subprocess
 import sys
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 
-from atoll_coordinator.service.background.child_main import load_refinement
-from atoll_coordinator.service.background.dependencies import Dependencies
-from atoll_coordinator.service.background.runner import TaskRunner
-from atoll_coordinator.service.store.store import Store
-from atoll_core.config import JobConfig
-from tests.simulation.bus.network import SimulatedNetwork
-from tests.task_pools import LocalPool
+from atoll_coordinator.tasks.functions import load_refinement
 from tests.unit.documents import ROOT
 
 CALLED = {
@@ -85,34 +77,6 @@ def test_a_coordinator_starts_without_the_compiler() -> None:
     """What a start need not wait for: kernels, and what refining needs."""
     said = python("import sys, atoll_coordinator.service.service_loop; print(*sys.modules)")
     assert {"numba", "scipy", "sympy", "atoll_coordinator.model.pipeline"}.isdisjoint(said)
-
-
-class Order:
-    """Notes what a service has done in which order."""
-
-    def __init__(self) -> None:
-        self.done: list[str] = []
-
-    def prepare(self, table: bytes, config: JobConfig) -> Any:
-        self.done.append("prepared")
-        raise ValueError("nothing to prepare")
-
-    def preload(self, function: Callable[[], None]) -> None:
-        assert function is load_refinement
-        self.done.append("warmed up")
-
-    def run(self) -> list[str]:
-        """Have a job prepared; return what was done, in order."""
-        with Store.open(None) as store:
-            bus = SimulatedNetwork(0).bus("coordinator", is_router=True)
-            pool = LocalPool()
-            pool.preload = self.preload  # type: ignore[method-assign]
-            TaskRunner(Dependencies(pool, preparer=self.prepare), store, bus.post).prepare("j", b"", JobConfig())
-        return self.done
-
-
-def test_refining_is_made_ready_once_the_search_can_begin() -> None:
-    assert Order().run() == ["prepared", "warmed up"]
 
 
 def test_a_warm_up_that_fails_is_logged_and_nothing_else(

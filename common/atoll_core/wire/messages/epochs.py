@@ -22,6 +22,7 @@ from atoll_core.wire.messages.limits import (
     Term,
     Variable,
 )
+from atoll_core.wire.messages.tasks import GivenBatch, NoTask, PullBatch
 
 
 class OfTerm(Frozen):
@@ -154,7 +155,7 @@ class PullStates(OfTerm):
 class Pull(Frozen):
     """Question to a worker; that for states also to the coordinator."""
 
-    body: Annotated[PullMigrants | PullReports | PullStates, Field(discriminator="kind")]
+    body: Annotated[PullMigrants | PullReports | PullStates | PullBatch, Field(discriminator="kind")]
 
 
 class Sent(Frozen):
@@ -205,4 +206,4 @@ class NewerTerm(OfTerm):
 class PullAnswer(Frozen):
     """Answer of a worker."""
 
-    body: Annotated[Sent | Reports | States | NotYet | NewerTerm, Field(discriminator="kind")]
+    body: Annotated[Sent | Reports | States | NotYet | NewerTerm | GivenBatch | NoTask, Field(discriminator="kind")]

@@ -18,7 +18,7 @@ class Hello(Tolerant):
     """The first words of a worker or a client. `instance` is drawn anew by each process.
 
     `fingerprint` names what the bits of a worker's islands depend on ("" while its kernels are not ready, and for a
-    client, which computes nothing).
+    client, which computes nothing). `cores` and `memory_bytes` are those that the processes of its host may use.
     """
 
     kind: Literal["hello"] = "hello"
@@ -31,6 +31,8 @@ class Hello(Tolerant):
     fingerprint: Annotated[str, Field(max_length=128)] = ""
     host: Annotated[str, Field(max_length=256)] = ""
     pid: Count = 0
+    cores: Count = 1
+    memory_bytes: Count = 0
 
 
 class Welcome(Tolerant):

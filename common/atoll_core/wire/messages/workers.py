@@ -28,6 +28,7 @@ from atoll_core.wire.messages.limits import (
     Term,
     Variable,
 )
+from atoll_core.wire.messages.tasks import Help, Lease, Release, TaskStatus
 from atoll_core.wire.messages.views import Counters, WorkerState
 
 # ---------------------------------------------------------------------------------------------- control
@@ -140,7 +141,7 @@ class Reregister(Frozen):
     kind: Literal["introduce"] = "introduce"
 
 
-ControlBody = JobAnnouncement | Placements | Commit | Close | CloseJob | Reregister | Shutdown
+ControlBody = JobAnnouncement | Placements | Commit | Close | CloseJob | Reregister | Shutdown | Lease | Help | Release
 
 
 class Control(Frozen):
@@ -192,7 +193,8 @@ class IslandFailure(Frozen):
 class WorkerStatus(Frozen):
     """The heartbeat. `progress` rises while the compute thread gets on; `detail` says what a person should know.
 
-    `jobs` are those whose dataset is here or on its way, also without islands of theirs.
+    `jobs` are those whose dataset is here or on its way, also without islands of theirs. `tasks` are those leased to it
+    or helped with; `is_loaded`: its process for tasks need not be started.
     """
 
     kind: Literal["status"] = "status"
@@ -205,4 +207,6 @@ class WorkerStatus(Frozen):
     jobs: tuple[Id, ...] = ()
     detail: Sentence = ""
     doing: Doing | None = None
+    tasks: Annotated[tuple[TaskStatus, ...], Field(max_length=64)] = ()
+    is_loaded: bool = False
     counters: Counters = Counters()

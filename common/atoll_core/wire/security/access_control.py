@@ -75,7 +75,11 @@ def _of_worker(name: str) -> tuple[Permission, ...]:
     pulls = _own(name, "worker/{}/pull")
     asked = _keys("job/**", "blob/**", "worker/*/pull") + _hello(name)
     return (
-        Permission("ingress", _SPEAKING, _own(name, "worker/{}/status", "worker/{}/report", "worker/{}/to/*")),
+        Permission(
+            "ingress",
+            _SPEAKING,
+            _own(name, "worker/{}/status", "worker/{}/report", "worker/{}/result", "worker/{}/to/*"),
+        ),
         Permission("ingress", _PRESENCE, _own(name, "worker/{}/alive")),
         Permission("ingress", _SERVING, pulls),
         Permission("egress", ("query",), pulls),

@@ -40,11 +40,11 @@ def run(options: argparse.Namespace) -> int:
     with (
         _log_in(folder),
         raising_interrupts(),
-        local_processes(number, folder / _WORKER_LOG) as (endpoint, workers, pool),
+        local_processes(number, folder / _WORKER_LOG) as (endpoint, workers),
     ):
         from atoll.cli.local_run import run_locally
 
-        code = run_locally(options, folder, endpoint, workers, pool, started)
+        code = run_locally(options, folder, endpoint, workers, started)
     if code in (BAD_INPUT, INTERRUPTED):
         _remove_logs(folder)
     return code

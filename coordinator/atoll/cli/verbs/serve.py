@@ -1,7 +1,6 @@
 """``coordinator serve``: router, coordinator and store for workers and clients of any machine."""
 
 import argparse
-import contextlib
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -28,24 +27,19 @@ ANOTHER_LIMIT_S: Final = 0.5
 def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0."""
     wanted, role_bindings = read_options(options, options.router)
-    from atoll_coordinator.service.background.child_main import load_preparation
-    from atoll_coordinator.service.background.process_pool import ProcessPool
+    from atoll_coordinator.service.service_loop import Service
+    from atoll_coordinator.service.store.retention import Retention
+    from atoll_coordinator.service.tasks.dependencies import Dependencies
 
     behind, stop = options.router is not None, threading.Event()
-    with stopping(stop), contextlib.closing(ProcessPool()) as pool:
-        pool.preload(load_preparation)  # loads while the rest of this is loaded: a restart has jobs that wait for it
-        from atoll_coordinator.service.background.dependencies import Dependencies
-        from atoll_coordinator.service.service_loop import Service
-        from atoll_coordinator.service.store.retention import Retention
-
-        with _opened(options.state) as store, _joined(options, wanted, role_bindings) as bus:
-            dependencies = Dependencies(pool, retention=Retention(*options.keep))
-            service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings)
-            service.start()
-            here = Destination(parse_address(bus.endpoint), wanted.credentials)
-            with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
-                say(greeting(here, options.state, role_bindings, behind))
-                service.work(stop)
+    with stopping(stop), _opened(options.state) as store, _joined(options, wanted, role_bindings) as bus:
+        dependencies = Dependencies(retention=Retention(*options.keep))
+        service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings)
+        service.start()
+        here = Destination(parse_address(bus.endpoint), wanted.credentials)
+        with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
+            say(greeting(here, options.state, role_bindings, behind))
+            service.work(stop)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
 

@@ -5,8 +5,8 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
+from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core import ENGINE_REVISION, VERSION
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError

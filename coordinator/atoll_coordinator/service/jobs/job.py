@@ -1,13 +1,12 @@
 """One job: its states, its archipelagos, and what is to be done when something happens to it. Pure; time comes in."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, Literal
 
-from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import count_constants, front_length
-from atoll_coordinator.model.refinement import LawsByGroup, Pool, Refinement
-from atoll_coordinator.service.jobs.defaults import independent_rows, stagnation_of
+from atoll_coordinator.model.refinement import Pool, Refinement
+from atoll_coordinator.service.jobs.stagnation import independent_rows, stagnation_of
 from atoll_coordinator.service.jobs.time_limit import TimeLimit
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
@@ -15,8 +14,9 @@ from atoll_coordinator.service.search.collector import DivergedError, Measure
 from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.search.ending import Limits
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core.config import JobConfig
-from atoll_core.data.dataset import Dataset, Target
+from atoll_core.data.dataset import Target
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.expression.program import check_program_bytes
 from atoll_core.search.commit_order import CommitOrder
@@ -79,34 +79,6 @@ class CommitResult:
 
 
 JobAction = CommitCuts | PublishCommit | Refine | CommitResult
-
-
-@dataclass(frozen=True, slots=True)
-class Prepared:
-    """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size.
-
-    `known` has the known equations by variable, as members of fronts of their own; `settled` are the variables
-    that have laws by regression (`atoll_coordinator.model.sparse.product_laws.settled_variables`), `laws` those among
-    many variables, which refining takes over (None: it seeks them itself).
-    """
-
-    preparation: Preparation
-    config: JobConfig
-    blob: str
-    size: int
-    known: Mapping[str, FrontEntry] = field(default_factory=dict)
-    settled: frozenset[str] = frozenset()
-    laws: LawsByGroup | None = None
-
-    @property
-    def sought(self) -> tuple[Target, ...]:
-        """The targets whose equations are searched."""
-        return tuple(target for target in self.dataset.targets if target.variable not in self.known)
-
-    @property
-    def dataset(self) -> Dataset:
-        """What the search sees."""
-        return self.preparation.dataset
 
 
 class Job:

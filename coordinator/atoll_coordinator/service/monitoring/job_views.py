@@ -17,7 +17,7 @@ from atoll_core.wire.messages.views import JobView
 
 
 class JobWorkers(Protocol):
-    """The part of `atoll_coordinator.service.workers.worker_controller.WorkerController` that views tell of."""
+    """The part of `atoll_coordinator.service.job_controller.JobController` that views tell of."""
 
     @property
     def counters(self) -> CounterRegistry: ...

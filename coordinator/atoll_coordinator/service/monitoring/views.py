@@ -12,12 +12,13 @@ from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcom
 from atoll_coordinator.model.result.trust import verdict
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
-from atoll_coordinator.service.jobs.job import Job, Prepared
+from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.jobs.queue import Line
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.cut import Improvement
 from atoll_coordinator.service.search.ending import Why
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core import VERSION
 from atoll_core.config import JobConfig
 from atoll_core.expression.text.infix import to_infix

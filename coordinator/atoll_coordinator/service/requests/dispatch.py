@@ -91,7 +91,7 @@ class RequestDispatcher:
         try:
             return self._store.get_chunk(key.digest, key.index)
         except KeyError:
-            return None
+            return self._controller.tasks.chunk(key.digest, key.index)
 
     def _states(self, key: topics.StateKey, payload: bytes) -> bytes | None:
         """Return states of a committed checkpoint, as many as one message bears; None when it is not there."""

@@ -1,6 +1,6 @@
 """The workers that the coordinator knows: who is there, in which state, and who is lost. Pure; time comes in."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -157,6 +157,12 @@ class Membership:
     def ready(self) -> tuple[str, ...]:
         """Return the workers that can compute islands, sorted."""
         return tuple(sorted(name for name, member in self._members.items() if member.is_ready))
+
+    def attending(self) -> Iterator[tuple[str, Member]]:
+        """Yield the workers that are here and do not leave, sorted by name: their kernels may still be on their way."""
+        for name, member in sorted(self._members.items()):
+            if member.state == "here" and member.status is not None and not member.is_leaving:
+                yield name, member
 
     def is_ready(self, worker: str) -> bool:
         """Tell whether islands can be placed on this worker."""

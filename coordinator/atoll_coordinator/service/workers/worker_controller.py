@@ -50,6 +50,10 @@ class LiveJobs(Protocol):
 
     def fail_job(self, job_id: str, fault: Fault, sentence: str, now: float) -> None: ...
 
+    def has_task(self, worker: str) -> bool: ...
+
+    def lose_tasks(self, worker: str, now: float) -> None: ...
+
     def guarded(self, job_id: str, task: str, now: float) -> AbstractContextManager[None]: ...
 
 
@@ -68,6 +72,8 @@ class WorkerController:
         self._channel = channel
         self._events = events
         self._fail_job = live.fail_job
+        self._has_task = live.has_task
+        self._lose_tasks = live.lose_tasks
         self._guarded = live.guarded
         self._breakages = live.breakages
         self._leases = LeaseBackoff()
@@ -183,7 +189,8 @@ class WorkerController:
     def _let_leave(self, worker: str, now: float) -> None:
         """Place elsewhere what a worker has that wants to end; when it has nothing, tell it so."""
         self.place(now)
-        if not any(worker in archipelago.workers for archipelago in self._open_archipelagos()):
+        has_islands = any(worker in archipelago.workers for archipelago in self._open_archipelagos())
+        if not has_islands and not self._has_task(worker):
             self._channel.send(worker, Shutdown(sentence="nothing is placed here any more"))
 
     def expire(self, now: float) -> None:
@@ -197,6 +204,7 @@ class WorkerController:
         One that had said that it would leave was not ended by what it computed.
         """
         name = member.hello.name
+        self._lose_tasks(name, now)
         lost = [archipelago for archipelago in self._open_archipelagos() if name in archipelago.workers]
         if not lost:
             self._events.record("worker-lost", why, worker=name)

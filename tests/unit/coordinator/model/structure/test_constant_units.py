@@ -9,7 +9,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.result.trust import verdict
 from atoll_coordinator.model.structure.constant_units import equation_units
-from atoll_coordinator.service.jobs.defaults import with_units
+from atoll_coordinator.tasks.defaults import with_units
 from atoll_core.config import Angle, DataConfig, JobConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import DataError, UsageError

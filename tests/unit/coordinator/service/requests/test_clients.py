@@ -46,13 +46,16 @@ BLOB = hashlib.sha256(TABLE).hexdigest()
 
 
 class Tasks:
-    """Takes the place of channel and task runner, and records what is started, cancelled and sent."""
+    """Takes the place of channel, writer and tasks, and records what is started, cancelled and sent."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[object, ...]] = []
 
     def __getattr__(self, name: str) -> Callable[..., None]:
         return lambda *arguments: self.calls.append((name, *arguments))
+
+    def waiting_reason(self, job: str) -> None:
+        """Return that nothing waits."""
 
     @property
     def prepared(self) -> list[tuple[object, ...]]:
@@ -67,7 +70,9 @@ class Now:
 
 def controller_of(store: Store, tasks: Tasks, time: str = "2026-01-01T00:00:00") -> JobController:
     """Return a controller that reaches no workers and starts no processes."""
-    return JobController(store, tasks, tasks, lambda: time)
+    controller = JobController(store, tasks, tasks, lambda outcome: None, lambda: time)
+    controller.tasks = tasks  # type: ignore[misc]
+    return controller
 
 
 @pytest.fixture
@@ -184,7 +189,7 @@ def test_a_submitted_job_is_prepared_and_listed(clients: ClientRequests, tasks: 
     answer = clients.answer("ann", Request(body=Submit(job="j", name="n", config=JobConfig(seed=3), table=BLOB)))
     assert isinstance(answer, JobStatus)
     assert (answer.job.state, answer.job.seed) == ("preparing", 3)
-    assert tasks.prepared == [("j", TABLE)]
+    assert tasks.prepared == [("j", BLOB)]
     listed = clients.answer("ann", Request(body=Jobs()))
     assert isinstance(listed, JobList)
     assert [view.job for view in listed.jobs] == ["j"]
@@ -202,7 +207,7 @@ def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
     cancelled = clients.answer("ann", Request(body=Cancel(job="a")))
     assert isinstance(cancelled, JobStatus)
     assert cancelled.job.state == "cancelled"
-    assert ("b", TABLE) in tasks.prepared
+    assert ("b", BLOB) in tasks.prepared
     assert ("cancel", "a") in tasks.calls  # it may be at work still
     assert "before its search began" in failure(clients.answer("ann", Request(body=GetResult(job="a")))).sentence
 
@@ -315,7 +320,7 @@ def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
         assert "full" in failure(clients.answer("ann", request)).sentence
     assert tasks.prepared == []
     clients._controller.tick(6.0)
-    assert tasks.prepared == [("j", TABLE)]
+    assert tasks.prepared == [("j", BLOB)]
 
 
 def test_a_cancellation_that_cannot_be_made_durable_ends_the_coordinator(

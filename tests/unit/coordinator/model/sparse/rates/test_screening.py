@@ -4,7 +4,7 @@ import numpy as np
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.sparse.rates.screening import screened, with_screened_variables
-from atoll_coordinator.service.jobs.defaults import resolve
+from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import PRESETS
 from atoll_core.data.table import Table
 from tests.unit.coordinator.model.sparse.rates.test_rate_laws import rows_of

@@ -7,16 +7,15 @@ import pytest
 
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
 from atoll_coordinator.data.recording import STENCIL_ROWS, Recording, Smoothing
-from atoll_coordinator.service.jobs.defaults import (
-    RUNNERS_UP_NOISY,
+from atoll_coordinator.service.jobs.stagnation import (
     STAGNATION_CLEAN,
     STAGNATION_GIVEN,
     STAGNATION_NOISY,
     independent_rows,
-    resolve,
     stagnation_of,
 )
 from atoll_coordinator.service.search.ending import Stagnation
+from atoll_coordinator.tasks.defaults import RUNNERS_UP_NOISY, resolve
 from atoll_core.config import PAPER, BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset, Target
 

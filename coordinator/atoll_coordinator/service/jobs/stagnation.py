@@ -1,16 +1,12 @@
-"""Fields of a configuration that are left open until the data are known."""
+"""When the search of an equation ends where the configuration leaves it open, and how many rows count."""
 
 from typing import Final
 
-from atoll_coordinator.data.prior_knowledge import resolve_prior
-from atoll_coordinator.data.recording import STENCIL_ROWS, Recording, Source
+from atoll_coordinator.data.recording import STENCIL_ROWS, Recording
 from atoll_coordinator.service.search.ending import Stagnation
 from atoll_core.config import JobConfig
-from atoll_core.data.dataset import Dataset, Target
+from atoll_core.data.dataset import Target
 
-ROWS_CLEAN: Final = 16
-ROWS_NOISY: Final = 32
-RUNNERS_UP_NOISY: Final = 8
 STAGNATION_GIVEN: Final = 60
 """Given left-hand sides have no trajectories by which refining could go on from an equation that comes close; and
 who gives a target error wants it to be met."""
@@ -20,26 +16,6 @@ STAGNATION_CLEAN: Final = 5
 tolerances: of 48 equations found in 24 to 30 epochs all are found as well with 3, 5, 8 or 12 (ADR 0033)."""
 
 STAGNATION_NOISY: Final = 3
-
-
-def resolve(config: JobConfig, dataset: Dataset) -> JobConfig:
-    """Return `config` with all filled in that workers need: rows of a predictor, terminals, runners-up.
-
-    Left-hand sides that people wrote become the names of their variables; raises UsageError where that cannot be.
-    """
-    config = resolve_prior(config, dataset.variables, dataset.symbols)
-    is_noisy = any(target.is_noisy for target in dataset.targets)
-    rows, runners_up = config.predictors.rows, config.evolution.runners_up
-    rows = rows or (ROWS_NOISY if is_noisy else ROWS_CLEAN)
-    runners_up = (RUNNERS_UP_NOISY if is_noisy else 0) if runners_up is None else runners_up
-    terminals = config.space.terminals_for(len(dataset.names))
-    return config.model_copy(
-        update={
-            "predictors": config.predictors.model_copy(update={"rows": rows}),
-            "evolution": config.evolution.model_copy(update={"runners_up": runners_up}),
-            "space": config.space.model_copy(update={"terminals": terminals}),
-        }
-    )
 
 
 def stagnation_of(config: JobConfig, target: Target, recording: Recording | None) -> Stagnation:
@@ -69,10 +45,3 @@ def independent_rows(target: Target, recording: Recording | None) -> float:
     if smoothing.span is None or smoothing.degree is None:
         return rows / STENCIL_ROWS
     return rows * min(1.0, (smoothing.degree + 1.0) / smoothing.span)
-
-
-def with_units(config: JobConfig, source: Source | None) -> JobConfig:
-    """Return `config` with the units of all columns: those that were given, and those of the file's header."""
-    if source is None or not source.units:
-        return config
-    return config.model_copy(update={"data": config.data.model_copy(update={"units": dict(source.units)})})

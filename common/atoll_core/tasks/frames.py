@@ -1,0 +1,127 @@
+"""What passes between a worker and its task process, through a pipe of their own on one machine.
+
+`multiprocessing.connection.Connection` carries them: both ends are processes that one of them started, so that pickles
+are as safe as the fork of a process; nothing of this goes over a network.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+Failure = Literal["error", "memory", "crash", "time"]
+"""Why a task has no result: something of ours broke; memory ran out; its process died; it took too long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """To the process: run this task. `threads` is how many threads it may use, `seconds` how long it may take."""
+
+    task: str
+    function: str
+    inputs: tuple[bytes, ...]
+    seconds: float | None = None
+    threads: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """To the process: load what tasks of this function need, as soon as there is nothing else to do."""
+
+    function: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """To the process of a task: a helper has room for a batch, and knows these contexts by digest."""
+
+    token: int
+    contexts: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class Give:
+    """From the process of a task: the batch for the helper that asked; None: there is none now, ask again."""
+
+    token: int
+    batch: "Batch | None"
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """One item of a call of `atoll_coordinator.model.batches.FUNCTIONS`.
+
+    `digest` is the SHA-256 of the context, `context` its bytes (none: the helper has them).
+    """
+
+    number: int
+    function: str
+    digest: str
+    context: bytes
+    item: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Take:
+    """To the process of a task: what a helper made of a batch; None: it could not be made."""
+
+    number: int
+    result: bytes | None
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """From a helper's process: what it made of a batch; None: it could not be made."""
+
+    number: int
+    result: bytes | None
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """From the process, first of all: its number."""
+
+    pid: int
+
+
+@dataclass(frozen=True, slots=True)
+class Begun:
+    """From the process: all is loaded, and the task begins."""
+
+    task: str
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """From the process: the result of a task, and the memory that the process occupies."""
+
+    task: str
+    result: bytes
+    memory_bytes: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """From the process: the task has no result; the sentence is for people."""
+
+    task: str
+    failure: Failure
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Logged:
+    """From the process: the fields of a log record."""
+
+    values: Mapping[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """Posted by who started the process: it has ended, and why in a few words."""
+
+    failure: Failure
+    why: str
+
+
+ToProcess = Run | Load | Ask | Take | Batch
+FromProcess = Started | Begun | Finished | Failed | Give | Computed | Logged | Ended

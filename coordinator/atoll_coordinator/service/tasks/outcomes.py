@@ -1,0 +1,60 @@
+"""What is posted to the service's loop when a task of a job has got on."""
+
+from dataclasses import dataclass
+
+from atoll_coordinator.model.refinement import Refinement
+from atoll_coordinator.service.jobs.job import Fault
+from atoll_coordinator.service.search.archipelago import Checkpoint
+from atoll_coordinator.tasks.preparing import Prepared
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationBegun:
+    """A process that is loaded prepares a job: its time counts from now on."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class JobPrepared:
+    """A job is prepared: its dataset, also as bytes."""
+
+    job: str
+    prepared: Prepared
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationFailed:
+    """A job cannot be prepared: why there is no dataset."""
+
+    job: str
+    fault: Fault
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class JobRefined:
+    """A job is refined: what was made of its pools."""
+
+    job: str
+    refinement: Refinement
+
+
+@dataclass(frozen=True, slots=True)
+class CheckpointWritten:
+    """A checkpoint has been written; `error` says why it is not durable, None that it is."""
+
+    checkpoint: Checkpoint
+    error: Exception | None = None
+
+
+def preparation_failed(job: str, why: str, to_send: str) -> PreparationFailed:
+    """Return the outcome of a preparation that ended with an error of ours or of a machine."""
+    return PreparationFailed(job, "internal", f"preparing the data broke ({why}){to_send}")
+
+
+def refinement_failed(job: str, why: str, to_send: str) -> JobRefined:
+    """Return the outcome of a refinement that failed: the selected members stay as they are."""
+    warning = f"Refining broke ({why}); equations are as found{to_send}."
+    return JobRefined(job, Refinement(warnings=(warning,), end="not refined"))

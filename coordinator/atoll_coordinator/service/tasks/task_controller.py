@@ -1,0 +1,283 @@
+"""What becomes of tasks: leases them to workers, takes in results, and posts outcomes to the service's loop.
+
+What is leased is nowhere but here and on the workers: a coordinator that starts again leases anew, and takes over what
+workers still have of the same tasks.
+"""
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from atoll_coordinator.model.refinement import Pools, Refinement
+from atoll_coordinator.service.monitoring.breakages import what_to_send
+from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.dispatch import Slot, plan
+from atoll_coordinator.service.tasks.outcomes import (
+    JobPrepared,
+    JobRefined,
+    PreparationBegun,
+    PreparationFailed,
+    preparation_failed,
+    refinement_failed,
+)
+from atoll_coordinator.service.tasks.task_table import LIMIT_S, Task, TaskTable, task_id
+from atoll_coordinator.service.workers.channel import WorkerChannel
+from atoll_coordinator.service.workers.membership import Membership
+from atoll_coordinator.tasks.preparing import PreparationOutcome, Prepared
+from atoll_core.config import JobConfig
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.tasks.frames import Failure
+from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.messages.tasks import Help, Release, TaskChunk, TaskFailed, TaskFunction, TaskInput, TaskReport
+from atoll_core.wire.messages.workers import WorkerStatus
+from atoll_core.wire.values import decode_value, encode_value
+
+INLINE: Final = 64 * 1024
+"""Inputs of at most so many bytes travel with the lease."""
+
+SETTLED_S: Final = 2.5
+"""After so long a heartbeat must show what was leased before, or the lease was lost: heartbeats come once a second."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Purpose:
+    """What a task is for: the configuration of its job, which a sentence on what breaks needs."""
+
+    function: TaskFunction
+    config: JobConfig
+
+
+class TaskController:
+    """The tasks of all jobs."""
+
+    def __init__(
+        self, channel: WorkerChannel, membership: Membership, store: Store, post: Callable[[object], None],
+        rank: Callable[[str], tuple[float, ...]] = lambda job: (),
+    ) -> None:  # fmt: skip
+        """`post` hands outcomes to the loop; of tasks that wait, that of the job of least `rank` goes first."""
+        self.table: Final = TaskTable()
+        self._channel = channel
+        self._membership = membership
+        self._store = store
+        self.post: Final = post
+        self._rank = rank
+        self._purposes: dict[str, _Purpose] = {}
+        self._blobs: dict[str, tuple[str, bytes]] = {}
+        self._prepared: dict[str, bytes] = {}
+        self._near: dict[str, str] = {}
+
+    # ------------------------------------------------------------------------------------------------ jobs
+
+    def prepare(self, job: str, table: str, size: int, config: JobConfig, now: float) -> None:
+        """Have a table prepared; `PreparationBegun`, then `JobPrepared` or `PreparationFailed` is posted."""
+        specification = self._input(job, config.model_dump_json().encode())
+        inputs = (TaskInput(digest=table, size=size), specification)
+        self._add(job, "prepare", inputs, config.budget.max_time, config, now)
+
+    def refine(self, job: str, config: JobConfig, pools: Pools, seconds: float | None, now: float) -> None:
+        """Have the equations made of pools, in so many seconds if that is not None; `JobRefined` is posted."""
+        inputs = (self._input(job, self._prepared[job]), self._input(job, encode_value(pools, Pools)))
+        self._add(job, "refine", inputs, seconds, config, now)
+
+    def prepared(self, job: str) -> Prepared:
+        """Return what preparing a job gave; raises KeyError before it has."""
+        return decode_value(self._prepared[job], Prepared)
+
+    def cancel(self, job: str) -> None:
+        """End the tasks of a job, also those that run; nothing is posted for them."""
+        for task in self.table.of_job(job):
+            self._end(task)
+        self._prepared.pop(job, None)
+        self._near.pop(job, None)
+        self._blobs = {digest: held for digest, held in self._blobs.items() if held[0] != job}
+
+    def waiting_reason(self, job: str) -> str | None:
+        """Return in words what the tasks of a job wait for; None: they do not."""
+        if not any(task.worker is None for task in self.table.of_job(job)):
+            return None
+        if any(task.worker is not None for task in self.table):
+            return "waits for a worker that has no other task"
+        return "waits for a worker: none has joined, or all are lost or leaving"
+
+    def chunk(self, digest: str, index: int) -> bytes | None:
+        """Return a chunk of an input that is not in the store; None: it is not here either."""
+        held = self._blobs.get(digest)
+        return held[1][index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE] if held is not None else None
+
+    def _input(self, job: str, data: bytes) -> TaskInput:
+        digest, size = hashlib.sha256(data).hexdigest(), len(data)
+        if size <= INLINE:
+            return TaskInput(digest=digest, size=size, data=data)
+        self._blobs[digest] = (job, data)
+        return TaskInput(digest=digest, size=size)
+
+    def _add(
+        self, job: str, function: TaskFunction, inputs: tuple[TaskInput, ...], seconds: float | None,
+        config: JobConfig, now: float,
+    ) -> None:  # fmt: skip
+        task = Task(task_id(job, function, inputs, seconds), job, function, inputs, seconds, now)
+        self._purposes[task.id] = _Purpose(function, config)
+        self.table.add(task)
+        self.dispatch(now)
+
+    # --------------------------------------------------------------------------------------------- leases
+
+    def dispatch(self, now: float) -> None:
+        """Lease what waits, as far as there are workers for it, and have the others help."""
+        waiting = [task for task in self.table if task.state == "waiting"]
+        running = [task for task in self.table if task.state == "running"]
+        if not waiting and not running:
+            return
+        waiting.sort(key=lambda task: (*self._rank(task.job), task.waiting_since))
+        made = plan(waiting, running, self._slots(), self._busy_hosts())
+        for worker in made.recalled:
+            self._recall(worker)
+        for task, worker, threads in made.leases:
+            self.table.lease(task, worker, now)
+            self._near[task.job] = worker
+            self._channel.send(worker, task.lease(threads))
+        for task, worker in made.helps:
+            task.helpers[worker] = now
+            if task.worker is not None:
+                self._channel.send(worker, Help(task=task.id, job=task.job, worker=task.worker))
+
+    def _slots(self) -> list[Slot]:
+        owners = {task.worker for task in self.table}
+        helped = {helper: task.id for task in self.table for helper in task.helpers}
+        near: dict[str, set[str]] = {}
+        for job, worker in self._near.items():
+            near.setdefault(worker, set()).add(job)
+        return [
+            Slot(
+                name, member.hello.host, bool(member.status and member.status.is_loaded), frozenset(near.get(name, ())),
+                sum(held.islands for held in member.status.holdings) if member.status else 0, helped.get(name),
+            )
+            for name, member in self._membership.attending()
+            if name not in owners
+        ]  # fmt: skip
+
+    def _busy_hosts(self) -> Counter[str]:
+        members = (self._membership.member(task.worker) for task in self.table if task.worker is not None)
+        return Counter(member.hello.host for member in members if member is not None)
+
+    def _recall(self, worker: str) -> None:
+        """Have a worker stop helping; what it computes at the moment it finishes."""
+        for task in self.table:
+            if task.helpers.pop(worker, None) is not None:
+                self._channel.send(worker, Release(task=task.id))
+
+    def tick(self, now: float) -> None:
+        """Let time pass: what takes too long ends, what waits is leased."""
+        for task in self.table.overdue(now):
+            self._fail(task, "time", f"it took longer than {LIMIT_S:,.0f} s and was ended", now)
+        self.dispatch(now)
+
+    # -------------------------------------------------------------------------------------------- workers
+
+    def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
+        """Take in which tasks a worker has; correct what it should not have, or should and has not."""
+        shown = {held.task: held.state for held in status.tasks}
+        for name, state in shown.items():
+            task = self.table.get(name)
+            if state == "helping":
+                if task is None or worker not in task.helpers:
+                    self._channel.send(worker, Release(task=name))
+            elif task is not None and task.worker is None and status.state != "leaving":
+                self.table.lease(task, worker, now)  # a coordinator that was here before has leased it
+                self._channel.send(worker, task.lease(1))
+            elif task is None or task.worker != worker:
+                self._channel.send(worker, Release(task=name))
+            elif state == "running":
+                if self.table.begin(task, now) and task.function == "prepare":
+                    self.post(PreparationBegun(task.job))
+            elif state in ("done", "failed"):
+                self._channel.send(worker, task.lease(1))  # its report was lost; it is sent again
+        self._correct(worker, shown, now)
+        self.dispatch(now)
+
+    def _correct(self, worker: str, shown: Mapping[str, str], now: float) -> None:
+        """Say again what a worker has missed."""
+        for task in self.table:
+            if task.worker == worker and task.id not in shown and now - task.leased_at > SETTLED_S:
+                task.leased_at = now
+                self._channel.send(worker, task.lease(1))
+            if task.id not in shown and now - task.helpers.get(worker, now) > SETTLED_S:
+                del task.helpers[worker]
+
+    def lose(self, worker: str, now: float) -> None:
+        """Take in that a worker is lost: its tasks go to others at once."""
+        for task, why in self.table.lose(worker, now):
+            if why is not None:
+                self._conclude_failed(task, "crash", why)
+        self.dispatch(now)
+
+    def add_report(self, worker: str, report: TaskReport, now: float) -> None:
+        """Take in what came of a task; raises RemoteProtocolError when it cannot be."""
+        body = report.body
+        task = self.table.get(body.task)
+        if task is None or task.worker != worker:
+            self._channel.send(worker, Release(task=body.task))
+            return
+        match body:
+            case TaskFailed():
+                self._fail(task, body.failure, body.sentence, now)
+            case TaskChunk():
+                if body.offset == 0:
+                    task.result.clear()
+                if body.offset != len(task.result) or body.offset + len(body.data) > body.size:
+                    raise RemoteProtocolError(f"bytes {body.offset} to come of a task came out of order")
+                task.result += body.data
+                if len(task.result) == body.size:
+                    self._finish(task, body, now)
+
+    def _finish(self, task: Task, last: TaskChunk, now: float) -> None:
+        result = bytes(task.result)
+        if hashlib.sha256(result).hexdigest() != last.digest:
+            task.result.clear()
+            raise RemoteProtocolError("the result of a task was damaged on its way")
+        purpose = self._purposes[task.id]
+        try:
+            outcome = self._outcome(task, purpose, result)
+        except RemoteProtocolError as error:
+            self._fail(task, "error", f"its result cannot be read: {error}", now)
+            return
+        self._end(task)
+        self.post(outcome)
+        self.dispatch(now)
+
+    def _outcome(self, task: Task, purpose: _Purpose, result: bytes) -> object:
+        if purpose.function == "refine":
+            return JobRefined(task.job, decode_value(result, Refinement))
+        made = decode_value(result, PreparationOutcome)
+        if not made.is_prepared:
+            return PreparationFailed(task.job, "data", made.sentence)
+        self._prepared[task.job] = made.encoded
+        return JobPrepared(task.job, made.prepared, made.data)
+
+    def _fail(self, task: Task, failure: Failure, sentence: str, now: float) -> None:
+        """Take in that a task failed on its worker; it is tried again, or its job learns why not."""
+        self._release(task)
+        why = self.table.fail(task, failure, sentence, now)
+        if why is not None:
+            self._conclude_failed(task, failure, why)
+        self.dispatch(now)
+
+    def _conclude_failed(self, task: Task, failure: Failure, why: str) -> None:
+        purpose = self._purposes.pop(task.id)
+        to_send = what_to_send(purpose.config, is_certain=failure == "error")
+        failed = preparation_failed if purpose.function == "prepare" else refinement_failed
+        self.post(failed(task.job, why, to_send))
+
+    def _end(self, task: Task) -> None:
+        self._release(task)
+        self._purposes.pop(task.id, None)
+        self.table.end(task)
+
+    def _release(self, task: Task) -> None:
+        """Tell who has a task, or helps with it, that nobody needs it there any more."""
+        holders: Sequence[str] = [*([task.worker] if task.worker is not None else []), *task.helpers]
+        for worker in holders:
+            self._channel.send(worker, Release(task=task.id))
+        task.helpers.clear()

@@ -1,0 +1,78 @@
+"""The functions of tasks by name: what each needs loaded, and how it is called."""
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from atoll_core.wire.messages.tasks import TaskFunction
+
+if TYPE_CHECKING:
+    from atoll_coordinator.tasks.team import Team
+
+_LOG = logging.getLogger(__name__)
+
+Call = Callable[[Sequence[bytes], float | None, "Team"], bytes]
+"""Runs a function: its inputs, the seconds that it may take (None: any time), and the team that computes batches."""
+
+
+@dataclass(frozen=True, slots=True)
+class Function:
+    """`call` runs it; `load` loads what that needs, `ready` compiles kernels as well, for tasks whose time counts."""
+
+    load: Callable[[], None]
+    ready: Callable[[], None]
+    call: Call
+
+
+def load_preparation() -> None:
+    """Load what preparing needs; its kernels are loaded as they are needed."""
+    import atoll_core.data.table  # noqa: F401
+
+
+def load_refinement() -> None:
+    """Load what refining needs, compiling its kernels if need be; an error is logged, since refining meets it too."""
+    try:
+        import scipy.special  # noqa: F401
+
+        import atoll_coordinator.model.pipeline  # noqa: F401
+        from atoll_coordinator.warmup import warm_up
+
+        warm_up(_LOG.debug)
+    except Exception:
+        _LOG.exception("warm-up failed")
+
+
+def ready_preparation() -> None:
+    """Load what preparing needs, compiling its kernels if need be; an error is logged, since preparing meets it too."""
+    try:
+        load_preparation()
+        import atoll_coordinator.model.sparse.rates.screening  # noqa: F401
+        from atoll_coordinator.data.differentiation.warmup import warm_up as warm_up_data
+        from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
+
+        warm_up_data()
+        warm_up_sparse()
+    except Exception:
+        _LOG.exception("warm-up failed")
+
+
+def _prepare(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> bytes:
+    from atoll_coordinator.tasks.preparing import prepare
+
+    table, specification = inputs
+    return prepare(table, specification)
+
+
+def _refine(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> bytes:
+    from atoll_coordinator.model.pipeline import refine_all
+    from atoll_coordinator.tasks.refining import refine
+
+    prepared, pools = inputs
+    return refine(prepared, pools, seconds, refine_all)
+
+
+FUNCTIONS: Final[Mapping[TaskFunction, Function]] = {
+    "prepare": Function(load_preparation, ready_preparation, _prepare),
+    "refine": Function(load_refinement, load_refinement, _refine),
+}
