@@ -146,6 +146,19 @@ class EffortSettings:
 
 
 @dataclass(frozen=True)
+class SpreadSettings:
+    """How work falls into batches that others may take. A batch is to take about a fiftieth of a second of one core or
+    more, ten times what giving it away takes (about 2 ms), and where there is much to do a tenth."""
+
+    batch: int = 1_000_000
+    """Work of a batch of fits, as `MultipleShooting.work` counts: 20 ms, at 50 million a second."""
+    constants: int = 4
+    """Constants of an equation, about: a fit carries so many numbers along for each of its states."""
+    steps: int = 8
+    """Steps of a fit that may take more, about: most settle by then or earlier."""
+
+
+@dataclass(frozen=True)
 class CriterionSettings:
     """Prices of programs in nats: minus the logarithm of how often parts are met in equations of motion, about (compare
     the counts of Guimera et al. 2020 in a corpus of named equations)."""
@@ -368,6 +381,7 @@ class Settings:
     quantisation: QuantisationSettings = QuantisationSettings()
     rows: RowSettings = RowSettings()
     effort: EffortSettings = EffortSettings()
+    spread: SpreadSettings = SpreadSettings()
     criterion: CriterionSettings = CriterionSettings()
     regression: RegressionSettings = RegressionSettings()
     sparse: SparseSettings = SparseSettings()

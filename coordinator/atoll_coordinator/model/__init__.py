@@ -4,6 +4,7 @@
 
 - `refinement`: what comes in (`Pool`: the front of a variable) and what goes out (`Refinement`). Pure data
 - `criteria`: the description lengths, side by side
+- `batches`: named pure functions of which any machine may compute batches (`BatchFunction`, `Batches`, `Spread`)
 - `deadline`: the end that ``--max-time`` sets
 - `thinning`: which of many rows stand for all
 - `least_squares`, `cholesky`: the driver of every fit by damped steps, and its linear equations

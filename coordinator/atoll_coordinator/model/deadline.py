@@ -36,6 +36,11 @@ class Deadline:
         self.has_cut_short = True
         return True
 
+    @property
+    def left(self) -> float | None:
+        """Seconds until nothing new is to be begun, at least 0; None: that never comes."""
+        return None if self.seconds is None else max(0.0, self._began + self._share * self.seconds - self._clock())
+
     def begin_last_stage(self) -> None:
         """Allow the time that choosing equations does not have."""
         self._share = _LAST_SHARE

@@ -11,13 +11,13 @@
 
 import os
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation, Recording
+from atoll_coordinator.model.batches import Batches, spreading
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.inference.group_constants import summarize_groups
@@ -49,6 +49,7 @@ def refine_all(
     pools: Pools,
     deadline: Deadline | None = None,
     laws: LawsByGroup | None = None,
+    batches: Batches | None = None,
 ) -> Refinement:
     """Return the refined equation of each variable; those are missing of which the front has nothing better.
 
@@ -58,9 +59,11 @@ def refine_all(
         pools: what the search handed on, by variable.
         deadline: when it must end with the best so far; None: never.
         laws: those among many variables that preparing found (`sparse.product_laws`); None: they are sought.
+        batches: has batches of the work computed elsewhere; None: all is computed by threads of this process. The same
+            comes of it, to the bit.
     """
     deadline = deadline or Deadline()
-    made = _with_units(_refined(preparation, config, pools, deadline, laws), preparation, config)
+    made = _with_units(_refined(preparation, config, pools, deadline, laws, batches), preparation, config)
     if not deadline.has_cut_short:
         return made
     warnings = tuple(warning for warning in made.warnings if warning != NOT_SIMULATED)
@@ -80,8 +83,9 @@ def _with_units(made: Refinement, preparation: Preparation, config: JobConfig) -
 
 
 def _refined(
-    preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline, laws: LawsByGroup | None
-) -> Refinement:
+    preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline, laws: LawsByGroup | None,
+    batches: Batches | None,
+) -> Refinement:  # fmt: skip
     candidates = collect_candidates(preparation.dataset, config, pools)
     if preparation.process is not None:
         choice = ProcessChoice(preparation.dataset, preparation.process, config, candidates, deadline)
@@ -94,9 +98,9 @@ def _refined(
         name: programs for name, programs in candidates.items() if _has_converged(preparation, config, name, programs)
     }
     settled = _by_regression(preparation, config, converged, deadline)
-    with ThreadPoolExecutor(usable_cores(os.environ)[0]) as executor:
+    with spreading(batches, usable_cores(os.environ)[0]) as spread:
         task = ModellingTask(
-            preparation.dataset, preparation.recording, config, candidates, settled, executor, deadline=deadline,
+            preparation.dataset, preparation.recording, config, candidates, settled, spread, deadline=deadline,
             among_many=laws,
         )  # fmt: skip
         selected = select_model(task)

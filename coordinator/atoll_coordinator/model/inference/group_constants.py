@@ -96,7 +96,7 @@ def summarize_groups(selection: SelectedModel) -> Refinement | None:
     candidates = task.candidates.values()
     shown = Shown(
         RoundedSystem(programs, tuple(() for _ in programs)),
-        replace(model, programs=programs, fit=fit),
+        replace(model, programs=programs, made=fit),
         tuple(map(as_written, programs)),
         model,
     )

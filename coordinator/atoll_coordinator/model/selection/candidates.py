@@ -125,14 +125,14 @@ class RankedCandidates:
         fitted = [least_squares.fit(program, steps=effort.steps if is_fitted else 0) for program in new.values()]
         started = [one.program for one in fitted if np.isfinite(one.mse)]
         steps, (short, longer, _) = effort.brief_steps, SETTINGS.shooting.lengths
-        models = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (short,)), started)
+        models = comparison.fit_all([(program,) for program in started], steps, (short,))
         models, until = models[: effort.kept], comparison.estimator.work + effort.work
         for terms in libraries:
             if comparison.estimator.work < until:
                 sums = eliminated(comparison, self._problem, terms)
                 models += [model for model in sums if any(self._short(model.programs, most))]
         chosen = {structure(model.programs[0]): model.programs[0] for model in models}
-        models = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (longer,)), chosen.values())
+        models = comparison.fit_all([(program,) for program in chosen.values()], steps, (longer,))
         self._models = comparison.distinct(sorted([*self._models, *models], key=lambda model: model.nats), 0)
         self._started += started
 

@@ -6,15 +6,15 @@ misfit of simulated trajectories to the raw states hardly ever.
 
 import math
 from bisect import bisect_left, bisect_right, insort
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Final, TypeVar
+from functools import cached_property, partial
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.criteria import (
     TrajectoryMisfit,
     constant_nats_of,
@@ -23,6 +23,15 @@ from atoll_coordinator.model.criteria import (
     system_length,
 )
 from atoll_coordinator.model.regression.rounding import quadratic_form
+from atoll_coordinator.model.selection.fit_batches import (
+    Beginning,
+    ComparisonParts,
+    FitBatch,
+    FitOrder,
+    FitOutcome,
+    FitSummary,
+    SummarizedFit,
+)
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
@@ -36,8 +45,11 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.restrictions import NONE, Restrictions
+from atoll_core.wire.values import encode_value
 
-Item = TypeVar("Item")
+Programs = tuple[Program, ...]
+STAGES: Final[tuple[int | None, ...]] = (*SETTINGS.shooting.lengths[:2], None)
+"""Rows of the segments that a system is fitted to, one after another; None: whole trajectories."""
 _REPEATED: Final = 10.0 * SETTINGS.effort.settled
 """Misfits that differ by less, relative to their size, are of the same function in other words: fits settle so far."""
 
@@ -46,13 +58,24 @@ _REPEATED: Final = 10.0 * SETTINGS.effort.settled
 class FittedModel:
     """A system fitted to trajectories: its `programs` with fitted constants, the fit, and its nats.
 
-    `nats` are those of the misfit, of the programs, and 1/2 ln N for each fitted constant (Schwarz 1978).
+    `nats` are those of the misfit, of the programs, and 1/2 ln N for each fitted constant (Schwarz 1978). A fit that
+    was made elsewhere is `made` whole when somebody asks for it.
     """
 
     programs: tuple[Program, ...]
-    fit: TrajectoryFit
+    made: TrajectoryFit | SummarizedFit
     misfit: float
     nats: float
+
+    @cached_property
+    def fit(self) -> TrajectoryFit:
+        """The fit."""
+        return self.made.complete() if isinstance(self.made, SummarizedFit) else self.made
+
+    @property
+    def squares(self) -> FloatArray:
+        """Mean squares (O,) of the fit's residuals."""
+        return self.made.squares
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +106,12 @@ class ModelComparison:
     `leading` are the equations of the positions, which come before those that are sought and are not counted. `tried`
     has the best model of each program that was ever fitted for an equation, by (equation, structure). What equations
     must keep to is in `constraints`. Systems are
-    fitted by the threads of `executor`, whose owner shuts it down; one after another without one.
+    fitted wherever `spread` has it done; one after another without it.
     """
 
     def __init__(
         self, estimator: MultipleShooting, names: Sequence[str], fixed: Iterable[int] = (),
-        leading: Sequence[Program] = (), executor: Executor | None = None,
+        leading: Sequence[Program] = (), spread: Spread | None = None,
         constraints: Constraints | None = None,
     ) -> None:  # fmt: skip
         measurements = estimator.measurements
@@ -113,30 +136,136 @@ class ModelComparison:
         count = 1 if self.groups is None else self.groups.count
         self._own_nats: Final = constant_nats_of(measurements.rows / count)
         self.constant_nats: Final = self._own_nats * count
-        self._map: Final = map if executor is None else executor.map
+        self._spread: Final = spread or Spread()
+        self._encoded: bytes | None = None
 
-    def fit_all(self, work: Callable[[Item], FittedModel | None], items: Iterable[Item]) -> list[FittedModel]:
-        """Return what `work` makes of the items, the shortest description first; without those that failed.
+    def fit_all(
+        self, systems: Sequence[Sequence[Program]], steps: int = SETTINGS.effort.steps,
+        lengths: Sequence[int | None] = STAGES,
+    ) -> list[FittedModel]:  # fmt: skip
+        """Return what `fit_model` makes of systems, the shortest description first; without those that failed.
 
-        After the deadline no more items are taken.
+        After the deadline no more are fitted.
         """
+        return self._fitted(FitOrder(steps, tuple(lengths)), list(map(tuple, systems)))
 
-        def in_time(item: Item) -> FittedModel | None:
-            return None if self.estimator.deadline.is_over else work(item)
+    def _fitted(self, order: FitOrder, systems: Sequence[Programs], until: float = math.inf) -> list[FittedModel]:
+        """Return the models of systems, the shortest description first; without those that failed.
 
-        done = [model for model in self._map(in_time, items) if model is not None and math.isfinite(model.nats)]
-        return sorted(done, key=lambda model: model.nats)
-
-    def _bounded(
-        self, work: Callable[[Item], FittedModel | None], items: Sequence[Item], until: float
-    ) -> list[FittedModel]:
-        """Return what `map` does, of the first items as far as the estimator's work is less than `until`."""
+        Of the first systems, as far as the estimator's work is less than `until`; of none after the deadline. Where
+        others take batches, more are fitted than may count: those that do not are dropped, and so is their work.
+        """
+        bounded = SETTINGS.effort.kept if until < math.inf else max(len(systems), 1)
+        ahead = self._fitted_elsewhere(order, systems) if self._spread.is_shared and len(systems) > 1 else None
         models: list[FittedModel] = []
-        for first in range(0, len(items), SETTINGS.effort.kept):
+        for first in range(0, len(systems), bounded):
             if first and self.estimator.work >= until:
                 break
-            models += self.fit_all(work, items[first : first + SETTINGS.effort.kept])
+            part = systems[first : first + bounded]
+            if ahead is None:
+                fits = self._spread.here(partial(self.fit_ordered, order), part)
+                models += [model for model in fits if model is not None]
+            else:
+                models += self._taken_in(order, part, ahead[first : first + bounded])
         return sorted(models, key=lambda model: model.nats)
+
+    def fit_ordered(self, order: FitOrder, programs: Programs) -> FittedModel | None:
+        """Return the fitted system, None where it cannot be simulated or may not stand, or time is over."""
+        if self.estimator.deadline.is_over:
+            return None
+        if order.near is None:
+            model = self.fit_model(programs, order.steps, order.lengths)
+        else:
+            model = self._fit_from(order.near, programs, order.steps, most=order.most)
+        return model if model is not None and math.isfinite(model.nats) else None
+
+    def _fitted_elsewhere(self, order: FitOrder, systems: Sequence[Programs]) -> list[FitOutcome | None]:
+        """Return what comes of systems, fitted by whoever takes them; None of what time has cut short."""
+        size = self._batch_size(order)
+        batches = [FitBatch(order, tuple(systems[first : first + size])) for first in range(0, len(systems), size)]
+        left, outcomes = self.estimator.deadline.left, list[FitOutcome | None]()
+        fitted = self._spread.share(FITS, self.encoded, batches, 1, left)
+        for batch, made in zip(batches, fitted, strict=True):
+            outcomes += [None] * len(batch.systems) if made is None else made
+        return outcomes
+
+    def _taken_in(
+        self, order: FitOrder, systems: Sequence[Programs], outcomes: Sequence[FitOutcome | None]
+    ) -> list[FittedModel]:
+        """Return the models of systems that were fitted elsewhere, and count their work."""
+        self.estimator.count(sum(outcome.work for outcome in outcomes if outcome is not None))
+        if None in outcomes:
+            self.estimator.deadline.has_cut_short = True
+        pairs = zip(systems, outcomes, strict=True)
+        return [self._summarized(order, programs, made.summary) for programs, made in pairs if made and made.summary]
+
+    def _summarized(self, order: FitOrder, programs: Programs, summary: FitSummary) -> FittedModel:
+        """Return the model of a system that was fitted elsewhere."""
+        admitted = self.admitted(programs)
+        assert admitted is not None, "what was fitted may stand"
+        ends = np.cumsum([len(program) for program in (*self.leading, *admitted)])
+        parts = np.split(summary.constants, ends[:-1])[len(self.leading) :]
+
+        def complete() -> TrajectoryFit:
+            near = None if order.near is None else order.near.system
+            system = replace(self.system(admitted, (), near), constants=summary.constants)
+            if system.sharing is not None and summary.by_group is not None:
+                system = replace(system, sharing=replace(system.sharing, constants=summary.by_group))
+            stiff = summary.is_stiff
+            return self.estimator.whole(system, summary.length, summary.starts, summary.errors, is_stiff=stiff)
+
+        fitted = tuple(replace(one, constants=part) for one, part in zip(admitted, parts, strict=True))
+        return FittedModel(fitted, SummarizedFit(summary.squares, complete), summary.misfit, summary.nats)
+
+    def outcomes(self, batch: FitBatch) -> tuple[FitOutcome, ...]:
+        """Return what comes of the systems of a batch, as it travels."""
+        return tuple(self._outcome(batch.order, programs) for programs in batch.systems)
+
+    def _outcome(self, order: FitOrder, programs: Programs) -> FitOutcome:
+        before = self.estimator.counted
+        model = self.fit_ordered(order, programs)
+        return FitOutcome(None if model is None else self._summary(order, model), self.estimator.counted - before)
+
+    def _summary(self, order: FitOrder, model: FittedModel) -> FitSummary:
+        fit, sharing = model.fit, model.fit.system.sharing
+        in_whole = order.near is not None or self.errors is not None
+        return FitSummary(
+            fit.system.constants, None if sharing is None else sharing.constants, fit.starts, fit.errors, fit.squares,
+            None if in_whole else order.lengths[-1], fit.is_stiff, model.misfit, model.nats,
+        )  # fmt: skip
+
+    def _batch_size(self, order: FitOrder) -> int:
+        """Return how many fits take about as long as a batch should, by the rows and numbers that they carry along."""
+        measurements = self.estimator.measurements
+        numbers = len(measurements.scales) * (1 + SETTINGS.spread.constants * len(measurements.scales))
+        work = measurements.rows * numbers * min(order.steps, SETTINGS.spread.steps) * max(len(order.lengths), 1)
+        return max(1, round(SETTINGS.spread.batch / work))
+
+    @cached_property
+    def _parts(self) -> ComparisonParts:
+        """What this comparison is made of, before it is calibrated."""
+        estimator = self.estimator
+        return ComparisonParts(
+            estimator.measurements, estimator.tolerance, estimator.measured_rows, self.names, self.fixed, self.leading,
+            self._restrictions, None if self.groups is None else self.groups.rows, self.errors, self.misfit,
+        )  # fmt: skip
+
+    @property
+    def encoded(self) -> bytes:
+        """What this comparison is made of, as it is calibrated, in bytes."""
+        if self._encoded is None:
+            self._encoded = encode_value(replace(self._parts, errors=self.errors, misfit=self.misfit))
+        return self._encoded
+
+    @classmethod
+    def of_parts(cls, parts: ComparisonParts) -> "ModelComparison":
+        """Return the comparison that is made of these, which can be asked for all but what calibrates it."""
+        rows = parts.groups
+        groups = None if rows is None else GroupedRows(rows.count, rows.problems, rows.restrictions)
+        estimator = MultipleShooting(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
+        made = cls(estimator, parts.names, parts.fixed, parts.leading, None, Constraints(parts.restrictions, groups))
+        made.errors, made.misfit = parts.errors, parts.misfit
+        return made
 
     def restrictions(self, equation: int) -> Restrictions:
         """Return what an equation must keep to; a given one to nothing."""
@@ -204,7 +333,7 @@ class ModelComparison:
         self,
         programs: Sequence[Program],
         steps: int = SETTINGS.effort.steps,
-        lengths: Sequence[int | None] = (*SETTINGS.shooting.lengths[:2], None),
+        lengths: Sequence[int | None] = STAGES,
     ) -> FittedModel | None:
         """Return the fitted system of `programs`, None when it cannot be simulated or may not stand."""
         admitted = self.admitted(programs)
@@ -224,14 +353,23 @@ class ModelComparison:
         None when it cannot be simulated or may not stand. A fit ends where it is told that it does not come to a
         description of at most so many nats.
         """
+        return self._fit_from(self._beginning(near), programs, steps, fixed_nodes, shared, most)
+
+    def _beginning(self, near: FittedModel) -> Beginning:
+        """Return where the fits of systems near one begin."""
+        fit = near.fit
+        return Beginning(fit.starts, fit.errors, fit.is_stiff, None if self.groups is None else fit.system)
+
+    def _fit_from(
+        self, near: Beginning, programs: Sequence[Program], steps: int, fixed_nodes: Sequence[Iterable[int]] = (),
+        shared: Collection[SharedNumber] = (), most: float = math.inf,
+    ) -> FittedModel | None:  # fmt: skip
         admitted = self.admitted(programs)
         if admitted is None:
             return None
-        near_fit, system = near.fit, self.system(admitted, fixed_nodes, near.fit.system, shared)
+        system = self.system(admitted, fixed_nodes, near.system, shared)
         goal = self._goal(system, most)
-        fit = self.estimator.fit(
-            system, None, steps, near_fit.starts, near_fit.errors, is_stiff=near_fit.is_stiff, goal=goal
-        )
+        fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff, goal=goal)
         return None if fit is None else self.measure(fit)
 
     def _is_refuted(self, begun: TrajectoryFit, fit: TrajectoryFit) -> bool:
@@ -269,12 +407,11 @@ class ModelComparison:
         limit = near.nats + least_term_length(self.constant_nats) if most is None else most
         models: list[FittedModel] = []
         waiting = list(programs)
+        beginning = self._beginning(near) if waiting else None
         for steps, kept in rounds:
-
-            def fitted(program: Program, steps: int = steps) -> FittedModel | None:
-                return self.fit_exchanged(near, equation, program, steps, limit)
-
-            models = self.distinct(self._bounded(fitted, waiting, until), equation)[:kept]
+            order = FitOrder(steps, near=beginning, most=limit)
+            systems = [(*near.programs[:equation], program, *near.programs[equation + 1 :]) for program in waiting]
+            models = self.distinct(self._fitted(order, systems, until), equation)[:kept]
             waiting = [model.programs[equation] for model in models]
         for model in models:
             self._remember(equation, model)
@@ -329,6 +466,7 @@ class ModelComparison:
             self._roughness = roughness(measurements, self.whitened(fit))
             self.misfit = self._misfit(self._roughness)
         self.tried.clear()
+        self._encoded = None
         return self.measure(fit)
 
     def _with_errors(self, fit: TrajectoryFit, errors: ErrorModel | None) -> TrajectoryFit | None:
@@ -521,3 +659,9 @@ class ModelComparison:
         moved = len(points if measurements.has_smoothed_inputs else measurements.smoothed)
         beside = points_beside(points, moved).T if self.groups is None else points[:, :0]
         return np.ascontiguousarray(beside[[measurements.variables.index(name) for name in self.names]])
+
+
+FITS: Final[BatchFunction[ModelComparison, FitBatch, tuple[FitOutcome, ...]]] = BatchFunction(
+    "fits", ComparisonParts, FitBatch, tuple[FitOutcome, ...], ModelComparison.outcomes, ModelComparison.of_parts
+)
+"""Systems fitted to the measurements of a comparison."""

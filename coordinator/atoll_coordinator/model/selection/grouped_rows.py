@@ -4,6 +4,7 @@ Letters: G groups, P constants that are fitted, Q numbers that these are in all 
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,18 @@ from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.restrictions import NONE, Restrictions
 
 
+@dataclass(frozen=True, eq=False)
+class RowsByGroup:
+    """The `problems` of each equation, one of each of `count` groups, none for an equation that is given.
+
+    `restrictions` are those of the equations, by index.
+    """
+
+    count: int
+    problems: Sequence[Sequence[Problem]]
+    restrictions: Mapping[int, Restrictions] = field(default_factory=dict)
+
+
 class GroupedRows:
     """The rows of each group, by equation: constants are fitted to these before any trajectory is simulated."""
 
@@ -25,12 +38,10 @@ class GroupedRows:
         problems: Sequence[Sequence[Problem]],
         restrictions: Mapping[int, Restrictions] | None = None,
     ) -> None:
-        """`problems` has for each equation one of each of `count` groups, none for an equation that is given.
-
-        `restrictions` are those of the equations, by index.
-        """
-        self.count: Final = count
+        """Arguments are as of `RowsByGroup`."""
         by_equation = restrictions or {}
+        self.count: Final = count
+        self.rows: Final = RowsByGroup(count, problems, by_equation)
         self._fits = [
             [
                 LeastSquares(problem, restrictions=by_equation.get(index, NONE)) if len(problem.target.values) else None

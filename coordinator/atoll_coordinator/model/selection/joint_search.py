@@ -93,7 +93,7 @@ def combine(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -> 
         [programs[min(rank, len(programs) - 1)] for programs in lists]
         for rank in range(1, SETTINGS.effort.rounds[1][1] + 1)
     ]
-    models = comparison.fit_all(comparison.fit_model, systems)
+    models = comparison.fit_all(systems)
     if not models and comparison.estimator.deadline.is_over:
         return comparison.fit_model(first)  # as it is, without a step
     return models[0] if models else None

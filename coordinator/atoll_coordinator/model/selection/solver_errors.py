@@ -118,7 +118,7 @@ def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Ite
         [programs[min(rank, len(programs) - 1)] for programs in lists]
         for rank in range(min(longest, SETTINGS.effort.beam))
     ]
-    begun = best = next(iter(comparison.fit_all(lambda programs: comparison.fit_model(programs, steps), systems)), None)
+    begun = best = next(iter(comparison.fit_all(systems, steps)), None)
     if begun is None or best is None or comparison.is_exact(begun):
         return
     most = SETTINGS.selection.solver_as_good**2 * begun.fit.squares
@@ -136,7 +136,7 @@ def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Ite
             as_good = [
                 (length, place, model)
                 for place, model in enumerate(models)
-                if np.all(model.fit.squares <= most)
+                if np.all(model.squares <= most)
                 and (length := comparison.length(model.programs[equation])) < comparison.length(own)
             ]
             best = min(as_good)[2] if as_good else best

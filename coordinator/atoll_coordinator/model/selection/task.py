@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import cached_property
 
 from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Law, LawsByGroup, Refined, may_be_shown
 from atoll_coordinator.model.selection.candidates import CandidateSet
@@ -28,8 +28,8 @@ from atoll_core.expression.writing.shortest import shortest
 class ModellingTask:
     """What is modelled: the variables that have `candidates`, in the order of the equations.
 
-    `settled` are equations that were fitted to noise-free targets; `executor` has the threads that fit systems, none
-    when they are fitted one after another; `piece` is how many rows are simulated at a stretch, at most; after the
+    `settled` are equations that were fitted to noise-free targets; `spread` has work
+    done, by threads or elsewhere; `piece` is how many rows are simulated at a stretch, at most; after the
     `deadline` nothing new is tried; `solver` names the one whose errors have been taken off the recording.
     `among_many` are laws that preparing has found already (None: it has not looked).
     """
@@ -39,7 +39,7 @@ class ModellingTask:
     config: JobConfig
     candidates: Mapping[str, CandidateSet]
     settled: Mapping[str, Refined] = field(default_factory=dict)
-    executor: Executor | None = None
+    spread: Spread = field(default_factory=Spread)
     piece: int = SETTINGS.shooting.piece
     laws: Mapping[str, Sequence[Law]] = field(default_factory=dict)
     deadline: Deadline | None = None
@@ -151,7 +151,7 @@ class ModellingTask:
         restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
         return ModelComparison(
             MultipleShooting(measurements, tolerance, self.deadline, measured_rows), self.dataset.names, fixed,
-            self.leading(variables), self.executor, Constraints(restrictions, self.grouped_rows(variables)),
+            self.leading(variables), self.spread, Constraints(restrictions, self.grouped_rows(variables)),
         )  # fmt: skip
 
     def restrictions(self, variable: str) -> Restrictions:

@@ -122,6 +122,13 @@ class _Method:
         return max(rows, int(steps / self.free))
 
 
+class _OfThread(threading.local):
+    """What one thread has done: the work of the fit that it is at, and all that it has counted."""
+
+    work = 0
+    counted = 0
+
+
 class MultipleShooting:
     """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
 
@@ -133,6 +140,7 @@ class MultipleShooting:
         After the `deadline` a fit takes no more steps. Steps are allowed for each row; where rows stand for more
         `measured_rows` of the same time altogether, for each of these.
         """
+        self.measured_rows: Final = measured_rows
         self._rows_in_row: Final = max(1.0, measured_rows / measurements.rows)
         self.deadline: Final = deadline or Deadline()
         self.tolerance: Final = tolerance
@@ -159,7 +167,7 @@ class MultipleShooting:
         self._row_steps: Final = row_steps(measurements)
         self.work = 0
         self._lock = threading.Lock()
-        self._own = threading.local()
+        self._own = _OfThread()
         self._cache: Final = FitCache[_Done](_FIT_BYTES + 8 * 2 * measurements.smoothed.size)
 
     def fit(  # noqa: PLR0913, where a fit begins, how far it goes, and what it is for
@@ -186,9 +194,36 @@ class MultipleShooting:
             done = _Done(fit, self._own.work)
             if not self.deadline.is_over:  # one that time has cut short is to be fitted again
                 self._cache.put(key, done)
-        with self._lock:
-            self.work += done.work
+        self.count(done.work)
         return done.fit
+
+    def count(self, work: int) -> None:
+        """Add to the work, whoever has done it."""
+        self._own.counted += work
+        with self._lock:
+            self.work += work
+
+    @property
+    def counted(self) -> int:
+        """What the calling thread has added to the work."""
+        return self._own.counted
+
+    def whole(
+        self, system: System, length: int | None, starts: FloatArray, errors: ErrorModel, *, is_stiff: bool
+    ) -> TrajectoryFit:
+        """Return the fit that has come to these constants, initial states and errors, to the bit; it counts no work."""
+        layout, method = self._layout(length), self._methods[is_stiff]
+        here, _ = self._equations(method, system, layout, starts, errors)
+        assert here is not None, "what was fitted can be integrated"
+        return self._fit_at(_Point(system, starts, errors, here), layout, method)
+
+    def _fit_at(self, end: _Point, layout: Innovations, method: _Method) -> TrajectoryFit:
+        here = end.here
+        return TrajectoryFit(
+            end.system, layout.segments, end.starts, here.simulated, here.residuals, end.errors,
+            self.squares(here.residuals), here.normal, here.coupling, here.own, self, method is self._methods[1],
+            here.gradient,
+        )  # fmt: skip
 
     def join(self, fit: TrajectoryFit, before: int | None, after: int | None) -> tuple[System, FloatArray] | None:
         """Return the system, and the initial states (G, D) of longer segments, that make those of a fit continuous.
@@ -255,8 +290,7 @@ class MultipleShooting:
             longer, inner = segments[chosen], np.intersect1d(chosen, last)
             longer[np.isin(chosen, last), 1] += 1
             done, taken, along, slopes = self._integrated(method, system, longer, np.ascontiguousarray(starts[chosen]))
-            with self._lock:
-                self.work += method.work(taken, self.measurements.rows // 2) * (_OVERHEAD_NUMBERS + ends[0].size)
+            self.count(method.work(taken, self.measurements.rows // 2) * (_OVERHEAD_NUMBERS + ends[0].size))
             if done < len(longer) or not self._steepest(slopes[np.isin(owners, chosen)], system) < _STEEPEST:
                 return None
             ends[inner], reached[inner] = slopes[segments[inner, 1]], along[:, segments[inner, 1]].T
@@ -324,13 +358,7 @@ class MultipleShooting:
             return goal.is_beyond(self.squares(residuals), promise, SETTINGS.effort.steps - taken)
 
         begun = _Point(system, starts, errors, here)
-        end = minimize(begun, _solver, move, settled, steps, is_over)
-        here = end.here
-        squares = self.squares(here.residuals)
-        return TrajectoryFit(
-            end.system, segments, end.starts, here.simulated, here.residuals, end.errors, squares, here.normal,
-            here.coupling, here.own, self, method is self._methods[1], here.gradient,
-        )  # fmt: skip
+        return self._fit_at(minimize(begun, _solver, move, settled, steps, is_over), layout, method)
 
     def _layout(self, length: int | None) -> Innovations:
         """Return the segments of about `length` rows, along which residuals are whitened."""

@@ -258,12 +258,12 @@ def test_threads_are_as_many_as_the_cores_that_may_be_used(monkeypatch):
     class Begun(Exception):
         pass
 
-    def executor(threads):
+    def spreading(batches, threads):
         raise Begun(threads)
 
     monkeypatch.setenv("SLURM_CPUS_PER_TASK", "1")
     monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(8)))
-    monkeypatch.setattr("atoll_coordinator.model.pipeline.ThreadPoolExecutor", executor)
+    monkeypatch.setattr("atoll_coordinator.model.pipeline.spreading", spreading)
     preparation = Preparation(dataset(lotka, rows=20), recording=object())
     with pytest.raises(Begun) as begun:
         refine_all(preparation, CONFIG, {})

@@ -401,7 +401,7 @@ def test_what_the_time_did_not_allow_to_try_is_no_doubt(monkeypatch):
     def late(comparison, *args, **named):
         model = fit(comparison, *args, **named)
         monkeypatch.setattr(type(comparison.estimator.deadline), "is_over", True)
-        return None if model is None else replace(model, fit=replace(model.fit, squares=9.0 * model.fit.squares))
+        return None if model is None else replace(model, made=replace(model.fit, squares=9.0 * model.fit.squares))
 
     tried = conclusion._fits_in_whole
     answers = []

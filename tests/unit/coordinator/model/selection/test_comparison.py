@@ -1,7 +1,7 @@
 """Systems fitted and compared over the same measurements."""
 
 import math
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,19 +10,35 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
+from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
+from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
-from atoll_core.config import DataConfig, JobConfig
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import DataConfig, JobConfig, PriorConfig
+from atoll_core.data.dataset import Dataset
 from atoll_core.expression.program import Program, structure
+from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.expression.text.parsing import from_infix
+from tests.batches import ScatteredBatches
 from tests.unit.coordinator.model.fitting import settings
-from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, Known, compare, measurements, recording
+from tests.unit.coordinator.model.shooting.made import (
+    DECAY,
+    LOTKA,
+    LOTKA_TEXT,
+    Known,
+    compare,
+    measurements,
+    recording,
+    table,
+)
 
 EXAMPLES = Path(__file__).parents[5] / "examples"
 TIMES = 0.1 * np.arange(40.0)
@@ -37,8 +53,9 @@ RIVALS = tuple(
 )
 
 
-def lotka(noise=NOISE, **options) -> ModelComparison:
-    return compare(LOTKA, measurements(LOTKA, STARTS, TIMES, noise=noise), **options)
+def lotka(noise=NOISE, deadline=None, **options) -> ModelComparison:
+    measured = measurements(LOTKA, STARTS, TIMES, noise=noise)
+    return ModelComparison(MultipleShooting(measured, 1e-6, deadline), LOTKA.names, **options)
 
 
 def test_a_standing_has_the_nats_of_misfit_programs_and_constants():
@@ -63,7 +80,7 @@ def test_programs_come_back_with_fitted_constants():
 
 def test_the_truth_has_the_shortest_description():
     comparison = lotka()
-    models = comparison.fit_all(lambda program: comparison.fit_model([program, OTHER]), [*RIVALS, TRUTH])
+    models = comparison.fit_all([(program, OTHER) for program in (*RIVALS, TRUTH)])
     assert structure(models[0].programs[0]) == structure(TRUTH)
     assert [model.nats for model in models] == sorted(model.nats for model in models)
     assert len(models) == len(RIVALS)  # the exponential cannot be simulated
@@ -164,18 +181,69 @@ def test_held_nodes_of_a_program_stay():
     assert set(system.owners.tolist()) == {1}
 
 
+def narrowed(fitting: ModelComparison, until: float = math.inf) -> tuple[list[bytes], int]:
+    """Return models of narrowed down programs to the bit, and the work that was counted; the best ones are whole."""
+    near = fitting.fit_model([RIVALS[0], OTHER])
+    models = fitting.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4), (10, 3)), until)
+    models += fitting.fit_all([(program, OTHER) for program in RIVALS], 6, (5,))
+    calibrated = fitting.calibrate(models[0])
+    models += [calibrated, *fitting.narrow_down(calibrated, 1, [*RIVALS, OTHER], ((2, 9),), until)]
+    models += fitting.fit_all([(program, OTHER) for program in RIVALS])
+    return [bits(model) for model in models], fitting.estimator.work
+
+
+def bits(model: FittedModel) -> bytes:
+    fit = model.fit
+    arrays = (
+        *fit.system.arrays(), fit.segments, fit.starts, fit.simulated, fit.residuals, fit.errors.sigmas, fit.squares,
+        fit.normal, fit.coupling, fit.own, fit.gradient, np.array([model.misfit, model.nats, fit.is_stiff]),
+    )  # fmt: skip
+    assert fit.system.programs[-len(model.programs) :] == model.programs
+    return b"".join(b"" if array is None else array.tobytes() for array in arrays)
+
+
 @pytest.mark.parametrize("threads", [1, 4])
 def test_the_number_of_threads_changes_no_bit(threads):
-    def run(executor: Executor | None) -> list[tuple[float, Program]]:
-        comparison = lotka(executor=executor)
-        near = comparison.fit_model([RIVALS[0], OTHER])
-        return [
-            (model.nats, model.programs[0])
-            for model in comparison.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4), (10, 3)))
-        ]
-
     with ThreadPoolExecutor(threads) as executor:
-        assert run(executor) == run(None)
+        assert narrowed(lotka(spread=Spread(None, executor))) == narrowed(lotka())
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 7])
+def test_neither_workers_nor_their_order_change_a_bit_or_the_work_that_is_counted(workers, monkeypatch):
+    few = replace(settings("effort", kept=2), spread=replace(SETTINGS.spread, batch=1))
+    monkeypatch.setattr(comparison, "SETTINGS", few)
+    batches = ScatteredBatches(workers)
+    for until in (math.inf, 1.0):
+        assert narrowed(lotka(spread=Spread(batches)), until) == narrowed(lotka(), until)
+    assert {function for function, _ in batches.calls} == {"fits"}
+    assert max(count for _, count in batches.calls) > 1
+    assert len(batches.contexts) <= 4, "of each run one before and one after errors are calibrated"
+
+
+def test_what_time_has_cut_short_is_left_out():
+    late = lotka(spread=Spread(ScatteredBatches(2, is_over=True)), deadline=Deadline(1000.0))
+    assert late.fit_all([(program, OTHER) for program in RIVALS]) == []
+    assert late.estimator.deadline.has_cut_short
+    assert late.estimator.work == 0
+
+
+def prepared(noise: float) -> Dataset:
+    return prepare(table(LOTKA, STARTS, TIMES, noise), JobConfig()).dataset
+
+
+def test_batches_of_groups_and_bounds_change_no_bit():
+    measured = measurements(LOTKA, ([1.0, 3.0], [4.0, 1.0]), 0.1 * np.arange(30.0), noise=0.02)
+    measured = replace(measured, groups=np.arange(2))
+    problems = [[prepared(0.02).problem(name)] * 2 for name in LOTKA.names]
+    restrictions = {0: restrictions_of(JobConfig(prior=PriorConfig(bounds={"x": ("c < 2.5",)})), "x", LOTKA.names)}
+
+    def run(spread: Spread) -> list[bytes]:
+        constraints = Constraints(restrictions, GroupedRows(2, problems, restrictions))
+        fitting = compare(LOTKA, measured, constraints=constraints, spread=spread)
+        near = fitting.fit_model([RIVALS[0], OTHER])
+        return list(map(bits, fitting.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4),), most=math.inf)))
+
+    assert run(Spread(ScatteredBatches(3))) == run(Spread())
 
 
 def test_noise_is_not_exact_and_its_absence_is():

@@ -1,0 +1,203 @@
+"""Batches of work that may be computed on any machine: named pure functions of a context and of items.
+
+A `BatchFunction` is computed by threads of this process, from values as they are, or in batches by whoever takes them
+(`Batches`), from bytes: the same values come of it, to the bit, wherever and in which order batches are computed, and
+however often. How items fall into batches depends on the items alone, never on who is there to compute them.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any, Final, Generic, Protocol, TypeVar
+
+from atoll_core.errors import LocalProtocolError
+from atoll_core.wire.values import decode_value, encode_value
+
+Context = TypeVar("Context")
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+
+FUNCTIONS: Final[dict[str, Callable[[bytes, bytes], bytes]]] = {}
+"""By name, what is computed of a context and a batch of items, all as bytes. Complete once `pipeline` is imported."""
+
+CANCELLED: Final = b""
+"""What stands for a batch that was not computed since its time was over; no batch is computed to nothing."""
+
+_CONTEXTS: Final = 8
+"""Contexts that are kept as they were built: the comparisons of all states of a system, and that of the whole."""
+_CALLERS: Final = 16
+"""Calls whose own work, beside batches, goes on at the same time: it takes turns, since Python computes one at a time;
+with more there is always one whose batches others can take."""
+
+
+class Batches(Protocol):
+    """Has batches computed. Several threads may call `map` at the same time."""
+
+    @property
+    def workers(self) -> int:
+        """How many take batches beside this process, about; 0: values need not become bytes."""
+        ...
+
+    def map(
+        self, function: str, context: bytes, items: Sequence[bytes], cancel_after: float | None = None
+    ) -> list[bytes]:
+        """Return ``FUNCTIONS[function](context, item)`` of each item, in order, wherever it is computed.
+
+        Args:
+            function: a name in `FUNCTIONS`.
+            context: the same for all items, and for many calls.
+            items: batches.
+            cancel_after: seconds from now after which `CANCELLED` stands for what has not come; None: never.
+        """
+        ...
+
+
+class LocalBatches:
+    """Computes batches in this process, by threads of an `executor`, whose owner shuts it down."""
+
+    workers: Final = 0
+
+    def __init__(self, executor: Executor) -> None:
+        """Compute by the threads of `executor`."""
+        self._executor = executor
+
+    def map(
+        self, function: str, context: bytes, items: Sequence[bytes], cancel_after: float | None = None
+    ) -> list[bytes]:
+        """Return what `Batches.map` does; nothing is cancelled."""
+        del cancel_after
+        return list(self._executor.map(lambda item: FUNCTIONS[function](context, item), items))
+
+
+class BatchFunction(Generic[Context, Item, Made]):
+    """A pure function of a context and an item, known by its name wherever Atoll is installed.
+
+    It takes bytes, as `FUNCTIONS` has it: those of a context and of a tuple of items.
+    """
+
+    def __init__(
+        self, name: str, context: Any, item: Any, made: Any, compute: Callable[[Context, Item], Made],
+        build: Callable[[Any], Context] = lambda parts: parts,
+    ) -> None:  # fmt: skip
+        """Know a function by `name`.
+
+        Args:
+            name: nobody else's.
+            context: type of what travels of a context.
+            item: type of an item.
+            made: type of what is computed.
+            compute: what it does.
+            build: makes a context of what travels of it; once for many batches.
+        """
+        if name in FUNCTIONS:
+            raise LocalProtocolError(f"two functions are called {name!r}")
+        self.name: Final = name
+        self.context: Final = context
+        self._items: Final = tuple[item, ...]
+        self._made: Final = tuple[made, ...]
+        self._compute: Final = compute
+        self._build: Final = build
+        FUNCTIONS[name] = self
+
+    def __call__(self, context: bytes, batch: bytes) -> bytes:
+        """Return what is made of each item of a batch."""
+        built: Context = _built.get(self._build, context, self.context)
+        items: tuple[Item, ...] = decode_value(batch, self._items)
+        return encode_value(tuple(self._compute(built, item) for item in items), self._made)
+
+    def encoded(self, items: Sequence[Item]) -> bytes:
+        """Return a batch of items."""
+        return encode_value(tuple(items), self._items)
+
+    def decoded(self, made: bytes) -> tuple[Made, ...]:
+        """Return what was made of a batch."""
+        return decode_value(made, self._made)
+
+    def here(self, context: Context, item: Item) -> Made:
+        """Return what is made of an item."""
+        return self._compute(context, item)
+
+
+class _BuiltContexts:
+    """Contexts as they were built of bytes; the last few. Any thread may use it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[tuple[Any, bytes], Any] = OrderedDict()
+
+    def get(self, build: Callable[[Any], Any], context: bytes, kind: Any) -> Any:
+        """Return what `build` makes of the value of type `kind` in `context`."""
+        key = (build, context)
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        made = build(decode_value(context, kind))
+        with self._lock:
+            made = self._kept.setdefault(key, made)
+            while len(self._kept) > _CONTEXTS:
+                self._kept.popitem(last=False)
+            return made
+
+
+_built: Final = _BuiltContexts()
+
+
+class Spread:
+    """Spreads work: over threads of this process, or in batches over all who take them."""
+
+    def __init__(self, batches: Batches | None = None, executor: Executor | None = None) -> None:
+        """Without `batches` that others take, work is done by threads of `executor`; without both one after another."""
+        self._batches = batches
+        self._executor = executor
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether others take batches now."""
+        return self._batches is not None and self._batches.workers > 0
+
+    def here(self, function: Callable[[Item], Made], items: Sequence[Item]) -> Iterator[Made]:
+        """Yield what a function makes of items, in order, computed by threads of this process."""
+        yield from map(function, items) if self._executor is None else self._executor.map(function, items)
+
+    def map(
+        self, function: BatchFunction[Context, Item, Made], context: Context, items: Sequence[Item], size: int = 1
+    ) -> list[Made]:
+        """Return what a function makes of items in batches of `size`; `context` travels as it is."""
+        if not self.is_shared or len(items) <= size:
+            return list(self.here(lambda item: function.here(context, item), items))
+        made = self.share(function, encode_value(context, function.context), items, size)
+        return [one for one in made if one is not None]
+
+    def share(
+        self, function: BatchFunction[Context, Item, Made], context: bytes, items: Sequence[Item], size: int,
+        cancel_after: float | None = None,
+    ) -> list[Made | None]:  # fmt: skip
+        """Return what a function makes of items in batches of `size`, computed by whoever takes them.
+
+        None of those that were not computed within `cancel_after` seconds.
+        """
+        assert self._batches is not None
+        parts = [items[first : first + size] for first in range(0, len(items), size)]
+        batches = [function.encoded(part) for part in parts]
+        made = self._batches.map(function.name, context, batches, cancel_after)
+        results: list[Made | None] = []
+        for part, one in zip(parts, made, strict=True):
+            results += [None] * len(part) if one == CANCELLED else function.decoded(one)
+        return results
+
+    def branches(self, calls: Sequence[Callable[[], Made]]) -> list[Made]:
+        """Return what each call gives: at the same time where others take their batches, else one after another."""
+        if not self.is_shared or len(calls) < 2:
+            return [call() for call in calls]
+        with ThreadPoolExecutor(min(len(calls), _CALLERS)) as callers:
+            return list(callers.map(lambda call: call(), calls))
+
+
+@contextmanager
+def spreading(batches: Batches | None, threads: int) -> Iterator[Spread]:
+    """Yield what spreads work over `batches`, and over so many threads of this process while the block lasts."""
+    with ThreadPoolExecutor(threads) as executor:
+        yield Spread(batches, executor)

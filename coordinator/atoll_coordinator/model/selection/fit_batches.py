@@ -1,0 +1,101 @@
+"""Fits of systems as they travel: what a comparison is made of, what is to be fitted, and what comes of a fit. Pure.
+
+Of a fit, only numbers come back from which it is made whole again by one integration: states, residuals and normal
+equations are hundreds of times as large, and nobody asks for those of most candidates.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from atoll_coordinator.model.criteria import TrajectoryMisfit
+from atoll_coordinator.model.selection.grouped_rows import RowsByGroup
+from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program
+from atoll_core.expression.restrictions import Restrictions
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonParts:
+    """What a `ModelComparison` is made of; `errors` and `misfit` are those that it was calibrated to."""
+
+    measurements: Measurements
+    tolerance: float
+    measured_rows: int
+    names: tuple[str, ...]
+    fixed: frozenset[int]
+    leading: tuple[Program, ...]
+    restrictions: Mapping[int, Restrictions]
+    groups: RowsByGroup | None
+    errors: ErrorModel | None
+    misfit: TrajectoryMisfit
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """Where a fit begins: initial states, errors, whether it is stiff; with groups, the system whose constants are."""
+
+    starts: FloatArray
+    errors: ErrorModel
+    is_stiff: bool
+    system: System | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FitOrder:
+    """How systems are to be fitted: in stages of growing `lengths`, or in whole from a beginning `near`.
+
+    A fit takes so many `steps` at most, and ends where it is told that it does not come to a description of `most`
+    nats.
+    """
+
+    steps: int
+    lengths: tuple[int | None, ...] = ()
+    near: Beginning | None = None
+    most: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class FitBatch:
+    """Systems, the programs of each, that are fitted alike."""
+
+    order: FitOrder
+    systems: tuple[tuple[Program, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FitSummary:
+    """What a fit came to: `constants` of all nodes, by group if there are any, and what tells it from others.
+
+    `length` is that of its segments (rows; None: whole trajectories), `squares` are the mean squares of residuals.
+    """
+
+    constants: FloatArray
+    by_group: FloatArray | None
+    starts: FloatArray
+    errors: ErrorModel
+    squares: FloatArray
+    length: int | None
+    is_stiff: bool
+    misfit: float
+    nats: float
+
+
+@dataclass(frozen=True, eq=False)
+class FitOutcome:
+    """What came of a system, None if nothing could be fitted, and the work that it took."""
+
+    summary: FitSummary | None
+    work: int
+
+
+@dataclass(frozen=True, eq=False)
+class SummarizedFit:
+    """A fit of which the summary is known; `complete` integrates it once more for the rest."""
+
+    squares: FloatArray
+    complete: Callable[[], TrajectoryFit] = field(repr=False)

@@ -1,0 +1,68 @@
+"""Functions that anybody may compute: from values here, from bytes elsewhere, always the same."""
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from atoll_coordinator.model.batches import FUNCTIONS, BatchFunction, LocalBatches, Spread, spreading
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from tests.batches import ScatteredBatches
+
+BUILT: list[int] = []
+
+
+def built(base: int) -> list[int]:
+    BUILT.append(base)
+    return [base]
+
+
+ADD: BatchFunction[list[int], int, tuple[int, str]] = BatchFunction(
+    "test: add", int, int, tuple[int, str], lambda base, item: (base[0] + item, "a"), built
+)
+SQUARE: BatchFunction[int, int, int] = BatchFunction("test: power", int, int, int, lambda power, item: item**power)
+ITEMS = list(range(23))
+
+
+def test_a_batch_is_what_is_made_of_each_item() -> None:
+    made = FUNCTIONS["test: power"](b"\x02", SQUARE.encoded([3, -4]))
+    assert SQUARE.decoded(made) == (9, 16)
+    with pytest.raises(RemoteProtocolError):
+        FUNCTIONS["test: power"](b"\x02", SQUARE.encoded([3])[:-1])
+
+
+def test_a_context_is_built_once_for_many_batches() -> None:
+    BUILT.clear()
+    for _ in range(3):
+        assert ADD.decoded(FUNCTIONS["test: add"](bytes([7]), ADD.encoded([1]))) == ((8, "a"),)
+    assert BUILT == [7]
+
+
+@pytest.mark.parametrize("workers", [0, 1, 2, 3, 7])
+@pytest.mark.parametrize("size", [1, 4, 100])
+def test_work_is_the_same_wherever_it_is_spread(workers: int, size: int) -> None:
+    batches = ScatteredBatches(workers)
+    assert Spread(batches).map(SQUARE, 2, ITEMS, size) == [item**2 for item in ITEMS]
+    assert bool(batches.calls) == (workers > 0 and size < len(ITEMS))
+
+
+def test_threads_of_this_process_compute_batches_and_values_alike() -> None:
+    with ThreadPoolExecutor(3) as executor:
+        local = LocalBatches(executor)
+        made = local.map("test: power", b"\x03", [SQUARE.encoded([item]) for item in ITEMS])
+        assert [SQUARE.decoded(one)[0] for one in made] == [item**3 for item in ITEMS]
+    with spreading(None, 2) as spread:
+        assert not spread.is_shared
+        assert spread.map(SQUARE, 3, ITEMS) == [item**3 for item in ITEMS]
+
+
+def test_branches_go_on_at_the_same_time_only_where_others_take_their_batches() -> None:
+    meeting = threading.Barrier(2, timeout=20)
+    assert Spread(ScatteredBatches(2)).branches([meeting.wait, meeting.wait]) in ([0, 1], [1, 0])
+    threads = {threading.get_ident()}
+    assert set(Spread().branches([threading.get_ident] * 2)) == threads
+
+
+def test_names_are_used_once() -> None:
+    with pytest.raises(LocalProtocolError, match="two functions"):
+        BatchFunction("test: power", int, int, int, lambda power, item: item)
