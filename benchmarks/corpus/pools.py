@@ -57,7 +57,7 @@ class KeptPool:
     key: Key | None = None
 
 
-def keep(  # noqa: PLR0913  # takes the place of that method
+def keep(
     controller: TaskController, job: str, config: JobConfig, pools: Pools, seconds: float | None, now: float
 ) -> None:
     """Keep what refining would be given in the file that the environment names; in place of `TaskController.refine`."""

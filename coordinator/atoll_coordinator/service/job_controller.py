@@ -59,7 +59,7 @@ class JobController:
     ) -> None:  # fmt: skip
         """Set up the jobs of a store; no island is placed before the expected workers are ready.
 
-        `writer` makes checkpoints durable, `post` hands outcomes to the loop, `clock` gives the time of day as ISO text.
+        `writer` makes checkpoints durable, `post` hands outcomes to the loop, `clock` gives the time of day as text.
         """
         self.jobs: dict[str, Job] = {}
         self.events: Final = EventLog(store, clock)
