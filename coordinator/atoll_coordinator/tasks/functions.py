@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from atoll_core.wire.messages.tasks import TaskFunction
@@ -69,7 +70,7 @@ def _refine(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> byt
     from atoll_coordinator.tasks.refining import refine
 
     prepared, pools = inputs
-    return refine(prepared, pools, seconds, refine_all)
+    return refine(prepared, pools, seconds, partial(refine_all, batches=team, threads=team.threads))
 
 
 FUNCTIONS: Final[Mapping[TaskFunction, Function]] = {
