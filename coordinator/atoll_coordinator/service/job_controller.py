@@ -46,7 +46,6 @@ from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Submit
 from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
 from atoll_core.wire.messages.tasks import TaskReport
-from atoll_core.wire.messages.views import FINAL_STATES
 from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, Placements, WorkerStatus
 
 
@@ -81,10 +80,7 @@ class JobController:
 
         One that cannot be understood fails, and takes no other with it.
         """
-        for record in self._store.jobs():
-            if record.state in FINAL_STATES:
-                self.shown.ended[record.id] = None
-                continue
+        for record in self._store.open_jobs():
             with self.guarded(record.id, "taking over a job", now):
                 if not record.is_sound:
                     self._end_without_job(record.id, checks.DAMAGED_RECORD)
@@ -257,7 +253,7 @@ class JobController:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
         job = self.jobs.get(report.job)
         if job is None:
-            if report.job not in self.shown.ended:
+            if self._store.job(report.job) is None:
                 raise RemoteProtocolError(f"a report of job {report.job} came, which does not exist")
             return
         self._change(
@@ -402,7 +398,6 @@ class JobController:
 
     def _end_without_job(self, job_id: str, reason: str, text: str | None = None) -> None:
         """Let a job of the store fail that is not live, unless it has ended there."""
-        self.shown.ended[job_id] = None
         if self._store.commit_result(job_id, "failed", text, reason, self._clock()):
             with self.breakages.tolerated("noting the end of a job"):
                 self.events.record("failed", reason, job_id)
@@ -435,10 +430,12 @@ class JobController:
         text = job_result(job, now).to_json() if job.prepared is not None else None
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
         is_crash_loop, finished = job.fault == "poison", self._clock()
-        self._store.commit_result(job.id, job.state, text, job.reason, finished, keeps_checkpoints=is_crash_loop)
+        view = self.shown.last_view(job, now).model_dump_json()
+        self._store.commit_result(
+            job.id, job.state, text, job.reason, finished, keeps_checkpoints=is_crash_loop, view=view
+        )
         self._channel.publish(CloseJob(job=job.id))
         self.tasks.cancel(job.id)
-        self.shown.keep_last(job, now)
         del self.jobs[job.id]
         self.events.record_end(job)
         self.counters.forget(job.id)

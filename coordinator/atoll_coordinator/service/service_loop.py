@@ -16,6 +16,7 @@ from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
 from atoll_coordinator.service.requests.handshake import Handshake
+from atoll_coordinator.service.requests.question_queue import QuestionQueue
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.dependencies import Dependencies
 from atoll_coordinator.service.tasks.outcomes import (
@@ -63,6 +64,11 @@ class _TimeCheck:
     """Posted by the timer, behind all events that came before it: only then does silence count."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """Posted while questions of clients wait: it is one's turn."""
+
+
 class Service:
     """One coordinator on one bus, over one store. Owned by the bus's owner thread."""
 
@@ -93,6 +99,7 @@ class Service:
         self._store = store
         self._dismisses_workers = dismisses_workers
         dependencies = dependencies or Dependencies()
+        self._questions: QuestionQueue[Query] = QuestionQueue()
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
         writer = CheckpointWriter(dependencies.writer, store, self._bus.post)
@@ -194,6 +201,8 @@ class Service:
         match item:
             case _TimeCheck():
                 self._check_time(now)
+            case _Turn():
+                self._take_turn()
             case PreparationBegun():
                 self.controller.begin_preparing(item.job, now)
             case JobPrepared():
@@ -285,6 +294,31 @@ class Service:
 
     @_on.register
     def _on_query(self, event: Query) -> None:
+        """Answer workers and greetings at once; questions of clients wait, and take turns with all else that comes."""
+        try:
+            key = topics.parse(event.key)
+        except RemoteProtocolError:
+            self._bus.reply(event, None)
+            raise
+        if not isinstance(key, topics.ClientKey):
+            self._answer(event)
+        elif not self._questions.add(key.client, event):
+            self._bus.reply(event, None)
+        elif len(self._questions) == 1:
+            self._bus.post(_Turn())
+
+    def _take_turn(self) -> None:
+        """Answer one question, behind what had come before; the next one goes behind what has come since."""
+        question = self._questions.take()
+        if len(self._questions):
+            self._bus.post(_Turn())
+        if question is not None:
+            try:
+                self._answer(question)
+            except RemoteProtocolError as error:
+                self.rejects.count(question.key, error)
+
+    def _answer(self, event: Query) -> None:
         try:
             answer = self._requests.answer(event)
         except RemoteProtocolError:

@@ -3,8 +3,11 @@
 Views and results are made by `atoll_coordinator.service.monitoring.views`, when they are asked for.
 """
 
+import contextlib
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Protocol
+
+from pydantic import ValidationError
 
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.jobs.queue import Line
@@ -13,7 +16,7 @@ from atoll_coordinator.service.monitoring.counters import CounterRegistry
 from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, view_of_record
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import StoreError
-from atoll_core.wire.messages.views import JobView
+from atoll_core.wire.messages.views import FINAL_STATES, JobView
 
 
 class JobWorkers(Protocol):
@@ -32,8 +35,8 @@ class JobViews:
 
     def __init__(self, jobs: Mapping[str, Job], workers: JobWorkers, store: Store, breakages: Breakages) -> None:
         """`jobs` are the live ones by id, as they come and go."""
-        self.ended: dict[str, JobView | None] = {}
-        """Jobs that have ended; None: the view has not been made of what is stored yet."""
+        self.bytes_read = 0
+        """Bytes of results of which views have been made so far: that takes long, and is done once for each."""
         self._jobs = jobs
         self._workers = workers
         self._store = store
@@ -67,19 +70,31 @@ class JobViews:
             return job_result(job, now).to_json() if job.prepared is not None else None
         return self._store.result(job_id)
 
-    def keep_last(self, job: Job, now: float) -> None:
-        """Keep the view of a job that ends now."""
-        self.ended[job.id] = self._live_view(job, Line(()), now).model_copy(
-            update={"workers": 0, "stalls": (), "ahead": None}
-        )
+    def last_view(self, job: Job, now: float) -> JobView:
+        """Return the view of a job that ends now."""
+        return self._live_view(job, Line(()), now).model_copy(update={"workers": 0, "stalls": (), "ahead": None})
 
     def _view(self, job_id: str, line: Line, now: float) -> JobView | None:
         if job_id in self._jobs:
             return self._live_view(self._jobs[job_id], line, now)
-        record = self._store.job(job_id) if job_id in self.ended and self.ended[job_id] is None else None
-        if record is not None:
-            self.ended[job_id] = ended_view(record, self._store.result(job_id))
-        return self.ended.get(job_id)
+        text = self._store.view(job_id)
+        if text is not None:
+            with contextlib.suppress(ValidationError):  # else another version has kept it
+                return JobView.model_validate_json(text)
+        return self._made_view(job_id)
+
+    def _made_view(self, job_id: str) -> JobView | None:
+        """Make the view of an ended job of its record and result, and keep it; None for an unknown job."""
+        record = self._store.job(job_id)
+        if record is None:
+            return None
+        result = self._store.result(job_id)
+        self.bytes_read += len(result or "")
+        view = ended_view(record, result)
+        if record.is_sound and record.state in FINAL_STATES:
+            with contextlib.suppress(StoreError):  # the disk is full, perhaps: then it is made again
+                self._store.keep_view(job_id, view.model_dump_json())
+        return view
 
     def _live_view(self, job: Job, line: Line, now: float) -> JobView:
         waiting_reason, stalls = self._workers.waiting_reason(job), self._workers.stalls(job.id)

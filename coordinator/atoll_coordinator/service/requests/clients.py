@@ -37,7 +37,8 @@ from atoll_core.wire.messages.views import CoordinatorView, JobView
 
 MAX_PAGE_BYTES: Final = CHUNK_SIZE
 """Of a list of jobs, as JSON, unless a single one has more: each item of a message has two bytes of JSON at least, so
-that the list keeps to `atoll_core.wire.codec.MAX_ITEMS`."""
+that the list keeps to `atoll_core.wire.codec.MAX_ITEMS`. No more is read of results for a list, so that none holds up
+the loop."""
 
 _SHOWN: Final = 5
 
@@ -128,10 +129,11 @@ class ClientRequests:
         )
         numbers = {job: number for number, job in page}
         views: list[JobView] = []
-        size = 0
-        for view in self._controller.shown.views(numbers, self._now()):
+        size, shown = 0, self._controller.shown
+        read = shown.bytes_read
+        for view in shown.views(numbers, self._now()):
             size += len(view.model_dump_json())
-            if views and size > MAX_PAGE_BYTES:
+            if views and max(size, shown.bytes_read - read) > MAX_PAGE_BYTES:
                 return JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
             views.append(view)
         is_last = len(numbers) < question.limit

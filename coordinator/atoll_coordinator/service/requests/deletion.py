@@ -26,11 +26,10 @@ class JobDeletion:
         live = self._controller.jobs.get(job)
         if live is not None:
             raise RefusedError(f"job {job} is {live.state}; cancel it, or wait for its end, before you delete it")
-        if job not in self._controller.shown.ended:
+        if self._store.job(job) is None:
             return
         self._controller.events.flush()  # or its last events would be written after its end
         self._store.delete_job(job)
-        del self._controller.shown.ended[job]
         self._controller.events.record("deleted", f"job {job} is deleted: {reason}")
 
     def delete_expired(self, now: float) -> None:

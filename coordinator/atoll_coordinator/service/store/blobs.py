@@ -17,8 +17,14 @@ def add(sql: sqlite3.Connection, digest: str, data: bytes) -> None:
     if is_complete(sql, digest) and keep_if_sound(sql, digest):
         return
     sql.execute("INSERT OR REPLACE INTO blobs VALUES (?, ?, 1)", (digest, len(data)))
+    sql.execute("INSERT OR IGNORE INTO uploads VALUES (?)", (digest,))
     pieces = ((digest, n, data[n * CHUNK_SIZE : (n + 1) * CHUNK_SIZE]) for n in range(chunk_count(len(data))))
     sql.executemany("INSERT INTO chunks VALUES (?, ?, ?)", pieces)
+
+
+def take(sql: sqlite3.Connection, digest: str) -> None:
+    """Take in that a job uses a blob from now on."""
+    sql.execute("DELETE FROM uploads WHERE digest = ?", (digest,))
 
 
 def keep_if_sound(sql: sqlite3.Connection, digest: str) -> bool:
@@ -89,10 +95,14 @@ def put_chunk(sql: sqlite3.Connection, digest: str, size: int, index: int, data:
 
 def total_bytes(sql: sqlite3.Connection, but: str = "") -> int:
     """Return how many bytes all blobs but one have, announced ones included."""
-    (total,) = sql.execute("SELECT coalesce(sum(size), 0) FROM blobs WHERE digest != ?", (but,)).fetchone()
+    (total,) = sql.execute(
+        "SELECT (SELECT coalesce(sum(size), 0) FROM blobs) - coalesce((SELECT size FROM blobs WHERE digest = ?), 0)",
+        (but,),
+    ).fetchone()
     return cast(int, total)
 
 
+# Every blob is among `uploads` until a job takes it; so only few are asked whether a job uses them after all.
 _UNUSED: Final = (
     "NOT EXISTS (SELECT 1 FROM jobs WHERE table_digest = digest) "
     "AND NOT EXISTS (SELECT 1 FROM jobs WHERE dataset_digest = digest)"
@@ -101,13 +111,14 @@ _UNUSED: Final = (
 
 def unused(sql: sqlite3.Connection) -> tuple[str, ...]:
     """Return the digests of the blobs that no job uses: unfinished uploads, and those that were not submitted."""
-    return tuple(digest for (digest,) in sql.execute(f"SELECT digest FROM blobs WHERE {_UNUSED}").fetchall())
+    return tuple(digest for (digest,) in sql.execute(f"SELECT digest FROM uploads WHERE {_UNUSED}").fetchall())
 
 
 def unused_bytes(sql: sqlite3.Connection) -> int:
     """Return how many bytes are there of the blobs that no job uses."""
     (total,) = sql.execute(
-        f"SELECT coalesce(sum(length(data)), 0) FROM chunks WHERE digest IN (SELECT digest FROM blobs WHERE {_UNUSED})"
+        "SELECT coalesce(sum(length(data)), 0) FROM chunks "
+        f"WHERE digest IN (SELECT digest FROM uploads WHERE {_UNUSED})"
     ).fetchone()
     return cast(int, total)
 
@@ -119,6 +130,7 @@ def delete_unused(sql: sqlite3.Connection, digests: Iterable[str]) -> None:
 
 def _begin(sql: sqlite3.Connection, digest: str, size: int) -> None:
     sql.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?, 0)", (digest, size))
+    sql.execute("INSERT OR IGNORE INTO uploads VALUES (?)", (digest,))
     (known,) = sql.execute("SELECT size FROM blobs WHERE digest = ?", (digest,)).fetchone()
     if known != size:
         raise RemoteProtocolError(f"an upload of {size} bytes was announced before as one of {known} bytes")

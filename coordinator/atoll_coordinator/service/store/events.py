@@ -49,10 +49,11 @@ def _thin(sql: sqlite3.Connection, job: str | None) -> None:
 def read(sql: sqlite3.Connection, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:
     """Return events of `job`, or of all (None), in order: the `limit` next ones after `after`, or the last ones (0)."""
     order = "ASC" if after else "DESC"
+    of_job, values = ("job = ? AND ", (job,)) if job is not None else ("", ())  # an OR would read all of them
     rows = sql.execute(
-        "SELECT job, time, kind, contents, number FROM events WHERE number > ? AND (? IS NULL OR job = ?) "
+        f"SELECT job, time, kind, contents, number FROM events WHERE {of_job}number > ? "
         f"ORDER BY number {order} LIMIT ?",
-        (after, job, job, limit),
+        (*values, after, limit),
     ).fetchall()
     return tuple(EventRecord(*row) for row in (rows if after else reversed(rows)))
 

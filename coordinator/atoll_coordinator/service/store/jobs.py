@@ -43,6 +43,9 @@ class JobRecord:
 
 _COLUMNS: Final = tuple(field.name for field in fields(JobRecord))
 _FIXED: Final = ("id", "spec", "table_digest", "submitted", "priority")
+_OPEN: Final = "state NOT IN ('done', 'failed', 'cancelled')"
+_ENDED: Final = "state IN ('done', 'failed', 'cancelled')"
+"""Word by word the conditions of the indices of `schema`, which are used for no other."""
 
 
 def add(sql: sqlite3.Connection, job: JobRecord) -> bool:
@@ -57,6 +60,12 @@ def find(sql: sqlite3.Connection, job: str) -> JobRecord | None:
     """Return one job; None for an unknown id."""
     row = sql.execute(f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE id = ?", (job,)).fetchone()
     return JobRecord(*row) if row else None
+
+
+def read_open(sql: sqlite3.Connection) -> tuple[JobRecord, ...]:
+    """Return the jobs that have not ended, in the order in which they came."""
+    rows = sql.execute(f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE {_OPEN} ORDER BY number").fetchall()
+    return tuple(JobRecord(*row) for row in rows)
 
 
 def read_all(sql: sqlite3.Connection) -> tuple[JobRecord, ...]:
@@ -74,7 +83,7 @@ def page(
     if prefix:
         conditions, values = ["id >= ? AND id < ?"], [prefix, prefix + _BEYOND]
     if is_open:
-        conditions.append("state IN ('queued', 'preparing', 'running', 'refining')")
+        conditions.append(_OPEN)
     if before is not None:
         conditions, values = [*conditions, "number < ?"], [*values, before]
     where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
@@ -115,17 +124,28 @@ def end(
 ) -> bool:
     """Give a job its final `state` and `result`; return False, changing nothing, when it had ended before."""
     done = sql.execute(
-        "UPDATE jobs SET state = ?, result = ?, reason = ?, finished = ? "
-        "WHERE id = ? AND state NOT IN ('done', 'failed', 'cancelled')",
-        (state, result, reason, finished, job),
+        f"UPDATE jobs SET state = ?, reason = ?, finished = ? WHERE id = ? AND {_OPEN}", (state, reason, finished, job)
     )
+    if done.rowcount == 1 and result is not None:
+        sql.execute("INSERT OR REPLACE INTO results VALUES (?, ?)", (job, result))
     return done.rowcount == 1
 
 
 def result(sql: sqlite3.Connection, job: str) -> str | None:
     """Return a job's result as JSON; None while there is none."""
-    row = sql.execute("SELECT result FROM jobs WHERE id = ?", (job,)).fetchone()
-    return cast(str | None, row[0]) if row else None
+    row = sql.execute("SELECT result FROM results WHERE job = ?", (job,)).fetchone()
+    return cast(str, row[0]) if row else None
+
+
+def keep_view(sql: sqlite3.Connection, job: str, view: str) -> None:
+    """Keep what people are shown of a job that has ended, as JSON."""
+    sql.execute("INSERT OR REPLACE INTO views SELECT id, ? FROM jobs WHERE id = ?", (view, job))
+
+
+def view(sql: sqlite3.Connection, job: str) -> str | None:
+    """Return what people are shown of a job that has ended, as JSON; None when it has not been kept."""
+    row = sql.execute("SELECT view FROM views WHERE job = ?", (job,)).fetchone()
+    return cast(str, row[0]) if row else None
 
 
 def keep_submitter(sql: sqlite3.Connection, job: str, name: str) -> None:
@@ -142,7 +162,7 @@ def submitter(sql: sqlite3.Connection, job: str) -> str | None:
 def oldest_ended(sql: sqlite3.Connection) -> JobRecord | None:
     """Return the job that ended first of those that have ended; None when there is none."""
     row = sql.execute(
-        f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE state IN ('done', 'failed', 'cancelled') "
+        f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE {_ENDED} "
         "ORDER BY ended_at, coalesce(finished, submitted), number LIMIT 1"
     ).fetchone()
     return JobRecord(*row) if row else None
@@ -150,7 +170,8 @@ def oldest_ended(sql: sqlite3.Connection) -> JobRecord | None:
 
 def delete(sql: sqlite3.Connection, job: str) -> None:
     """Delete a job and who submitted it; its id is remembered, and given to no other job."""
-    sql.execute("DELETE FROM submitters WHERE job = ?", (job,))
+    for table in ("submitters", "results", "views"):
+        sql.execute(f"DELETE FROM {table} WHERE job = ?", (job,))
     sql.execute("DELETE FROM jobs WHERE id = ?", (job,))
     sql.execute("INSERT OR IGNORE INTO deleted_jobs (id) VALUES (?)", (job,))
 

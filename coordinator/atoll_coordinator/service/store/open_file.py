@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from atoll_coordinator.service.store.schema import Lock, connect, translated
+from atoll_coordinator.service.store.schema import Lock, connect, connect_to_read, translated
 from atoll_core.errors import StoreError
 from atoll_core.wire.messages.views import StoreView
 
@@ -42,7 +42,10 @@ class OpenFile:
         self._lock_on_directory = lock
         self._directory = directory
         self._lock = threading.RLock()
+        self._reader = connect_to_read(directory) if directory is not None else None
+        self._reading_lock = threading.RLock()
         self._timing = StoreView()
+        self._timing_lock = threading.Lock()
         self._now = now
         columns = "id, incarnation, served"
         self.cluster, self.incarnation, served = connection.execute(f"SELECT {columns} FROM realm").fetchone()
@@ -74,7 +77,9 @@ class OpenFile:
 
     def close(self) -> None:
         """Close the store and let others open it. Repeatable."""
-        with self._lock:
+        with self._lock, self._reading_lock:
+            if self._reader is not None:
+                self._reader.close()
             self._connection.close()
             if self._lock_on_directory is not None:
                 self._lock_on_directory.release()
@@ -97,7 +102,7 @@ class OpenFile:
 
     def timing(self) -> StoreView:
         """Return how many transactions there were since the store was opened, and how long they took."""
-        with self._lock:
+        with self._timing_lock:
             return self._timing
 
     def room(self) -> Room | None:
@@ -111,7 +116,7 @@ class OpenFile:
             disk = shutil.disk_usage(self._directory)
         except OSError:
             return None
-        with self._transaction() as sql:
+        with self._reading() as sql:
             free, size = (sql.execute(f"PRAGMA {name}").fetchone()[0] for name in ("freelist_count", "page_size"))
         return Room(disk.free + free * size, disk.total)
 
@@ -121,7 +126,7 @@ class OpenFile:
             began = time.perf_counter()
             self._connection.execute("BEGIN IMMEDIATE")
             try:
-                self._check_incarnation()
+                self._check_incarnation(self._connection)
                 yield self._connection
                 self._connection.execute("COMMIT")
                 self._count(time.perf_counter() - began)
@@ -130,9 +135,27 @@ class OpenFile:
                     self._connection.execute("ROLLBACK")
                 raise
 
-    def _check_incarnation(self) -> None:
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        """What only reads does not wait for what another thread writes, such as a checkpoint of many megabytes."""
+        reader = self._reader
+        if reader is None:  # in memory there is one connection
+            with self._transaction() as sql:
+                yield sql
+            return
+        with self._reading_lock, translated(self._directory):
+            began = time.perf_counter()
+            reader.execute("BEGIN")
+            try:
+                self._check_incarnation(reader)
+                yield reader
+            finally:
+                reader.execute("ROLLBACK")
+            self._count(time.perf_counter() - began)
+
+    def _check_incarnation(self, connection: sqlite3.Connection) -> None:
         """Raise StoreError when somebody else has opened the store since: nothing is written over another's work."""
-        (incarnation,) = self._connection.execute("SELECT incarnation FROM realm").fetchone()
+        (incarnation,) = connection.execute("SELECT incarnation FROM realm").fetchone()
         if incarnation != self.incarnation:
             raise StoreError(
                 f"another coordinator (incarnation {incarnation}) has taken over the store {self._directory}; "
@@ -140,9 +163,10 @@ class OpenFile:
             )
 
     def _count(self, seconds: float) -> None:
-        before = self._timing
-        self._timing = StoreView(
-            transactions=before.transactions + 1,
-            total_s=before.total_s + seconds,
-            worst_s=max(before.worst_s, seconds),
-        )
+        with self._timing_lock:
+            before = self._timing
+            self._timing = StoreView(
+                transactions=before.transactions + 1,
+                total_s=before.total_s + seconds,
+                worst_s=max(before.worst_s, seconds),
+            )

@@ -73,12 +73,30 @@ CREATE INDEX jobs_by_dataset ON jobs (dataset_digest);
 CREATE INDEX jobs_by_state ON jobs (state)
 """
 
+_LAYOUT_6_ENDED_JOBS: Final = """
+CREATE TABLE results (job TEXT PRIMARY KEY, result TEXT NOT NULL);
+INSERT INTO results SELECT id, result FROM jobs WHERE result IS NOT NULL;
+ALTER TABLE jobs DROP COLUMN result;
+CREATE TABLE views (job TEXT PRIMARY KEY, view TEXT NOT NULL);
+CREATE INDEX open_jobs ON jobs (number) WHERE state NOT IN ('done', 'failed', 'cancelled');
+CREATE INDEX ended_jobs ON jobs (ended_at, coalesce(finished, submitted), number)
+    WHERE state IN ('done', 'failed', 'cancelled');
+CREATE TABLE uploads (digest TEXT PRIMARY KEY REFERENCES blobs ON DELETE CASCADE);
+INSERT INTO uploads SELECT digest FROM blobs;
+DELETE FROM uploads WHERE digest IN (SELECT table_digest FROM jobs);
+DELETE FROM uploads WHERE digest IN (SELECT dataset_digest FROM jobs);
+CREATE INDEX sizes_of_blobs ON blobs (size)
+"""
+"""So that nothing takes longer with the number of jobs that have ended: results, of up to megabytes, lie apart from
+what is read of every job, and what a list shows of a job that has ended is kept ready."""
+
 _LAYOUTS: Final = (
     _LAYOUT_1,
     ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
     _LAYOUT_3_DEATHS,
     _LAYOUT_4_DELETED_JOBS,
     _LAYOUT_5_SERVED,
+    _LAYOUT_6_ENDED_JOBS,
 )
 """What each version of the layout adds to the one before. A new store goes through all of them, an old one through
 those that it lacks."""
@@ -101,6 +119,15 @@ def connect(directory: Path | None) -> sqlite3.Connection:
     except BaseException:
         connection.close()
         raise
+    return connection
+
+
+def connect_to_read(directory: Path) -> sqlite3.Connection:
+    """Connect to the store's file in `directory`, which is open already, to read alone: it waits for no writer."""
+    file = directory / FILE_NAME
+    with translated(file):
+        connection = sqlite3.connect(file, isolation_level=None, check_same_thread=False, timeout=1.0)
+        connection.execute("PRAGMA query_only = ON")
     return connection
 
 

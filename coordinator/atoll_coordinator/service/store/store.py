@@ -35,35 +35,41 @@ class Store(OpenFile):
         """
         with self._transaction() as sql:
             is_new = job_table.add(sql, job)
+            blob_table.take(sql, job.table_digest)
             if is_new and submitter is not None:
                 job_table.keep_submitter(sql, job.id, submitter)
             return is_new
 
     def job(self, job: str) -> JobRecord | None:
         """Return one job; None for an unknown id."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return job_table.find(sql, job)
 
     def jobs(self) -> tuple[JobRecord, ...]:
         """Return all jobs, in the order in which they came."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return job_table.read_all(sql)
+
+    def open_jobs(self) -> tuple[JobRecord, ...]:
+        """Return the jobs that have not ended, in the order in which they came."""
+        with self._reading() as sql:
+            return job_table.read_open(sql)
 
     def job_page(
         self, prefix: str = "", *, is_open: bool = False, before: int | None = None, limit: int = 1
     ) -> tuple[tuple[int, str], ...]:
         """Return numbers and ids of the last jobs that came, the last first; see `wire.messages.clients.Jobs`."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return job_table.page(sql, prefix, is_open, before, limit)
 
     def count_jobs(self, prefix: str) -> int:
         """Return how many jobs have ids that begin with `prefix`."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return job_table.matches(sql, prefix)
 
     def submitter(self, job: str) -> str | None:
         """Return who submitted a job; None when nobody proved it."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return job_table.submitter(sql, job)
 
     def update_job(self, job: str, **changes: str | float | None) -> None:
@@ -80,12 +86,15 @@ class Store(OpenFile):
             job_table.require(sql, job)
             blob_table.add(sql, digest, dataset)
             job_table.update(sql, job, {"state": "running", "dataset_digest": digest})
+            blob_table.take(sql, digest)
 
-    def commit_result(
+    def commit_result(  # noqa: PLR0913  # all that ends a job is written in one transaction
         self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None,
-        *, keeps_checkpoints: bool = False,
+        *, keeps_checkpoints: bool = False, view: str | None = None,
     ) -> bool:  # fmt: skip
         """Make a job's final `state` and `result` (JSON) durable and forget its checkpoints, or all but the last.
+
+        `view` is what people are shown of it (JSON), if that is known already.
 
         With `keeps_checkpoints` the last of each archipelago stays, until `checkpoint_table.MAX_FAILED` more jobs have
         failed so. Return False, changing nothing, when it had ended before: the first end wins.
@@ -99,18 +108,30 @@ class Store(OpenFile):
             else:
                 checkpoint_table.forget(sql, job)
             death_table.forget(sql, job)
+            if view is not None:
+                job_table.keep_view(sql, job, view)
             job_table.update(sql, job, {"ended_at": self.served_s})
             sql.execute("UPDATE realm SET served = ?", (self.served_s,))
             return True
 
     def result(self, job: str) -> str | None:
         """Return a job's result as JSON; None while there is none."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return job_table.result(sql, job)
+
+    def keep_view(self, job: str, view: str) -> None:
+        """Keep what people are shown of a job that has ended (JSON); without effect when there is no such job."""
+        with self._transaction() as sql:
+            job_table.keep_view(sql, job, view)
+
+    def view(self, job: str) -> str | None:
+        """Return what people are shown of a job that has ended (JSON); None when it has not been kept."""
+        with self._reading() as sql:
+            return job_table.view(sql, job)
 
     def oldest_ended_job(self) -> JobRecord | None:
         """Return the job that ended first of those that have ended; None when there is none."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return job_table.oldest_ended(sql)
 
     def delete_job(self, job: str) -> None:
@@ -137,12 +158,12 @@ class Store(OpenFile):
 
     def is_deleted(self, job: str) -> bool:
         """Tell whether there was a job of this id that has been deleted."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return job_table.is_deleted(sql, job)
 
     def used_bytes(self) -> int:
         """Return the size of the store's file without its free pages, and without what no job uses."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             pages, free, size = (
                 sql.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size")
             )
@@ -176,7 +197,7 @@ class Store(OpenFile):
 
     def cuts(self, job: str) -> dict[str, bytes]:
         """Return the committed cuts by variable."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return archipelago_table.cuts(sql, job)
 
     # deaths
@@ -188,7 +209,7 @@ class Store(OpenFile):
 
     def deaths(self, job: str) -> tuple[Death, ...]:
         """Return the deaths that count for archipelagos of a job, by variable, then by term."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return death_table.read(sql, job)
 
     def take_back_deaths(self, worker: str, instance: str) -> None:
@@ -208,7 +229,7 @@ class Store(OpenFile):
 
         With `after` 0 these are the last ones, otherwise those that come next.
         """
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return event_table.read(sql, job, after, limit)
 
     # checkpoints
@@ -231,7 +252,7 @@ class Store(OpenFile):
 
     def checkpoints(self, job: str) -> dict[str, tuple[int, bytes]]:
         """Return epoch and progress of the last checkpoint by variable."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return checkpoint_table.last(sql, job)
 
     def whole_checkpoints(self, job: str, islands: int) -> dict[str, tuple[int, bytes]]:
@@ -241,7 +262,7 @@ class Store(OpenFile):
 
     def state(self, job: str, variable: str, epoch: int, island: int) -> State:
         """Return the state of an island at a checkpoint; raises KeyError when it is not there."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return checkpoint_table.state(sql, job, variable, epoch, island)
 
     # blobs
@@ -255,7 +276,7 @@ class Store(OpenFile):
 
     def has_blob(self, digest: str) -> bool:
         """Return whether the blob is there, whole."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return blob_table.is_complete(sql, digest)
 
     def get_blob(self, digest: str) -> bytes:
@@ -268,12 +289,12 @@ class Store(OpenFile):
 
     def get_chunk(self, digest: str, index: int) -> bytes:
         """Return chunk `index` (of `CHUNK_SIZE` bytes, the last one shorter) of a blob; raises KeyError."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return blob_table.chunk(sql, digest, index)
 
     def missing_chunks(self, digest: str, size: int) -> tuple[int, ...]:
         """Return which chunks of a blob of `size` bytes are still to be put; none when it is there, whole."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return blob_table.missing(sql, digest, size)
 
     def put_chunk(self, digest: str, size: int, index: int, data: bytes) -> bool:
@@ -294,12 +315,12 @@ class Store(OpenFile):
 
     def blob_bytes(self, but: str = "") -> int:
         """Return how many bytes all blobs have, announced ones included, but for the one of the digest `but`."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return blob_table.total_bytes(sql, but)
 
     def unused_blobs(self) -> tuple[str, ...]:
         """Return the digests of all blobs, finished or not, that no job uses."""
-        with self._transaction() as sql:
+        with self._reading() as sql:
             return blob_table.unused(sql)
 
     def delete_unused_blobs(self, digests: Iterable[str]) -> None:

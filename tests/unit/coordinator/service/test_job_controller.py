@@ -62,7 +62,29 @@ def test_no_result_is_read_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(Store, "result", is_damaged)
     with Store.open(None) as store:
-        assert list(recovered(store, READABLE).shown.ended) == ["job"]
+        assert not recovered(store, READABLE).jobs
+
+
+def test_what_a_list_shows_of_an_ended_job_is_made_of_its_result_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Store.open(None) as store:
+        first = recovered(store, READABLE).shown.view("job", 1.0)
+
+        def is_read_again(self: Store, job: str) -> str:
+            raise AssertionError(job)
+
+        monkeypatch.setattr(Store, "result", is_read_again)
+        again = controller_of(store, Tasks())
+        again.recover(2.0)
+        assert again.shown.view("job", 3.0) == first
+
+
+@pytest.mark.parametrize("kept", ["{", "[]", '{"colour": "red"}'])
+def test_a_view_that_another_version_has_kept_is_made_anew(kept: str) -> None:
+    with Store.open(None) as store:
+        controller = recovered(store, READABLE)
+        whole = controller.shown.view("job", 1.0)
+        store.keep_view("job", kept)
+        assert controller.shown.view("job", 1.0) == whole
 
 
 @pytest.mark.parametrize(

@@ -138,7 +138,6 @@ def test_the_store_is_asked_now_and_then(store: Store) -> None:
     deletes.delete_expired(0.0)
     add(store, "old", "01")
     Now.s = 31 * DAY
-    deletes._controller.shown.ended["old"] = None
     deletes.delete_expired(CHECK_INTERVAL_S - 1.0)
     assert store.job("old") is not None
     deletes.delete_expired(CHECK_INTERVAL_S)
