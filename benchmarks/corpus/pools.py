@@ -18,8 +18,9 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
-from atoll_coordinator.service.tasks.outcomes import JobRefined
+from atoll_coordinator.service.tasks.outcomes import RefiningFailed
 from atoll_coordinator.service.tasks.task_controller import TaskController
+from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import UsageError
 from benchmarks.corpus.cases import Case, Key, make_case
@@ -57,15 +58,13 @@ class KeptPool:
     key: Key | None = None
 
 
-def keep(
-    controller: TaskController, job: str, config: JobConfig, pools: Pools, seconds: float | None, now: float
-) -> None:
+def keep(controller: TaskController, searched: Searched, config: JobConfig, seconds: float | None, now: float) -> None:
     """Keep what refining would be given in the file that the environment names; in place of `TaskController.refine`."""
     del seconds, now
-    prepared = controller.prepared(job)
-    kept = KeptPool(prepared.preparation, config, pools, prepared.laws)
+    prepared = controller.prepared(searched.job)
+    kept = KeptPool(prepared.preparation, config, searched.pools, prepared.laws)
     Path(os.environ[FILE]).write_bytes(pickle.dumps(kept))
-    controller.post(JobRefined(job, Refinement()))
+    controller.post(RefiningFailed(searched.job, Refinement()))
 
 
 def file_of(folder: Path, key: Key) -> Path:

@@ -40,6 +40,11 @@ class Batches(Protocol):
         """How many take batches beside this process, about; 0: values need not become bytes."""
         ...
 
+    @property
+    def threads(self) -> int:
+        """How many threads this process may use by itself; the same comes of any number."""
+        ...
+
     def map(
         self, function: str, context: bytes, items: Sequence[bytes], cancel_after: float | None = None
     ) -> list[bytes]:

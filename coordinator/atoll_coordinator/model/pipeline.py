@@ -50,7 +50,6 @@ def refine_all(
     deadline: Deadline | None = None,
     laws: LawsByGroup | None = None,
     batches: Batches | None = None,
-    threads: int | None = None,
 ) -> Refinement:
     """Return the refined equation of each variable; those are missing of which the front has nothing better.
 
@@ -62,10 +61,9 @@ def refine_all(
         laws: those among many variables that preparing found (`sparse.product_laws`); None: they are sought.
         batches: has batches of the work computed elsewhere; None: all is computed by threads of this process. The same
             comes of it, to the bit.
-        threads: how many this process may use; None: one for each core. The same comes of any number.
     """
     deadline = deadline or Deadline()
-    made = _with_units(_refined(preparation, config, pools, deadline, laws, batches, threads), preparation, config)
+    made = _with_units(_refined(preparation, config, pools, deadline, laws, batches), preparation, config)
     if not deadline.has_cut_short:
         return made
     warnings = tuple(warning for warning in made.warnings if warning != NOT_SIMULATED)
@@ -86,7 +84,7 @@ def _with_units(made: Refinement, preparation: Preparation, config: JobConfig) -
 
 def _refined(
     preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline, laws: LawsByGroup | None,
-    batches: Batches | None, threads: int | None,
+    batches: Batches | None,
 ) -> Refinement:  # fmt: skip
     candidates = collect_candidates(preparation.dataset, config, pools)
     if preparation.process is not None:
@@ -100,7 +98,8 @@ def _refined(
         name: programs for name, programs in candidates.items() if _has_converged(preparation, config, name, programs)
     }
     settled = _by_regression(preparation, config, converged, deadline)
-    with spreading(batches, threads or usable_cores(os.environ)[0]) as spread:
+    threads = usable_cores(os.environ)[0] if batches is None else batches.threads
+    with spreading(batches, threads) as spread:
         task = ModellingTask(
             preparation.dataset, preparation.recording, config, candidates, settled, spread, deadline=deadline,
             among_many=laws,

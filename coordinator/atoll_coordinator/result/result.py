@@ -34,6 +34,10 @@ _RARE: Final = ("group", "command")
 _RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups")
 
 
+UNTIMED: Final = -1.0
+"""Stands for the seconds of a job whose result is made before it has ended."""
+
+
 class Result(Part):
     """What a job has found, and what is known of it; see docs/result.md.
 
@@ -193,3 +197,8 @@ def json_schema() -> dict[str, JsonValue]:
 def schema_text() -> str:
     """Return the JSON schema as the file that the package holds."""
     return json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n"
+
+
+def timed(text: str, seconds: float) -> str:
+    """Return the JSON of a result that was made with `UNTIMED`, now with the seconds that the job took."""
+    return text.replace(f'"seconds": {UNTIMED}', f'"seconds": {json.dumps(seconds)}', 1)

@@ -28,7 +28,7 @@ from atoll_coordinator.service.jobs.queue import next_job
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import JobViews
-from atoll_coordinator.service.monitoring.views import job_result
+from atoll_coordinator.service.monitoring.views import job_result, outcomes_of, result_text
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
 from atoll_coordinator.service.search.cut import Cut
@@ -40,6 +40,7 @@ from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.worker_controller import WorkerController
 from atoll_coordinator.tasks.preparing import Prepared
+from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.codec import decode, encode
@@ -179,9 +180,13 @@ class JobController:
             return False
         return set(pull.islands) <= set(range(archipelago.collector.limits.islands))
 
-    def finish_job(self, job_id: str, refinement: Refinement, now: float) -> None:
-        """End a job with what refining gave."""
-        self._change(job_id, "ending", now, lambda job: job.finish(refinement))
+    def finish_job(self, job_id: str, text: str, now: float) -> None:
+        """End a job with the result that refining gave, as JSON."""
+        self._change(job_id, "ending", now, lambda job: job.finish(text))
+
+    def finish_unrefined(self, job_id: str, refinement: Refinement, now: float) -> None:
+        """End a job with its equations as found, and a warning in place of what refining gives."""
+        self._change(job_id, "ending", now, lambda job: job.finish_unrefined(refinement))
 
     def fail_job(self, job_id: str, fault: Fault, sentence: str, now: float) -> None:
         """Let a job fail; without effect when it has ended."""
@@ -414,7 +419,8 @@ class JobController:
                 case Refine():
                     if job.prepared is not None:
                         self.events.record_refining(job.id)
-                        self.tasks.refine(job.id, job.prepared.config, action.pools, action.seconds, now)
+                        searched = Searched(job.id, tuple(outcomes_of(job)))
+                        self.tasks.refine(searched, job.prepared.config, action.seconds, now)
                 case CommitResult():
                     self._commit_result(job, now)
 
@@ -427,7 +433,7 @@ class JobController:
             self.events.record_cut(job.id, cut)
 
     def _commit_result(self, job: Job, now: float) -> None:
-        text = job_result(job, now).to_json() if job.prepared is not None else None
+        text = result_text(job, now)
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
         is_crash_loop, finished = job.fault == "poison", self._clock()
         view = self.shown.last_view(job, now).model_dump_json()

@@ -25,6 +25,7 @@ from atoll_coordinator.service.tasks.outcomes import (
     JobRefined,
     PreparationBegun,
     PreparationFailed,
+    RefiningFailed,
 )
 from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
@@ -213,7 +214,10 @@ class Service:
                     self.controller.fail_job(item.job, item.fault, item.sentence, now)
             case JobRefined():
                 with self.controller.guarded(item.job, "ending", now):
-                    self.controller.finish_job(item.job, item.refinement, now)
+                    self.controller.finish_job(item.job, item.text, now)
+            case RefiningFailed():
+                with self.controller.guarded(item.job, "ending", now):
+                    self.controller.finish_unrefined(item.job, item.refinement, now)
             case CheckpointWritten():
                 with self.controller.guarded(item.checkpoint.job, "committing a checkpoint", now):
                     self.controller.commit_checkpoint(item.checkpoint, now, item.error)

@@ -70,7 +70,7 @@ def _refine(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> byt
     from atoll_coordinator.tasks.refining import refine
 
     prepared, pools = inputs
-    return refine(prepared, pools, seconds, partial(refine_all, batches=team, threads=team.threads))
+    return refine(prepared, pools, seconds, partial(refine_all, batches=team))
 
 
 FUNCTIONS: Final[Mapping[TaskFunction, Function]] = {

@@ -1,10 +1,13 @@
-"""Refining a job as a task: what preparing gave and the pools of the search in, a refinement out."""
+"""Refining a job as a task: what preparing gave and what the search found in, the job's result as JSON out."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import LawsByGroup, Pool, Pools, Refinement
+from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
+from atoll_coordinator.result.result import UNTIMED
 from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core.config import JobConfig
 from atoll_core.wire.values import decode_value, encode_value
@@ -13,8 +16,30 @@ Refiner = Callable[[Preparation, JobConfig, Pools, Deadline, LawsByGroup | None]
 """Makes the equations that are shown from the search's pools; see `atoll_coordinator.model.pipeline.refine_all`."""
 
 
-def refine(prepared: bytes, pools: bytes, seconds: float | None, refiner: Refiner) -> bytes:
-    """Return the encoded Refinement of encoded pools, made in so many seconds (None: any time)."""
-    job = decode_value(prepared, Prepared)
-    made = refiner(job.preparation, job.config, decode_value(pools, dict[str, Pool]), Deadline(seconds), job.laws)
-    return encode_value(made)
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """How the searches of a job ended, in the order of its dataset; known equations are among them."""
+
+    job: str
+    outcomes: tuple[VariableOutcome, ...]
+
+    @property
+    def pools(self) -> Pools:
+        """What the searches hand on, by variable."""
+        return {one.variable: Pool(one.front, one.runners_up) for one in self.outcomes if one.why != KNOWN}
+
+    def to_bytes(self) -> bytes:
+        """Return this as an input of the task."""
+        return encode_value(self)
+
+
+def refine(prepared: bytes, searched: bytes, seconds: float | None, refiner: Refiner) -> bytes:
+    """Return the result, as JSON in UTF-8, of a job that is refined in so many seconds (None: any time).
+
+    How long the whole job took is left open: `atoll_coordinator.result.result.timed` fills it in.
+    """
+    job, search = decode_value(prepared, Prepared), decode_value(searched, Searched)
+    made = refiner(job.preparation, job.config, search.pools, Deadline(seconds), job.laws)
+    outcomes = [replace(one, refined=made.equations.get(one.variable)) for one in search.outcomes]
+    account = Account("done", UNTIMED, max((one.seconds for one in outcomes), default=0.0))
+    return build_result(search.job, job.config, job.preparation, outcomes, account, made).to_json().encode()

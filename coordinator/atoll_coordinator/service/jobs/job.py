@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from atoll_coordinator.model.criteria import count_constants, front_length
-from atoll_coordinator.model.refinement import Pool, Refinement
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.jobs.stagnation import independent_rows, stagnation_of
 from atoll_coordinator.service.jobs.time_limit import TimeLimit
 from atoll_coordinator.service.search.archipelago import Archipelago
@@ -64,12 +64,11 @@ class PublishCommit:
 
 @dataclass(frozen=True, slots=True)
 class Refine:
-    """All is cut: have the equations made of these pools, by variable; `Job.finish` follows.
+    """All is cut: have the result made of what was found; `Job.finish` follows.
 
     `seconds` is what `--max-time` leaves for that; None: any time.
     """
 
-    pools: dict[str, Pool]
     seconds: float | None = None
 
 
@@ -105,6 +104,7 @@ class Job:
         self.refining_since: float | None = None
         self.spent_before_refining = 0.0
         self.refinement = Refinement()
+        self.result_text: str | None = None
 
     @property
     def has_ended(self) -> bool:
@@ -217,7 +217,7 @@ class Job:
         if self.state == "preparing":
             return self.fail("data", _NOTHING_PREPARED)
         if self.state == "refining":
-            return self.finish(Refinement(warnings=(OUT_OF_TIME,), end="not refined"))
+            return self.finish_unrefined(Refinement(warnings=(OUT_OF_TIME,), end="not refined"))
         return self._cut_search(now)
 
     @property
@@ -231,8 +231,16 @@ class Job:
         cuts = tuple(archipelago.cut for archipelago in open_ones if archipelago.cut is not None)
         return [CommitCuts(cuts), *self._refine_if_cut(now)] if cuts else []
 
-    def finish(self, refinement: Refinement) -> list[JobAction]:
-        """End with what refining gave; without effect on a job that is not being refined."""
+    def finish(self, text: str) -> list[JobAction]:
+        """End with the result that refining gave, as JSON; without effect on a job that is not being refined."""
+        if self.state != "refining":
+            return []
+        self.result_text = text
+        self._step("refined")
+        return [CommitResult()]
+
+    def finish_unrefined(self, refinement: Refinement) -> list[JobAction]:
+        """End with equations as found and the warnings of `refinement`; without effect unless it is being refined."""
         if self.state != "refining":
             return []
         self.refinement = refinement
@@ -305,12 +313,7 @@ class Job:
         self.spent_before_refining = self.spent_seconds(now)
         self.refining_since = now
         self._step("searched")
-        pools = {
-            name: archipelago.cut.pool()
-            for name, archipelago in self.archipelagos.items()
-            if archipelago.cut is not None
-        }
-        return [Refine(pools, self._time_limit.remaining(self.spent_before_refining))]
+        return [Refine(self._time_limit.remaining(self.spent_before_refining))]
 
 
 def commit_order_of(config: JobConfig) -> CommitOrder:

@@ -13,7 +13,13 @@ from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.jobs.queue import Line
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.counters import CounterRegistry
-from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, view_of_record
+from atoll_coordinator.service.monitoring.views import (
+    ended_view,
+    job_result,
+    job_view,
+    view_of_record,
+    with_equations,
+)
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import StoreError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
@@ -72,7 +78,8 @@ class JobViews:
 
     def last_view(self, job: Job, now: float) -> JobView:
         """Return the view of a job that ends now."""
-        return self._live_view(job, Line(()), now).model_copy(update={"workers": 0, "stalls": (), "ahead": None})
+        view = self._live_view(job, Line(()), now).model_copy(update={"workers": 0, "stalls": (), "ahead": None})
+        return view if job.result_text is None else with_equations(view, job.result_text)
 
     def _view(self, job_id: str, line: Line, now: float) -> JobView | None:
         if job_id in self._jobs:

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from atoll_coordinator.model.result.trust import verdict
-from atoll_coordinator.result.result import Result
+from atoll_coordinator.result.result import Result, timed
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.jobs.queue import Line
@@ -38,6 +38,13 @@ def job_result(job: Job, now: float) -> Result:
         reason=job.reason,
     )
     return build_result(job.id, prepared.config, prepared.preparation, outcomes, account, job.refinement)
+
+
+def result_text(job: Job, now: float) -> str | None:
+    """Return the result of a job that ends now, as JSON; None where its data were never prepared."""
+    if job.result_text is not None:
+        return timed(job.result_text, now - job.submitted_at)
+    return job_result(job, now).to_json() if job.prepared is not None else None
 
 
 def outcomes_of(job: Job) -> list[VariableOutcome]:
@@ -137,8 +144,11 @@ def ended_view(record: JobRecord, result: str | None) -> JobView:
         priority=record.priority,
         target_error=target_error,
     )
-    if result is None:
-        return view
+    return view if result is None else with_equations(view, result)
+
+
+def with_equations(view: JobView, result: str) -> JobView:
+    """Return a view with the equations of a result, as JSON; one that this version cannot read gives a warning."""
     try:
         return JobView.model_validate(dict(view) | _stored_equations(json.loads(result)))
     except (ValueError, KeyError, TypeError):

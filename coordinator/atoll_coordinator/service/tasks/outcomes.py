@@ -35,7 +35,15 @@ class PreparationFailed:
 
 @dataclass(frozen=True, slots=True)
 class JobRefined:
-    """A job is refined: what was made of its pools."""
+    """A job is refined: its result as JSON, but for the seconds that it took (`result.result.timed`)."""
+
+    job: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class RefiningFailed:
+    """A job could not be refined: a warning in place of what refining gives."""
 
     job: str
     refinement: Refinement
@@ -54,7 +62,7 @@ def preparation_failed(job: str, why: str, to_send: str) -> PreparationFailed:
     return PreparationFailed(job, "internal", f"preparing the data broke ({why}){to_send}")
 
 
-def refinement_failed(job: str, why: str, to_send: str) -> JobRefined:
+def refinement_failed(job: str, why: str, to_send: str) -> RefiningFailed:
     """Return the outcome of a refinement that failed: the selected members stay as they are."""
     warning = f"Refining broke ({why}); equations are as found{to_send}."
-    return JobRefined(job, Refinement(warnings=(warning,), end="not refined"))
+    return RefiningFailed(job, Refinement(warnings=(warning,), end="not refined"))

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from atoll_coordinator.model.refinement import Pools, Refinement
 from atoll_coordinator.service.monitoring.breakages import what_to_send
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.dispatch import Slot, plan
@@ -26,13 +25,14 @@ from atoll_coordinator.service.tasks.task_table import LIMIT_S, Task, TaskTable,
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.tasks.preparing import PreparationOutcome, Prepared
+from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.tasks.frames import Failure
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.tasks import Help, Release, TaskChunk, TaskFailed, TaskFunction, TaskInput, TaskReport
 from atoll_core.wire.messages.workers import WorkerStatus
-from atoll_core.wire.values import decode_value, encode_value
+from atoll_core.wire.values import decode_value
 
 INLINE: Final = 64 * 1024
 """Inputs of at most so many bytes travel with the lease."""
@@ -76,9 +76,13 @@ class TaskController:
         inputs = (TaskInput(digest=table, size=size), specification)
         self._add(job, "prepare", inputs, config.budget.max_time, config, now)
 
-    def refine(self, job: str, config: JobConfig, pools: Pools, seconds: float | None, now: float) -> None:
-        """Have the equations made of pools, in so many seconds if that is not None; `JobRefined` is posted."""
-        inputs = (self._input(job, self._prepared[job]), self._input(job, encode_value(pools, Pools)))
+    def refine(self, searched: Searched, config: JobConfig, seconds: float | None, now: float) -> None:
+        """Have the result made of what was searched, in so many seconds if that is not None.
+
+        `JobRefined` or `RefiningFailed` is posted.
+        """
+        job = searched.job
+        inputs = (self._input(job, self._prepared[job]), self._input(job, searched.to_bytes()))
         self._add(job, "refine", inputs, seconds, config, now)
 
     def prepared(self, job: str) -> Prepared:
@@ -249,7 +253,7 @@ class TaskController:
 
     def _outcome(self, task: Task, purpose: _Purpose, result: bytes) -> object:
         if purpose.function == "refine":
-            return JobRefined(task.job, decode_value(result, Refinement))
+            return JobRefined(task.job, result.decode("utf-8", "replace"))
         made = decode_value(result, PreparationOutcome)
         if not made.is_prepared:
             return PreparationFailed(task.job, "data", made.sentence)

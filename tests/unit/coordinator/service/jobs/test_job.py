@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.refinement import Pool, Refinement
+from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.service.jobs.job import (
     JOB_TRANSITIONS,
     CommitCuts,
@@ -20,11 +20,13 @@ from atoll_coordinator.service.jobs.job import (
     commit_order_of,
     measure_of,
 )
+from atoll_coordinator.service.monitoring.views import outcomes_of
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
 from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.cut import Cut, stored
 from atoll_coordinator.service.search.ending import Stagnation
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
@@ -101,9 +103,9 @@ def test_a_job_runs_until_every_variable_is_cut() -> None:
         assert any(isinstance(action, Refine) for action in actions) == (variable == "y")
     assert job.state == "refining"
     job.validate()
-    assert job.finish(Refinement()) == [CommitResult()]
+    assert job.finish("{}") == [CommitResult()]
     assert job.state == "done"
-    assert job.finish(Refinement()) == []
+    assert job.finish("{}") == []
 
 
 def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
@@ -112,7 +114,10 @@ def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
         job.add_report("w0", report(0, 0, variable), 1.0)
         *_, last = job.add_report("w1", report(1, 0, variable), 2.0)
     assert isinstance(last, Refine)
-    errors = {name: [entry.error for entry in pool.front] for name, pool in last.pools.items()}
+    errors = {
+        name: [entry.error for entry in pool.front]
+        for name, pool in Searched("j", tuple(outcomes_of(job))).pools.items()
+    }
     assert errors == {"x": [0.5], "y": [0.5]}
 
 
@@ -333,9 +338,7 @@ def test_cuts_that_were_committed_before_a_restart_stand() -> None:
     other.start_preparing()
     other.start_clock(0.0)
     both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    assert other.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), both, 0.0) == [
-        Refine({"x": Pool(()), "y": Pool(())})
-    ]
+    assert other.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), both, 0.0) == [Refine()]
 
 
 def test_a_noisy_target_s_search_goes_on_below_its_floor() -> None:
@@ -396,4 +399,5 @@ def test_runners_up_are_handed_on_beside_the_front() -> None:
     )
     cuts = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
     (refine,) = job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), cuts, 0.0)
-    assert refine == Refine({name: Pool((best,), (next_best,)) for name in ("x", "y")})
+    assert refine == Refine()
+    assert Searched("j", tuple(outcomes_of(job))).pools == {name: Pool((best,), (next_best,)) for name in ("x", "y")}
