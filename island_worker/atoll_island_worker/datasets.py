@@ -25,11 +25,18 @@ class Datasets:
         self._loading: dict[str, int] = {}
 
     def announced(self, announcement: JobAnnouncement) -> None:
-        """Begin to fetch a job's dataset, once; raises RemoteProtocolError when the announcement cannot be."""
+        """Begin to fetch a job's dataset, once; a later announcement may give it another share of the worker.
+
+        Raises RemoteProtocolError when the announcement cannot be.
+        """
         job, size = announcement.job, announcement.size
         if announcement.chunks != chunk_count(size):
             raise RemoteProtocolError(f"a dataset of {size} bytes cannot come in {announcement.chunks} chunks")
-        if job not in self._downloads and job not in self._here:
+        if job in self._here:
+            self._share(announcement)
+        elif job in self._downloads and self._downloads[job].digest == announcement.blob:
+            self._announcements[job] = announcement
+        elif job not in self._downloads:
             self._announcements[job] = announcement
             self._downloads[job] = Download(announcement.blob, size)
             self.fetch(job)
@@ -62,7 +69,11 @@ class Datasets:
         announcement = self._announcements.pop(job)
         self._here.add(job)
         self._loading[job] = self._loading.get(job, 0) + 1
-        self._compute.load(job, announcement.config, data, 2.0**announcement.priority)
+        self._share(announcement)
+        self._compute.load(job, announcement.config, data)
+
+    def _share(self, announcement: JobAnnouncement) -> None:
+        self._compute.share(announcement.job, 2.0**announcement.priority, announcement.submitter or "")
 
     def fetch(self, job: str) -> None:
         """Ask for the next missing chunks of a job's dataset, or for its announcement."""

@@ -330,6 +330,10 @@ class Worker:
             doing=doing,
             tasks=self._tasks.statuses(),
             is_loaded=self._tasks.is_loaded,
+            computed=tuple(
+                messages.Computed(submitter=user or None, seconds=seconds)
+                for user, seconds in self._compute.seconds.items()
+            ),
             counters=counters,
         )
         self._requests.send_status(status)

@@ -65,7 +65,7 @@ class RealCompute(StubCompute):
 
     engine: Engine = field(default_factory=Engine)
 
-    def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
+    def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
         self._later(0.01, self.engine.load(job, config, dataset))
 
     def discard(self, shard: ShardKey) -> None:

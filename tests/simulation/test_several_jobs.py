@@ -105,7 +105,8 @@ def test_islands_that_kill_their_workers_are_isolated_then_their_job_fails_and_t
     assert comparable(world.result("good")) == alone(2)
     isolated = [event.variable for event in happened(world, "bad") if event.event == "isolated"]
     assert "y" in isolated
-    assert len({event.worker for event in happened(world, "bad") if event.event == "worker-lost"}) in (7, 8)
+    lost = {event.worker for event in happened(world, "bad") if event.event == "worker-lost"}
+    assert 3 + 2 <= len(lost) <= 3 * 2 + 2  # of two workers one may die before the other has begun such an island
 
 
 @pytest.mark.slow

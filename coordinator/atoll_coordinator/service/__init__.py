@@ -1,10 +1,10 @@
 """The coordinator at work: jobs, workers, results.
 
 ``service_loop`` is the only loop; it hands what the bus brings to ``job_controller`` and ``requests``. Below them,
-``workers`` has who computes what, ``background`` the slow work, ``monitoring`` what people are shown, ``jobs`` a job
-and the queue, ``search`` an archipelago, and ``store`` what lasts. Imports go down this list only.
+``workers`` has who computes what, ``background`` the slow work, ``monitoring`` what people are shown, ``jobs`` a job,
+``search`` an archipelago, ``scheduling`` whose turn it is, and ``store`` what lasts. Imports go down this list only.
 
-A job: `requests.clients` -> `job_controller.submit` -> `jobs.queue` -> `background.runner` (prepare) ->
+A job: `requests.clients` -> `job_controller.submit` -> `scheduling.job_queue` -> `background.runner` (prepare) ->
 `job_controller.start_search` -> `workers.scheduling` -> `search.collector` (cut) -> `background.runner` (refine) ->
 `job_controller.finish_job` -> `store`.
 A report: `service_loop` -> `job_controller.add_report` -> `jobs.job` -> `search.archipelago` -> `search.collector`.

@@ -24,11 +24,11 @@ from atoll_coordinator.service.jobs.job import (
     PublishCommit,
     Refine,
 )
-from atoll_coordinator.service.jobs.queue import next_job
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import JobViews
 from atoll_coordinator.service.monitoring.views import job_result, outcomes_of, result_text
+from atoll_coordinator.service.scheduling.job_queue import JobQueue
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
 from atoll_coordinator.service.search.cut import Cut
@@ -49,6 +49,9 @@ from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
 from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, Placements, WorkerStatus
 
+_HAD_BEGUN_S: Final = -1e9
+"""Second from which on a job counts as waiting that had begun before a restart: it comes before all others."""
+
 
 class JobController:
     """All live jobs, and the workers that compute them; `shown` are the views of these jobs and of those that ended."""
@@ -62,11 +65,14 @@ class JobController:
         `writer` makes checkpoints durable, `post` hands outcomes to the loop, `clock` gives the time of day as text.
         """
         self.jobs: dict[str, Job] = {}
+        self.begun: Final[dict[str, Job]] = {}
+        """Those that do not wait to be prepared: what is done for all jobs again and again is done for these alone."""
+        self.queue: Final = JobQueue()
         self.events: Final = EventLog(store, clock)
         self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
         self.workers: Final = WorkerController(self, store, channel, self.events, expected_workers)
         self.counters: Final = self.workers.counters
-        self.shown: Final = JobViews(self.jobs, self, store, self.breakages)
+        self.shown: Final = JobViews(self.jobs, self.queue, self, store, self.breakages)
         self.checkpoints: Final = PullBudget()
         self._store = store
         self.tasks: Final = TaskController(channel, self.workers.membership, store, post, self._rank)
@@ -91,7 +97,7 @@ class JobController:
                 except ValidationError as error:
                     self._end_without_job(record.id, checks.settings_reason(error))
                 else:
-                    self.jobs[record.id] = Job(record, config, now)
+                    self._add(Job(record, config, now), _HAD_BEGUN_S if record.state != "queued" else now)
                     self.workers.crash_loops.recover(record.id)
 
     def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
@@ -112,12 +118,19 @@ class JobController:
         if not self._store.has_blob(body.table):
             raise TableMissingError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
         submitted = self._clock()
-        record = JobRecord(body.job, body.name, spec, body.table, submitted, priority=body.priority)
-        self._store.add_job(record, submitter)
+        record = JobRecord(
+            body.job, body.name, spec, body.table, submitted, priority=body.priority, submitter=submitter
+        )  # fmt: skip
+        self._store.add_job(record)
         with self.guarded(body.job, "taking in a job", now):
-            self.jobs[body.job] = Job(record, body.config, now)
+            self._add(Job(record, body.config, now), now)
             self.events.record_submission(body)
-        self._prepare_next(now)
+        self._take_turns(now)
+
+    def _add(self, job: Job, asked_at: float) -> None:
+        """Let a job join those that wait; `asked_at` is the bus's second from which on it has."""
+        self.jobs[job.id] = job
+        self.queue.add(job.id, job.submitter, job.priority, asked_at)
 
     def cancel(self, job_id: str, now: float) -> None:
         """End a job and keep what it has found; without effect when it has ended."""
@@ -152,6 +165,8 @@ class JobController:
         if reason is not None:
             return job.fail("internal", reason)
         actions = job.start(prepared, cuts, now, resumed)
+        self.queue.search(job.id)
+        job.hold(self.queue.is_held(job.id))
         self._store.begin_search(job.id, data)
         self.events.record_preparation(job)
         self._channel.publish(job.announcement())
@@ -207,7 +222,7 @@ class JobController:
 
     def job_of_dataset(self, digest: str) -> str | None:
         """Return the id of a live job whose prepared dataset this is; None: there is none."""
-        jobs = (job.id for job in self.jobs.values() if job.prepared is not None and job.prepared.blob == digest)
+        jobs = (job.id for job in self.begun.values() if job.prepared is not None and job.prepared.blob == digest)
         return next(jobs, None)
 
     # --------------------------------------------------------------------------- workers' reports, time
@@ -274,9 +289,9 @@ class JobController:
         """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
         with self.breakages.tolerated("looking for lost workers"):
             self.workers.expire(now)
-        for job_id in [job.id for job in self.jobs.values() if job.state != "queued"]:
+        for job_id in tuple(self.begun):
             self._change(job_id, "letting time pass", now, lambda job: job.tick(now))
-        self._prepare_next(now)
+        self._take_turns(now)
         with self.breakages.tolerated("leasing tasks"):
             self.tasks.tick(now)
         self._place(now)
@@ -383,7 +398,8 @@ class JobController:
 
     def _end_broken(self, job_id: str, sentence: str, now: float) -> None:
         """End a job whose state may be half changed: all that ends it is done as far as it can be."""
-        job = self.jobs.pop(job_id, None)
+        job = self.jobs.get(job_id)
+        self._remove(job_id)
         if self._store.job(job_id) is None:
             return
         text = None
@@ -417,6 +433,7 @@ class JobController:
                 case PublishCommit():
                     self._channel.publish(action.commit)
                 case Refine():
+                    self.queue.remove(job.id)
                     if job.prepared is not None:
                         self.events.record_refining(job.id)
                         searched = Searched(job.id, tuple(outcomes_of(job)))
@@ -442,20 +459,34 @@ class JobController:
         )
         self._channel.publish(CloseJob(job=job.id))
         self.tasks.cancel(job.id)
-        del self.jobs[job.id]
+        self._remove(job.id)
         self.events.record_end(job)
         self.counters.forget(job.id)
         self.workers.forget(job.id)
-        self._prepare_next(now)
+        self._take_turns(now)
 
-    def _prepare_next(self, now: float) -> None:
-        """Begin to prepare the next job that waits, if it is its turn."""
-        waiting = next_job(self.jobs.values())
-        if waiting is not None:
-            with self.guarded(waiting.id, "having a job prepared", now):
-                self._prepare(waiting, now)
+    def _remove(self, job_id: str) -> None:
+        self.jobs.pop(job_id, None)
+        self.begun.pop(job_id, None)
+        self.queue.remove(job_id)
 
-    def _prepare(self, waiting: Job, now: float) -> None:
+    def _take_turns(self, now: float) -> None:
+        """Have those jobs prepared and searched whose turn it is, and others held."""
+        with self.breakages.tolerated("deciding whose turn it is"):
+            self.queue.charge(now)
+            decision = self.queue.decide()
+            for job_id in decision.hold:
+                self._change(job_id, "holding a job", now, lambda job: job.hold(True))
+            for job_id in decision.release:
+                self._change(job_id, "letting a job go on", now, lambda job: job.hold(False))
+            for job_id in decision.take_up:
+                with self.guarded(job_id, "having a job prepared", now):
+                    self._prepare(job_id, now)
+
+    def _prepare(self, job_id: str, now: float) -> None:
+        waiting = self.jobs.get(job_id)
+        if waiting is None or waiting.state != "queued":  # the end of one before it in the line had this one taken up
+            return
         # What the store refuses, as on a full disk, must leave the job in the line, or nobody would prepare it.
         try:
             table = self._store.get_blob(waiting.table)
@@ -464,7 +495,9 @@ class JobController:
             return
         self._store.update_job(waiting.id, state="preparing")
         waiting.start_preparing()
+        self.begun[job_id] = waiting
+        self.queue.begin(job_id)
         self.tasks.prepare(waiting.id, waiting.table, len(table), waiting.config, now)
 
     def _open_archipelagos(self) -> list[Archipelago]:
-        return [archipelago for job in self.jobs.values() for archipelago in job.open_archipelagos]
+        return [archipelago for job in self.begun.values() for archipelago in job.open_archipelagos]

@@ -74,6 +74,11 @@ class ComputeThread:
         """The task of the last slice; None before the first."""
         return self._queue.current
 
+    @property
+    def seconds(self) -> dict[str, float]:
+        """For how many seconds islands were computed, by user."""
+        return self._queue.seconds.copy()
+
     def attach(self, post: Callable[[object], None]) -> None:
         """Post every result, also those that came before, through `post`."""
         with self._lock:
@@ -86,14 +91,13 @@ class ComputeThread:
         """Make the kernels ready: any number of WarmUpNote, then WarmedUp or ComputeFailed."""
         self._commands.put(self._warm_up)
 
-    def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
-        """Load a job's configuration and encoded dataset: JobReady or LoadFailed. Its turns are shared by `weight`."""
+    def share(self, job: str, weight: float, user: str) -> None:
+        """Say what share of the turns a job has from now on; see `RunQueue.share`."""
+        self._commands.put(lambda: self._queue.share(job, weight, user))
 
-        def load() -> None:
-            self._queue.set_weight(job, weight)
-            self._post_all([self._engine.load(job, config, dataset)])
-
-        self._commands.put(load)
+    def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
+        """Load a job's configuration and encoded dataset: JobReady or LoadFailed."""
+        self._commands.put(lambda: self._post_all([self._engine.load(job, config, dataset)]))
 
     def run(self, task: Task) -> None:
         """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.

@@ -1,8 +1,9 @@
 """What is under way on a worker, slice by slice: the compute thread's order of work. Pure; time comes from a clock.
 
-Islands take turns of one slice: first the job charged least by its weight, then the slice that counts first
-(`atoll_core.search.commit_order`). When the target is met, what is no longer needed is given up at once, and what has
-come far enough is reported.
+Islands take turns of one slice: first the user charged least, then that user's job charged least by its weight, then
+the slice that counts first (`atoll_core.search.commit_order`). So users have equal shares of a worker, whatever number
+of jobs of whatever priority they have, and weights divide the share of one of them. When the target is met, what is no
+longer needed is given up at once, and what has come far enough is reported.
 """
 
 from collections.abc import Callable, Iterable
@@ -59,13 +60,19 @@ class RunQueue:
     """The tasks of one worker that are not done yet."""
 
     def __init__(self, begin: Begin, clock: Callable[[], float]) -> None:
-        """`clock` gives seconds, by which jobs are charged for their turns; `current` is the task of the last turn."""
+        """`clock` gives seconds, by which users and jobs are charged for turns; `current` is the task of the last one.
+
+        `seconds` has the time of all turns by user, which only grows.
+        """
         self._begin = begin
         self._clock = clock
         self._open: dict[TaskKey, _Open] = {}
         self._hits: dict[ShardKey, Position] = {}
         self._charged: dict[str, float] = {}
+        self._charged_users: dict[str, float] = {}
         self._weights: dict[str, float] = {}
+        self._users: dict[str, str] = {}
+        self.seconds: dict[str, float] = {}
         self.current: TaskKey | None = None
 
     @property
@@ -73,15 +80,14 @@ class RunQueue:
         """Whether there is nothing to compute."""
         return not self._open
 
-    def set_weight(self, job: str, weight: float) -> None:
-        """Charge a job's turns by 1/`weight` of their time, so that it gets that many times the share of others."""
+    def share(self, job: str, weight: float, user: str) -> None:
+        """Say whose a job is ("": nobody's in particular), and its `weight` among the jobs of that user."""
         self._weights[job] = weight
+        self._users[job] = user
 
     def add(self, task: Task) -> list[Outcome]:
         """Take in a task; return that it is given up when it is not needed."""
-        job = task.key.job
-        if job not in self._charged:
-            self._charged[job] = min(self._charged.values(), default=0.0)
+        self._enter(task.key.job)
         self._open[task.key] = _Open(task)
         return self._settle([task.key])
 
@@ -110,7 +116,7 @@ class RunQueue:
             outcome = Rejected(key, str(error))
         except Exception as error:  # it is the job that fails, not the worker
             outcome = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}")
-        self._charged[key.job] += (self._clock() - began) / self._weights.get(key.job, 1.0)
+        self._charge(key.job, self._clock() - began)
         if outcome is None and not task.is_at_barrier:
             return results + self._settle([key])
         del self._open[key]
@@ -133,12 +139,33 @@ class RunQueue:
         self._hits = {shard: hit for shard, hit in self._hits.items() if shard.job != job}
         self._charged.pop(job, None)
         self._weights.pop(job, None)
+        user = self._users.pop(job, "")
+        if user not in self._users.values():
+            self._charged_users.pop(user, None)
 
-    def _rank(self, key: TaskKey) -> tuple[float, int, int, int, str, str, int]:
+    def _enter(self, job: str) -> None:
+        """Let a job, and its user, begin where the least charged are that have tasks: idleness saves nothing up."""
+        user, open_jobs = self._users.get(job, ""), {key.job for key in self._open}
+        if job not in open_jobs:
+            own = [self._charged[other] for other in open_jobs if self._users.get(other, "") == user]
+            self._charged[job] = max(self._charged.get(job, 0.0), min(own, default=0.0))
+        open_users = {self._users.get(other, "") for other in open_jobs}
+        if user not in open_users:
+            least = min((self._charged_users.get(other, 0.0) for other in open_users), default=0.0)
+            self._charged_users[user] = max(self._charged_users.get(user, 0.0), least)
+
+    def _charge(self, job: str, seconds: float) -> None:
+        user = self._users.get(job, "")
+        self._charged[job] += seconds / self._weights.get(job, 1.0)
+        self._charged_users[user] = self._charged_users.get(user, 0.0) + seconds
+        self.seconds[user] = self.seconds.get(user, 0.0) + seconds
+
+    def _rank(self, key: TaskKey) -> tuple[float, float, int, int, int, str, str, int]:
         open_task = self._open[key]
         at = Position(key.epoch, open_task.generation, key.island)
         epoch, group, generation, island = open_task.task.commit_order.rank(at)
-        return (self._charged.get(key.job, 0.0), epoch, group, generation, key.job, key.variable, island)
+        of_user = self._charged_users.get(self._users.get(key.job, ""), 0.0)
+        return (of_user, self._charged[key.job], epoch, group, generation, key.job, key.variable, island)
 
     def _settle(self, keys: Iterable[TaskKey]) -> list[Outcome]:
         """Close those of these tasks of which no more is needed, and return what came of them."""

@@ -15,7 +15,8 @@ from atoll_core.errors import StoreError
 from atoll_core.wire.codec import encode
 
 READS: Final = frozenset({
-    "job", "jobs", "open_jobs", "view", "job_page", "count_jobs", "submitter", "is_deleted", "result", "cuts", "checkpoints", "state",
+    "job", "jobs", "open_jobs", "view", "job_page", "count_jobs", "submitter", "is_deleted",
+    "result", "cuts", "checkpoints", "state",
     "whole_checkpoints", "events", "has_blob", "get_blob", "get_chunk", "missing_chunks", "blob_bytes", "deaths",
     "oldest_ended_job", "used_bytes", "unused_blobs", "timing", "check", "close", "room",
 })  # fmt: skip

@@ -187,9 +187,15 @@ class StubCompute:
     def current(self) -> TaskKey | None:
         return self._queue.current
 
-    def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
+    @property
+    def seconds(self) -> dict[str, float]:
+        return self._queue.seconds.copy()
+
+    def share(self, job: str, weight: float, user: str) -> None:
+        self._queue.share(job, weight, user)
+
+    def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
         self._jobs[job] = config
-        self._queue.set_weight(job, weight)
         self._later(0.01, JobReady(job))
 
     def run(self, task: Task) -> None:

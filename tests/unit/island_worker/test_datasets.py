@@ -49,8 +49,11 @@ class Recorder:
     def is_wanted(self, job: str) -> bool:
         return self.wanted
 
-    def load(self, job: str, config: JobConfig, data: bytes, weight: float) -> None:
-        self.said.append(("load", len(data), weight))
+    def share(self, job: str, weight: float, user: str) -> None:
+        self.said.append(("share", weight, user))
+
+    def load(self, job: str, config: JobConfig, data: bytes) -> None:
+        self.said.append(("load", len(data)))
 
     def discard_job(self, job: str) -> None:
         self.said.append(("discard", job))
@@ -67,14 +70,13 @@ def test_an_announced_dataset_is_fetched_loaded_and_forgotten() -> None:
     datasets.announced(announcement())
     for index in (0, 1, 2):
         datasets.chunk_came("j", index, chunk(index))
-    assert asked.said == [("chunk", 0), ("chunk", 1), ("chunk", 2), ("load", len(DATA), 1.0)]
-    datasets.announced(announcement())
+    assert asked.said == [("chunk", 0), ("chunk", 1), ("chunk", 2), ("share", 1.0, ""), ("load", len(DATA))]
     datasets.fetch("j")
-    assert len(asked.said) == 4
+    assert len(asked.said) == 5
     assert datasets.jobs() == ("j",)
     datasets.forget("j")
     datasets.forget("j")
-    assert asked.said[4:] == [("discard", "j")]
+    assert asked.said[5:] == [("discard", "j")]
 
 
 def test_only_the_loading_of_the_dataset_that_is_here_counts() -> None:
@@ -117,3 +119,15 @@ def test_a_lost_chunk_is_asked_for_after_a_pause_and_an_unwanted_one_is_dropped(
     datasets.fetch("j")
     datasets.chunk_came("other", 0, b"")
     assert asked.said == [("chunk", 0), ("chunk", 1), ("later", "j"), ("chunk", 1)]
+
+
+def test_a_later_announcement_changes_the_share_of_a_job_before_and_after_it_is_loaded() -> None:
+    asked = Recorder()
+    datasets = datasets_of(asked)
+    datasets.announced(announcement())
+    datasets.announced(announcement().model_copy(update={"priority": 2, "submitter": "ann"}))
+    for index in (0, 1, 2):
+        datasets.chunk_came("j", index, chunk(index))
+    assert asked.said[3:] == [("share", 4.0, "ann"), ("load", len(DATA))]
+    datasets.announced(announcement().model_copy(update={"priority": -1, "submitter": "ann"}))
+    assert asked.said[5:] == [("share", 0.5, "ann")]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from hashlib import sha256
+from typing import ClassVar
 
 import pytest
 
@@ -32,6 +33,7 @@ class RecordingCompute:
 
     progress = 0
     current = None
+    seconds: ClassVar[dict[str, float]] = {"": 1.5}
 
     def __init__(self) -> None:
         self.calls: list[tuple[object, ...]] = []
@@ -111,6 +113,6 @@ def test_a_worker_ends_with_an_error_when_its_compute_thread_fails(pair: Pair) -
 
 def test_of_a_closed_job_the_islands_are_discarded_before_the_dataset(pair: Pair) -> None:
     pair.place()
-    assert [name for name, *_ in pair.compute.calls] == ["load", "run"]
+    assert [name for name, *_ in pair.compute.calls] == ["share", "load", "run"]
     pair.control(CloseJob(job="job"))
-    assert [name for name, *_ in pair.compute.calls] == ["load", "run", "discard", "discard_job"]
+    assert [name for name, *_ in pair.compute.calls] == ["share", "load", "run", "discard", "discard_job"]

@@ -37,7 +37,8 @@ from atoll_core.wire.messages.views import Counters, WorkerState
 class JobAnnouncement(Frozen):
     """A job as workers need it: its resolved configuration and where its dataset can be pulled.
 
-    `blob` is the SHA-256 of the encoded dataset of `size` bytes in `chunks` chunks of `CHUNK_SIZE`.
+    `blob` is the SHA-256 of the encoded dataset of `size` bytes in `chunks` chunks of `CHUNK_SIZE`. Between submitters
+    workers share their time evenly, within one by `priority`; a later announcement may change that.
     """
 
     kind: Literal["job"] = "job"
@@ -48,6 +49,7 @@ class JobAnnouncement(Frozen):
     size: Count
     chunks: Annotated[int, Field(ge=1)]
     priority: Priority = 0
+    submitter: Id | None = None
 
 
 class Schedule(Frozen):
@@ -190,11 +192,19 @@ class IslandFailure(Frozen):
     sentence: Sentence
 
 
+class Computed(Frozen):
+    """For how many seconds a worker process has computed islands of a submitter's jobs; it only grows."""
+
+    submitter: Id | None = None
+    seconds: Seconds
+
+
 class WorkerStatus(Frozen):
     """The heartbeat. `progress` rises while the compute thread gets on; `detail` says what a person should know.
 
     `jobs` are those whose dataset is here or on its way, also without islands of theirs. `tasks` are those leased to it
-    or helped with; `is_loaded`: its process for tasks need not be started.
+    or helped with; `is_loaded`: its process for tasks need not be started; `computed` has the time that this process
+    has spent, by submitter.
     """
 
     kind: Literal["status"] = "status"
@@ -209,4 +219,5 @@ class WorkerStatus(Frozen):
     doing: Doing | None = None
     tasks: Annotated[tuple[TaskStatus, ...], Field(max_length=64)] = ()
     is_loaded: bool = False
+    computed: Annotated[tuple[Computed, ...], Field(max_length=10_000)] = ()
     counters: Counters = Counters()

@@ -1,7 +1,7 @@
-"""One job, and which one is next. Pure.
+"""One job. Pure.
 
 ``job`` has the states of a job from submission to end, its archipelagos, and the actions that follow from what happens;
-the controller carries them out. ``queue`` says which waiting job is prepared next, ``defaults`` fills in settings that
+the controller carries them out. ``defaults`` fills in settings that
 depend on the data, ``checks`` gives reasons for which a job cannot be searched, ``time_limit`` says when `--max-time`
 ends what a job does.
 

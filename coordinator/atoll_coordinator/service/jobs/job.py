@@ -91,7 +91,9 @@ class Job:
         self.table: Final = record.table_digest
         self.submitted: Final = record.submitted
         self.submitted_at: Final = now - record.elapsed
-        self.priority: Final = record.priority
+        self.submitter: Final = record.submitter
+        self.priority = record.priority
+        self.is_held = False
         self.state: JobState = "queued"
         self.reason: str | None = None
         self.fault: Fault | None = None
@@ -135,6 +137,7 @@ class Job:
             size=self.prepared.size,
             chunks=chunk_count(self.prepared.size),
             priority=self.priority,
+            submitter=self.submitter,
         )
 
     def start_preparing(self) -> None:
@@ -174,6 +177,15 @@ class Job:
         if self.started_at is None:
             self.started_at = now
 
+    def hold(self, is_held: bool) -> list[JobAction]:
+        """Have its islands stop at their next checkpoints, or go on from there; see `workers.scheduling.Scheduler`."""
+        self.is_held = is_held
+        return []
+
+    def _rest(self, now: float) -> None:
+        """Take in that nobody computes islands of a held job: the time of the search stands still."""
+        self.searched_before, self.started_at = self.search_seconds(now), None
+
     def search_seconds(self, now: float) -> float:
         """Return how long the search has lasted, under earlier incarnations as well."""
         return self.searched_before + (now - self.started_at if self.started_at is not None else 0.0)
@@ -210,8 +222,10 @@ class Job:
         """Let time pass: `--max-time` ends preparing, cuts the search and ends refining (`TimeLimit`).
 
         The search is cut at each variable's last completely reported epoch. Where refining has not ended in time,
-        equations are as the search found them.
+        equations are as the search found them. While a job is held, no time passes for it.
         """
+        if self.is_held and all(archipelago.placement is None for archipelago in self.open_archipelagos):
+            self._rest(now)
         if not self._time_limit.is_up(self.state, self.spent_seconds(now), self.preparation_seconds):
             return []
         if self.state == "preparing":

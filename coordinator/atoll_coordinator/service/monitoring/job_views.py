@@ -10,7 +10,6 @@ from typing import Protocol
 from pydantic import ValidationError
 
 from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.jobs.queue import Line
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.counters import CounterRegistry
 from atoll_coordinator.service.monitoring.views import (
@@ -20,6 +19,7 @@ from atoll_coordinator.service.monitoring.views import (
     view_of_record,
     with_equations,
 )
+from atoll_coordinator.service.scheduling.job_queue import JobQueue
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import StoreError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
@@ -39,8 +39,11 @@ class JobWorkers(Protocol):
 class JobViews:
     """The views and results of jobs, by id."""
 
-    def __init__(self, jobs: Mapping[str, Job], workers: JobWorkers, store: Store, breakages: Breakages) -> None:
+    def __init__(
+        self, jobs: Mapping[str, Job], queue: JobQueue, workers: JobWorkers, store: Store, breakages: Breakages
+    ) -> None:  # fmt: skip
         """`jobs` are the live ones by id, as they come and go."""
+        self._queue = queue
         self.bytes_read = 0
         """Bytes of results of which views have been made so far: that takes long, and is done once for each."""
         self._jobs = jobs
@@ -57,10 +60,9 @@ class JobViews:
 
         One that cannot be shown whole is shown as far as the store knows it, and takes no list of jobs with it.
         """
-        line = Line(self._jobs.values())
         for job_id in job_ids:
             try:
-                view = self._view(job_id, line, now)
+                view = self._view(job_id, now)
             except StoreError:
                 raise
             except Exception as error:
@@ -78,12 +80,12 @@ class JobViews:
 
     def last_view(self, job: Job, now: float) -> JobView:
         """Return the view of a job that ends now."""
-        view = self._live_view(job, Line(()), now).model_copy(update={"workers": 0, "stalls": (), "ahead": None})
+        view = self._live_view(job, now).model_copy(update={"workers": 0, "stalls": (), "ahead": None})
         return view if job.result_text is None else with_equations(view, job.result_text)
 
-    def _view(self, job_id: str, line: Line, now: float) -> JobView | None:
+    def _view(self, job_id: str, now: float) -> JobView | None:
         if job_id in self._jobs:
-            return self._live_view(self._jobs[job_id], line, now)
+            return self._live_view(self._jobs[job_id], now)
         text = self._store.view(job_id)
         if text is not None:
             with contextlib.suppress(ValidationError):  # else another version has kept it
@@ -103,6 +105,6 @@ class JobViews:
                 self._store.keep_view(job_id, view.model_dump_json())
         return view
 
-    def _live_view(self, job: Job, line: Line, now: float) -> JobView:
+    def _live_view(self, job: Job, now: float) -> JobView:
         waiting_reason, stalls = self._workers.waiting_reason(job), self._workers.stalls(job.id)
-        return job_view(job, line, now, waiting_reason, self._workers.counters.counters(job), stalls)
+        return job_view(job, self._queue, now, waiting_reason, self._workers.counters.counters(job), stalls)

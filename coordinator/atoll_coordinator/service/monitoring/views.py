@@ -13,7 +13,7 @@ from atoll_coordinator.model.result.trust import verdict
 from atoll_coordinator.result.result import Result, timed
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.jobs.queue import Line
+from atoll_coordinator.service.scheduling.job_queue import JobQueue
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.cut import Improvement
 from atoll_coordinator.service.search.ending import Why
@@ -83,14 +83,14 @@ def _steps(improvements: Sequence[Improvement]) -> tuple[tuple[int, float], ...]
 
 
 def job_view(
-    job: Job, line: Line, now: float, waiting_reason: str | None, counters: JobCounters,
+    job: Job, queue: JobQueue, now: float, waiting_reason: str | None, counters: JobCounters,
     stalls: tuple[str, ...],
 ) -> JobView:  # fmt: skip
     """Return what `jobs` and `status` show of a live job, or of one that ends now.
 
     Args:
         job: a live one, or one that ends now.
-        line: in which it waits, if it does.
+        queue: in which it waits, if it does.
         now: the bus's seconds.
         waiting_reason: what its archipelagos without workers wait for, in words, if there are any.
         counters: of this job.
@@ -106,7 +106,7 @@ def job_view(
         state=job.state,
         seed=job.config.seed,
         preset=job.config.preset,
-        reason=line.waiting_reason(job) if job.state == "queued" else job.reason or waiting_reason,
+        reason=job.reason or queue.waiting_reason(job.id) or waiting_reason,
         fault=job.fault,
         warnings=job.prepared.dataset.warnings if job.prepared else (),
         submitted=job.submitted,
@@ -116,7 +116,7 @@ def job_view(
         point_evaluations_per_second=evaluations / seconds if seconds > 0.0 and evaluations else None,
         variables=variables,
         priority=job.priority,
-        ahead=line.ahead_of(job),
+        ahead=queue.ahead_of(job.id),
         stalls=stalls,
         counters=counters,
         target_error=job.config.budget.target_error,

@@ -1,4 +1,4 @@
-"""The store's tables of jobs and of who submitted them. Every function is part of the caller's transaction."""
+"""The store's table of jobs, and what of them is whose. Every function is part of the caller's transaction."""
 
 import sqlite3
 from collections.abc import Collection, Mapping
@@ -14,7 +14,9 @@ class JobRecord:
     `ended_at` is how many seconds the store had been served when it ended.
 
     `table_digest` names the uploaded table and `dataset_digest` the prepared dataset among the blobs. `priority` is
-    from -10 to 10; each step doubles the job's share of the workers.
+    from -10 to 10; each step doubles the job's share of what its user has of the workers. `submitter` is who submitted
+    it, by the name in the certificate (None: nobody proved it); others see it when it is `shared`. A `paused` job waits
+    until it is resumed.
     """
 
     id: str
@@ -29,6 +31,9 @@ class JobRecord:
     finished: str | None = None
     priority: int = 0
     ended_at: float = 0.0
+    submitter: str | None = None
+    shared: int = 0
+    paused: int = 0
 
     @property
     def is_sound(self) -> bool:
@@ -42,7 +47,7 @@ class JobRecord:
 
 
 _COLUMNS: Final = tuple(field.name for field in fields(JobRecord))
-_FIXED: Final = ("id", "spec", "table_digest", "submitted", "priority")
+_FIXED: Final = ("id", "spec", "table_digest", "submitted", "submitter")
 _OPEN: Final = "state NOT IN ('done', 'failed', 'cancelled')"
 _ENDED: Final = "state IN ('done', 'failed', 'cancelled')"
 """Word by word the conditions of the indices of `schema`, which are used for no other."""
@@ -124,7 +129,8 @@ def end(
 ) -> bool:
     """Give a job its final `state` and `result`; return False, changing nothing, when it had ended before."""
     done = sql.execute(
-        f"UPDATE jobs SET state = ?, reason = ?, finished = ? WHERE id = ? AND {_OPEN}", (state, reason, finished, job)
+        f"UPDATE jobs SET state = ?, result_bytes = ?, reason = ?, finished = ? WHERE id = ? AND {_OPEN}",
+        (state, len((result or "").encode()), reason, finished, job),
     )
     if done.rowcount == 1 and result is not None:
         sql.execute("INSERT OR REPLACE INTO results VALUES (?, ?)", (job, result))
@@ -148,15 +154,10 @@ def view(sql: sqlite3.Connection, job: str) -> str | None:
     return cast(str, row[0]) if row else None
 
 
-def keep_submitter(sql: sqlite3.Connection, job: str, name: str) -> None:
-    """Keep who submitted a job, when it is added."""
-    sql.execute("INSERT INTO submitters VALUES (?, ?)", (job, name))
-
-
 def submitter(sql: sqlite3.Connection, job: str) -> str | None:
     """Return who submitted a job; None when nobody proved it."""
-    row = sql.execute("SELECT name FROM submitters WHERE job = ?", (job,)).fetchone()
-    return cast(str, row[0]) if row else None
+    row = sql.execute("SELECT submitter FROM jobs WHERE id = ?", (job,)).fetchone()
+    return cast(str | None, row[0]) if row else None
 
 
 def oldest_ended(sql: sqlite3.Connection) -> JobRecord | None:
@@ -169,8 +170,8 @@ def oldest_ended(sql: sqlite3.Connection) -> JobRecord | None:
 
 
 def delete(sql: sqlite3.Connection, job: str) -> None:
-    """Delete a job and who submitted it; its id is remembered, and given to no other job."""
-    for table in ("submitters", "results", "views"):
+    """Delete a job; its id is remembered, and given to no other job."""
+    for table in ("results", "views"):
         sql.execute(f"DELETE FROM {table} WHERE job = ?", (job,))
     sql.execute("DELETE FROM jobs WHERE id = ?", (job,))
     sql.execute("INSERT OR IGNORE INTO deleted_jobs (id) VALUES (?)", (job,))

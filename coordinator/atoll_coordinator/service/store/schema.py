@@ -90,6 +90,23 @@ CREATE INDEX sizes_of_blobs ON blobs (size)
 """So that nothing takes longer with the number of jobs that have ended: results, of up to megabytes, lie apart from
 what is read of every job, and what a list shows of a job that has ended is kept ready."""
 
+_LAYOUT_7_USERS: Final = """
+ALTER TABLE jobs ADD COLUMN submitter TEXT;
+ALTER TABLE jobs ADD COLUMN shared INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN paused INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN result_bytes INTEGER NOT NULL DEFAULT 0;
+UPDATE jobs SET submitter = (SELECT name FROM submitters WHERE submitters.job = jobs.id);
+UPDATE jobs SET result_bytes = (SELECT length(CAST(result AS BLOB)) FROM results WHERE job = jobs.id)
+    WHERE id IN (SELECT job FROM results);
+DROP TABLE submitters;
+CREATE INDEX jobs_by_submitter ON jobs (submitter, table_digest, result_bytes);
+ALTER TABLE realm ADD COLUMN queue_paused INTEGER NOT NULL DEFAULT 0;
+CREATE TABLE cordons (worker TEXT PRIMARY KEY, is_draining INTEGER NOT NULL);
+CREATE TABLE usage (
+    submitter TEXT NOT NULL, day INTEGER NOT NULL, seconds REAL NOT NULL, PRIMARY KEY (submitter, day)
+)
+"""
+
 _LAYOUTS: Final = (
     _LAYOUT_1,
     ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
@@ -97,6 +114,7 @@ _LAYOUTS: Final = (
     _LAYOUT_4_DELETED_JOBS,
     _LAYOUT_5_SERVED,
     _LAYOUT_6_ENDED_JOBS,
+    _LAYOUT_7_USERS,
 )
 """What each version of the layout adds to the one before. A new store goes through all of them, an old one through
 those that it lacks."""

@@ -28,16 +28,11 @@ class Store(OpenFile):
 
     # jobs
 
-    def add_job(self, job: JobRecord, submitter: str | None = None) -> bool:
-        """Keep a new job; return False, changing nothing, when a job of this id is kept already.
-
-        `submitter` is who submitted it, by the name in the certificate; None: nobody proved it.
-        """
+    def add_job(self, job: JobRecord) -> bool:
+        """Keep a new job; return False, changing nothing, when a job of this id is kept already."""
         with self._transaction() as sql:
             is_new = job_table.add(sql, job)
             blob_table.take(sql, job.table_digest)
-            if is_new and submitter is not None:
-                job_table.keep_submitter(sql, job.id, submitter)
             return is_new
 
     def job(self, job: str) -> JobRecord | None:

@@ -20,10 +20,11 @@ Correction = Close | CloseJob | Commit | Placements | PullReports
 
 
 def corrections(
-    jobs: Mapping[str, Job], worker: str, status: WorkerStatus, guarded: JobGuard = unguarded
+    jobs: Mapping[str, Job], begun: Mapping[str, Job], worker: str, status: WorkerStatus, guarded: JobGuard = unguarded
 ) -> list[Correction]:
     """Return what a worker is sent after a heartbeat: what it may forget, what it lacks, pulls of lost reports.
 
+    Of all live `jobs`, those that have `begun` can have placements.
     Each job is looked at under `guarded`, so that one over which something breaks leaves no other uncorrected.
     """
     messages: list[Correction] = []
@@ -33,7 +34,7 @@ def corrections(
     messages += [CloseJob(job=job) for job in status.jobs if not _is_open(jobs, job)]
     held = {(assignment_status.job, assignment_status.variable) for assignment_status in status.holdings}
     missing: list[Placement] = []
-    for job_id, job in tuple(jobs.items()):
+    for job_id, job in tuple(begun.items()):
         with guarded(job_id):
             missing += _missing(job, worker, held)
     return [*messages, Placements(placements=tuple(missing))] if missing else messages

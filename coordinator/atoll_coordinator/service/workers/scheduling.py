@@ -68,7 +68,8 @@ class Scheduler:
         Archipelagos whose placements end are unplaced, and those that are to move get a barrier. Each is looked at
         under `guarded`, so that one over which something breaks keeps no other from its workers.
         """
-        self._quarantine.reserve([archipelago for job in jobs for archipelago in job.open_archipelagos], guarded)
+        wanted = [archipelago for job in jobs for archipelago in job.open_archipelagos if not _rests(job, archipelago)]
+        self._quarantine.reserve(wanted, guarded)
         plan = Plan()
         # The term after the current one begins at the checkpoint that is being written.
         changing = [
@@ -81,20 +82,22 @@ class Scheduler:
         if changing:
             self._update_expected(now)
         load = _load(archipelago for job in jobs for archipelago in job.open_archipelagos)
-        at_barrier: dict[ArchipelagoKey, Placement | None] = {}
-        for _, archipelago in changing:
-            with guarded(archipelago.job):
-                if archipelago.is_at_barrier:
-                    at_barrier[archipelago.key] = archipelago.placement
-                self._end_placement(archipelago, plan, load, now)
+        released: dict[ArchipelagoKey, Placement | None] = {}
         for job, archipelago in changing:
             with guarded(archipelago.job):
-                self._assign(job, archipelago, at_barrier.get(archipelago.key), plan, load, now)
+                if archipelago.is_at_barrier or job.is_held:
+                    released[archipelago.key] = archipelago.placement
+                self._end_placement(job, archipelago, plan, load, now)
+        for job, archipelago in changing:
+            with guarded(archipelago.job):
+                self._assign(job, archipelago, released.get(archipelago.key), plan, load, now)
         return plan
 
-    def _end_placement(self, archipelago: Archipelago, plan: Plan, load: Counter[str], now: float) -> None:
+    def _end_placement(self, job: Job, archipelago: Archipelago, plan: Plan, load: Counter[str], now: float) -> None:
         """Unplace an archipelago if its placement ends now, or prepare that it does."""
-        if self.is_broken(archipelago):
+        if job.is_held:
+            self._hold(archipelago, load, now)
+        elif self.is_broken(archipelago):
             plan.broken.append(archipelago.key)
             _unplace(archipelago, load)
         else:
@@ -104,19 +107,27 @@ class Scheduler:
         self,
         job: Job,
         archipelago: Archipelago,
-        at_barrier: Placement | None,
+        released: Placement | None,
         plan: Plan,
         load: Counter[str],
         now: float,
     ) -> None:
-        """Plan the next term of an archipelago, or its release if there is none and it was `at_barrier`."""
-        workers = self.choose_workers(archipelago, load, now)
+        """Plan the next term of an archipelago, or its release if there is none and that of `released` has ended."""
+        workers = self.choose_workers(archipelago, load, now) if not job.is_held else None
         if workers is not None:
             load.subtract(_islands(archipelago))
             load.update(workers)
             plan.assignments.append(Assignment(job, archipelago, workers))
-        elif at_barrier is not None:
-            plan.released.append(at_barrier)
+        elif released is not None and archipelago.placement is None:
+            plan.released.append(released)
+
+    def _hold(self, archipelago: Archipelago, load: Counter[str], now: float) -> None:
+        """Have an archipelago stop that is held: at a barrier, or at once where next to nothing would be lost."""
+        is_new = archipelago.has_no_commit and self._is_young(archipelago, now)
+        if archipelago.is_at_barrier or is_new or self.is_broken(archipelago):
+            _unplace(archipelago, load)
+        elif archipelago.placement is not None:
+            archipelago.request_barrier()
 
     def _prepare_change(self, archipelago: Archipelago, load: Counter[str], now: float) -> None:
         """Prepare a change of placement that loses nothing, because workers leave or are idle.
@@ -198,6 +209,11 @@ def spread(islands: int, load: Mapping[str, int], workers: Sequence[str]) -> tup
     """
     order = sorted(workers, key=lambda worker: (load.get(worker, 0), worker))
     return tuple(order[island % len(order)] for island in range(islands))
+
+
+def _rests(job: Job, archipelago: Archipelago) -> bool:
+    """Tell whether nobody computes an archipelago, and nobody shall."""
+    return job.is_held and archipelago.placement is None
 
 
 def _islands(archipelago: Archipelago) -> Counter[str]:

@@ -46,6 +46,9 @@ class LiveJobs(Protocol):
     def jobs(self) -> Mapping[str, Job]: ...  # by id, as they come and go
 
     @property
+    def begun(self) -> Mapping[str, Job]: ...  # those that do not wait any more: others have no islands
+
+    @property
     def breakages(self) -> Breakages: ...  # for what breaks over no job in particular
 
     def fail_job(self, job_id: str, fault: Fault, sentence: str, now: float) -> None: ...
@@ -68,6 +71,7 @@ class WorkerController:
         self.counters: Final = CounterRegistry()
         self.crash_loops: Final = CrashLoops(store, events)
         self._jobs = live.jobs
+        self._begun = live.begun
         self._store = store
         self._channel = channel
         self._events = events
@@ -139,8 +143,11 @@ class WorkerController:
 
     def _correct(self, worker: str, status: WorkerStatus, now: float) -> None:
         """Send a worker what it lacks, and what it may forget."""
-        task = "correcting what a worker holds"
-        for correction in corrections(self._jobs, worker, status, lambda job: self._guarded(job, task, now)):
+
+        def guarded(job: str) -> AbstractContextManager[None]:
+            return self._guarded(job, "correcting what a worker holds", now)
+
+        for correction in corrections(self._jobs, self._begun, worker, status, guarded):
             if isinstance(correction, PullReports):
                 self._channel.pull(worker, correction)
             else:
@@ -233,7 +240,7 @@ class WorkerController:
             return self._guarded(job, "placing islands", now)
 
         self.crash_loops.save()
-        plan = self._scheduler.plan(tuple(self._jobs.values()), now, guarded)
+        plan = self._scheduler.plan(tuple(self._begun.values()), now, guarded)
         for key in plan.broken:
             with guarded(key[0]):
                 self._events.record_broken_placement(key)
@@ -311,7 +318,7 @@ class WorkerController:
         self.crash_loops.forget(job)
 
     def _open_archipelagos(self) -> list[Archipelago]:
-        return [archipelago for job in self._jobs.values() for archipelago in job.open_archipelagos]
+        return [archipelago for job in self._begun.values() for archipelago in job.open_archipelagos]
 
     def _placed(self, job_id: str, variable: str, term: int) -> Archipelago | None:
         """Return the archipelago that is placed under a term now; None: there is none."""

@@ -127,7 +127,7 @@ def test_the_job_that_was_charged_least_comes_first() -> None:
 def test_a_job_of_twice_the_weight_gets_twice_the_time() -> None:
     bench = Bench()
     queue = queue_of(bench, *(key(island, job=job) for job in ("a", "b") for island in range(6)))
-    queue.set_weight("b", 2.0)
+    queue.share("b", 2.0, "")
     for _ in range(30):
         queue.turn()
     turns = [job for job, *_ in bench.slices]
@@ -263,3 +263,50 @@ def test_the_tasks_of_a_discarded_job_are_discarded_with_it() -> None:
     queue.turn()
     queue.discard_job("a")
     assert [outcome.key.job for outcome in emptied(queue) if not isinstance(outcome, Snapshot)] == ["b"]
+
+
+def test_users_share_a_worker_evenly_whatever_number_of_jobs_of_whatever_priority_they_have() -> None:
+    bench = Bench()
+    queue = RunQueue(bench.begin, lambda: bench.now)
+    for job, weight, user in (("a1", 1024.0, "ann"), ("a2", 1.0, "ann"), ("a3", 1.0, "ann"), ("b", 2.0**-10, "bob")):
+        queue.share(job, weight, user)
+    add_all(queue, *(key(island, job=job) for job in ("a1", "a2", "a3", "b") for island in range(6)))
+    for _ in range(40):
+        queue.turn()
+    turns = [job for job, *_ in bench.slices]
+    assert turns.count("b") == 20
+    assert queue.seconds == {"ann": 20.0, "bob": 20.0}
+
+
+def test_who_had_nothing_to_do_saves_nothing_up() -> None:
+    bench = Bench()
+    queue = RunQueue(bench.begin, lambda: bench.now)
+    queue.share("a", 1.0, "ann")
+    queue.share("b", 1.0, "bob")
+    add_all(queue, key(0, job="b"))
+    emptied(queue)
+    add_all(queue, *(key(island, job="a") for island in range(6)))
+    for _ in range(20):
+        queue.turn()
+    add_all(queue, *(key(island, job="b") for island in range(6)))
+    bench.slices.clear()
+    for _ in range(10):
+        queue.turn()
+    assert [job for job, *_ in bench.slices].count("b") == 5
+
+
+def test_a_user_whose_last_job_is_discarded_is_forgotten_but_for_the_time_spent() -> None:
+    bench = Bench()
+    queue = RunQueue(bench.begin, lambda: bench.now)
+    for number in range(100):
+        queue.share(f"j{number}", 1.0, f"u{number}")
+        add_all(queue, key(0, job=f"j{number}"))
+        queue.turn()
+        queue.discard_job(f"j{number}")
+    assert (queue._users, queue._charged_users, queue._charged, queue._weights) == ({}, {}, {}, {})
+    assert sum(queue.seconds.values()) == 100.0
+
+
+def add_all(queue: RunQueue, *keys: TaskKey) -> None:
+    for task_key in keys:
+        assert queue.add(Task(task_key, None, is_last=False, commit_order=COMMIT_ORDER)) == []

@@ -36,7 +36,8 @@ def store() -> Iterator[Store]:
 def add(store: Store, name: str, finished: str | None) -> None:
     """Add a job, which has ended on a day of January 2026 if that is given; the store is served from the first."""
     table = store.put_blob(name.encode() * 100_000)
-    store.add_job(JobRecord(name, name, JobConfig().model_dump_json(), table, "2026-01-01T00:00:00+00:00"), "ann")
+    spec, submitted = JobConfig().model_dump_json(), "2026-01-01T00:00:00+00:00"
+    store.add_job(JobRecord(name, name, spec, table, submitted, submitter="ann"))
     if finished is not None:
         Now.s = int(finished) * DAY
         store.commit_result(name, "done", "{}", finished=f"2026-01-{finished}T00:00:00.000+00:00")

@@ -498,7 +498,7 @@ def test_a_coordinator_whose_store_was_opened_by_another_writes_nothing_more(tmp
 def ended(store: Store, name: str, finished: str | None, table: bytes, dataset: bytes) -> None:
     """Add a job that has been searched and has ended."""
     digests = store.put_blob(table), store.put_blob(dataset)
-    store.add_job(JobRecord(name, name, "{}", digests[0], "2026-01-01T00:00:00"), submitter="ann")
+    store.add_job(JobRecord(name, name, "{}", digests[0], "2026-01-01T00:00:00", submitter="ann"))
     store.update_job(name, dataset_digest=digests[1])
     begin_term(store, name, "x")
     store.commit_checkpoint(name, "x", 8, b"progress", states_of(8), 1.0)

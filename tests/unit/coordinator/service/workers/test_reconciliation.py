@@ -33,7 +33,7 @@ def job(made: Archipelago, state: str = "running") -> Job:
 
 def answer(jobs: dict[str, Job], *statuses: AssignmentStatus, datasets: tuple[str, ...] = ()) -> list[Correction]:
     status = WorkerStatus(instance="i", incarnation=1, state="computing", progress=1, holdings=statuses, jobs=datasets)
-    return corrections(jobs, "a", status)
+    return corrections(jobs, jobs, "a", status)
 
 
 def assignment_status(**changes: Any) -> AssignmentStatus:

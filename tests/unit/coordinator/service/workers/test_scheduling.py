@@ -71,13 +71,15 @@ def scheduler_of() -> Iterator[Callable[..., Scheduler]]:
 def plan_of(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) -> Plan:
     """Return the plan for one running job of these archipelagos."""
     by_name = {str(number): archipelago for number, archipelago in enumerate(archipelagos)}
-    job = SimpleNamespace(state="running", archipelagos=by_name, open_archipelagos=archipelagos)
+    job = SimpleNamespace(state="running", is_held=False, archipelagos=by_name, open_archipelagos=archipelagos)
     return scheduler.plan([cast(Job, job)], now)
 
 
 def running(*archipelagos: Archipelago) -> Job:
     by_name = {archipelago.variable: archipelago for archipelago in archipelagos}
-    return cast(Job, SimpleNamespace(state="running", archipelagos=by_name, open_archipelagos=archipelagos))
+    return cast(
+        Job, SimpleNamespace(state="running", is_held=False, archipelagos=by_name, open_archipelagos=archipelagos)
+    )
 
 
 def carry_out(plan: Plan, term: int, now: float) -> None:

@@ -1,0 +1,171 @@
+"""How much the users of a service may have, each and all together: read from a file. Pure but for reading it.
+
+[total]
+running = 4                  # jobs under way at a time; further ones wait
+queued = 100000              # jobs that wait; more are refused
+stored = "100G"              # bytes of tables and results; more are refused
+
+[user]                       # each of them
+running = 2
+queued = 1000
+stored = "2G"
+task_time = "24h"            # of the workers' and the coordinator's processors a day; beyond, jobs wait
+
+[users.ann]                  # one of them, in place of what [user] says
+queued = 5000
+
+[time]
+default = "1h"               # --max-time of jobs that have none
+most = "12h"                 # the longest; a job that asks for more is refused
+"""
+
+import argparse
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Final
+
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
+
+from atoll_core.command_line import duration
+from atoll_core.config import Frozen, JobConfig
+from atoll_core.errors import RefusedError, UsageError
+from atoll_core.hints import did_you_mean
+
+MAX_RUNNING: Final = 4
+"""Jobs under way at the same time, unless limits say otherwise: each holds its table and fronts in memory."""
+
+MAX_QUEUED: Final = 100_000
+"""Jobs that wait, unless limits say otherwise: about so many the loop bears without getting slower (RESULTS.md)."""
+
+DAY_S: Final = 86_400.0
+"""What is counted by the day begins anew after so many seconds for which the store was served."""
+
+_SIZES: Final = {"k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
+
+
+def _size(value: object) -> object:
+    """Return the bytes of ``500M`` or ``2G``; a number is a number of bytes."""
+    match = re.fullmatch("([0-9]{1,12})([kMGT]?)", value) if isinstance(value, str) else None
+    if match is not None:
+        return int(match[1]) * _SIZES.get(match[2], 1)
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError("a number of bytes such as 500000000, 500M or 2G")
+    return value
+
+
+def _seconds(value: object) -> object:
+    """Return the seconds of ``90s``, ``30m``, ``12h`` or ``2d``; a number is a number of seconds."""
+    if isinstance(value, str):
+        try:
+            return duration(value)
+        except argparse.ArgumentTypeError:
+            value = None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("a time such as 90s, 30m or 12h")
+    return float(value)
+
+
+_Jobs = Annotated[int, Field(ge=0, le=10_000_000, strict=True)]
+_Places = Annotated[int, Field(ge=1, le=10_000, strict=True)]
+_Bytes = Annotated[int, BeforeValidator(_size), Field(ge=0, lt=2**60)]
+_Seconds = Annotated[float, BeforeValidator(_seconds), Field(ge=0.0, lt=1e9)]
+_Time = Annotated[float, BeforeValidator(_seconds), Field(gt=0.0, lt=1e9)]
+
+
+class Allowance(Frozen):
+    """What one user may have, or all together; None: as much as there is.
+
+    `running` counts jobs that are prepared or searched, `queued` those that wait; `stored` is bytes of tables and
+    results, `task_time` seconds of processors in a day (`DAY_S`).
+    """
+
+    running: _Places | None = None
+    queued: _Jobs | None = None
+    stored: _Bytes | None = None
+    task_time: _Seconds | None = None
+
+
+class Total(Allowance):
+    """What all users together may have."""
+
+    running: _Places = MAX_RUNNING
+    queued: _Jobs = MAX_QUEUED
+
+
+class Times(Frozen):
+    """The `--max-time` of jobs, in seconds: of those that give none, and the longest."""
+
+    default: _Time | None = None
+    most: _Time | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "Times":
+        if self.default is not None and self.most is not None and self.default > self.most:
+            raise ValueError(f"a default of {self.default:g} s at most as long as most, which is {self.most:g} s")
+        return self
+
+
+class Limits(Frozen):
+    """What users may have."""
+
+    total: Total = Total()
+    user: Allowance = Allowance()
+    users: dict[str, Allowance] = Field(default_factory=dict)
+    time: Times = Times()
+
+    def of(self, principal: str | None) -> Allowance:
+        """Return what a user may have: what is said of that one, else what is said of each."""
+        own = self.users.get(principal) if principal is not None else None
+        if own is None:
+            return self.user
+        return self.user.model_copy(update=own.model_dump(exclude_unset=True))
+
+    def with_time(self, config: JobConfig) -> JobConfig:
+        """Return a job's configuration with the time that it may take; raises RefusedError where it asks for more."""
+        asked, most = config.budget.max_time, self.time.most
+        if asked is not None and most is not None and asked > most:
+            raise RefusedError(
+                f"--max-time asks for {asked:g} s, but this coordinator gives a job {most:g} s at most; ask for less"
+            )
+        given = asked if asked is not None else self.time.default if self.time.default is not None else most
+        if given == asked:
+            return config
+        return config.model_copy(update={"budget": config.budget.model_copy(update={"max_time": given})})
+
+
+NO_LIMITS: Final = Limits()
+
+
+def read_limits(path: Path) -> Limits:
+    """Return the limits in the TOML file `path`; raises UsageError."""
+    try:
+        entries = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        reason = (error.strerror or "unknown").lower()
+        raise UsageError(f"the limits {path} cannot be read ({reason}); docs/service.md shows such a file") from error
+    except ValueError as error:
+        raise UsageError(f"the limits {path} are not valid TOML: {error}") from error
+    try:
+        return Limits.model_validate(entries)
+    except ValidationError as error:
+        raise UsageError(f"the limits {path} {_complaint(error)}") from error
+
+
+def _complaint(error: ValidationError) -> str:
+    """Return the end of a sentence on the first thing that is wrong: what was found, what was expected."""
+    first = error.errors()[0]
+    path = [str(part) for part in first["loc"]]
+    place = ".".join(path) or "as a whole"
+    if first["type"] == "extra_forbidden":
+        known = _known(path[:-1])
+        return f"have {place}, which is unknown; known here: {', '.join(known)}{did_you_mean(path[-1], known)}"
+    what = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    return f"have {first.get('input')!r} as {place}, but {what} was expected"
+
+
+def _known(group: list[str]) -> tuple[str, ...]:
+    model: type[Frozen] = Limits
+    if group:
+        model = Times if group[0] == "time" else Allowance
+    return tuple(model.model_fields)
