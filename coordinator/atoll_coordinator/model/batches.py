@@ -12,6 +12,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, Final, Generic, Protocol, TypeVar
 
+from atoll_coordinator.model.deadline import Deadline
 from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.values import decode_value, encode_value
 
@@ -153,10 +154,16 @@ _built: Final = _BuiltContexts()
 class Spread:
     """Spreads work: over threads of this process, or in batches over all who take them."""
 
-    def __init__(self, batches: Batches | None = None, executor: Executor | None = None) -> None:
-        """Without `batches` that others take, work is done by threads of `executor`; without both one after another."""
+    def __init__(
+        self, batches: Batches | None = None, executor: Executor | None = None, deadline: Deadline | None = None
+    ) -> None:
+        """Without `batches` that others take, work is done by threads of `executor`; without both one after another.
+
+        After the `deadline` nothing is waited for.
+        """
         self._batches = batches
         self._executor = executor
+        self._deadline = deadline or Deadline()
 
     @property
     def is_shared(self) -> bool:
@@ -168,29 +175,37 @@ class Spread:
         yield from map(function, items) if self._executor is None else self._executor.map(function, items)
 
     def map(
-        self, function: BatchFunction[Context, Item, Made], context: Context, items: Sequence[Item], size: int = 1
-    ) -> list[Made]:
-        """Return what a function makes of items in batches of `size`; `context` travels as it is."""
-        if not self.is_shared or len(items) <= size:
+        self, function: BatchFunction[Context, Item, Made], context: Context, items: Sequence[Item], size: int = 1,
+        parts: Callable[[], Any] | None = None,
+    ) -> list[Made | None]:  # fmt: skip
+        """Return what a function makes of items, elsewhere in batches of `size`, here one after another or by threads.
+
+        Args:
+            function: is given each item.
+            context: as the function takes it here.
+            items: one at least goes elsewhere where others take batches.
+            size: items of a batch.
+            parts: gives what travels of the context; itself unless given.
+
+        Returns:
+            None of items that were not computed elsewhere before the time was over.
+        """
+        if not self.is_shared:
             return list(self.here(lambda item: function.here(context, item), items))
-        made = self.share(function, encode_value(context, function.context), items, size)
-        return [one for one in made if one is not None]
+        return self.share(function, encode_value(parts() if parts else context, function.context), items, size)
 
     def share(
-        self, function: BatchFunction[Context, Item, Made], context: bytes, items: Sequence[Item], size: int,
-        cancel_after: float | None = None,
-    ) -> list[Made | None]:  # fmt: skip
-        """Return what a function makes of items in batches of `size`, computed by whoever takes them.
-
-        None of those that were not computed within `cancel_after` seconds.
-        """
+        self, function: BatchFunction[Context, Item, Made], context: bytes, items: Sequence[Item], size: int
+    ) -> list[Made | None]:
+        """Return what `map` does, computed by whoever takes batches."""
         assert self._batches is not None
-        parts = [items[first : first + size] for first in range(0, len(items), size)]
-        batches = [function.encoded(part) for part in parts]
-        made = self._batches.map(function.name, context, batches, cancel_after)
+        groups = [items[first : first + size] for first in range(0, len(items), size)]
+        batches = [function.encoded(group) for group in groups]
+        made = self._batches.map(function.name, context, batches, self._deadline.left)
         results: list[Made | None] = []
-        for part, one in zip(parts, made, strict=True):
-            results += [None] * len(part) if one == CANCELLED else function.decoded(one)
+        for group, one in zip(groups, made, strict=True):
+            self._deadline.has_cut_short |= one == CANCELLED
+            results += [None] * len(group) if one == CANCELLED else function.decoded(one)
         return results
 
     def branches(self, calls: Sequence[Callable[[], Made]]) -> list[Made]:
@@ -202,7 +217,7 @@ class Spread:
 
 
 @contextmanager
-def spreading(batches: Batches | None, threads: int) -> Iterator[Spread]:
+def spreading(batches: Batches | None, threads: int, deadline: Deadline) -> Iterator[Spread]:
     """Yield what spreads work over `batches`, and over so many threads of this process while the block lasts."""
     with ThreadPoolExecutor(threads) as executor:
-        yield Spread(batches, executor)
+        yield Spread(batches, executor, deadline)

@@ -99,7 +99,7 @@ def _refined(
     }
     settled = _by_regression(preparation, config, converged, deadline)
     threads = usable_cores(os.environ)[0] if batches is None else batches.threads
-    with spreading(batches, threads) as spread:
+    with spreading(batches, threads, deadline) as spread:
         task = ModellingTask(
             preparation.dataset, preparation.recording, config, candidates, settled, spread, deadline=deadline,
             among_many=laws,

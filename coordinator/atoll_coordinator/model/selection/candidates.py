@@ -6,14 +6,16 @@ They are ranked by the variable's trajectories alone, the other states as smooth
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
+from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.selection.elimination import eliminated
+from atoll_coordinator.model.selection.elimination import eliminate_all
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
@@ -92,6 +94,23 @@ def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dic
     }
 
 
+def _written(comparison: ModelComparison, programs: Sequence[Program], *, is_shortest: bool) -> Iterator[Program]:
+    """Yield programs in a short writing, or in the shortest; as they are where time is over before."""
+    if len(programs) < 2:  # nobody need be asked
+        yield from map(shortest if is_shortest else shortened, programs)
+        return
+    made = comparison.spread.map(_WRITINGS, is_shortest, programs, _WRITINGS_OF_A_BATCH[is_shortest])
+    yield from (program if brief is None else brief for program, brief in zip(programs, made, strict=True))
+
+
+_WRITINGS_OF_A_BATCH: Final = (32, 4)
+"""Programs that are written anew: a short writing takes about a millisecond, the shortest ten."""
+_WRITINGS: Final[BatchFunction[bool, Program, Program]] = BatchFunction(
+    "writings", bool, Program, Program,
+    lambda is_shortest, program: shortest(program) if is_shortest else shortened(program),
+)  # fmt: skip
+
+
 class RankedCandidates:
     """Candidates for the equation of one variable, ranked by its trajectories alone."""
 
@@ -127,10 +146,8 @@ class RankedCandidates:
         steps, (short, longer, _) = effort.brief_steps, SETTINGS.shooting.lengths
         models = comparison.fit_all([(program,) for program in started], steps, (short,))
         models, until = models[: effort.kept], comparison.estimator.work + effort.work
-        for terms in libraries:
-            if comparison.estimator.work < until:
-                sums = eliminated(comparison, self._problem, terms)
-                models += [model for model in sums if any(self._short(model.programs, most))]
+        sums = eliminate_all(comparison, self._problem, libraries, until)
+        models += [model for model in sums if any(self._short(model.programs, most))]
         chosen = {structure(model.programs[0]): model.programs[0] for model in models}
         models = comparison.fit_all([(program,) for program in chosen.values()], steps, (longer,))
         self._models = comparison.distinct(sorted([*self._models, *models], key=lambda model: model.nats), 0)
@@ -138,11 +155,11 @@ class RankedCandidates:
 
     def _short(self, programs: Iterable[Program], most: float) -> Iterator[Program]:
         """Yield programs in a short writing, as far as their length is below `most`; constants alone tell of many."""
-        for program in programs:
-            if self._whole.constant_nats * len(constant_places(program)) < most:
-                brief = shortened(program)
-                if self._whole.length(brief) < most:
-                    yield brief
+        price = self._whole.constant_nats
+        few = [program for program in programs if price * len(constant_places(program)) < most]
+        for brief in _written(self._comparison, few, is_shortest=False):
+            if self._whole.length(brief) < most:
+                yield brief
 
     @property
     def programs(self) -> list[Program]:
@@ -152,6 +169,6 @@ class RankedCandidates:
         for these they may do well.
         """
         best, first = [model.programs[0] for model in self._models], SETTINGS.effort.kept
-        best = [*map(shortest, best[:first]), *best[first:]]
+        best = [*_written(self._comparison, best[:first], is_shortest=True), *best[first:]]
         known = {structure(program) for program in best}
         return [*best, *(program for program in self._started if structure(program) not in known)]

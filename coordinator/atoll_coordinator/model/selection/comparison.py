@@ -136,7 +136,7 @@ class ModelComparison:
         count = 1 if self.groups is None else self.groups.count
         self._own_nats: Final = constant_nats_of(measurements.rows / count)
         self.constant_nats: Final = self._own_nats * count
-        self._spread: Final = spread or Spread()
+        self.spread: Final = spread or Spread()
         self._encoded: bytes | None = None
 
     def fit_all(
@@ -156,14 +156,14 @@ class ModelComparison:
         others take batches, more are fitted than may count: those that do not are dropped, and so is their work.
         """
         bounded = SETTINGS.effort.kept if until < math.inf else max(len(systems), 1)
-        ahead = self._fitted_elsewhere(order, systems) if self._spread.is_shared and len(systems) > 1 else None
+        ahead = self._fitted_elsewhere(order, systems) if self.spread.is_shared and len(systems) > 1 else None
         models: list[FittedModel] = []
         for first in range(0, len(systems), bounded):
             if first and self.estimator.work >= until:
                 break
             part = systems[first : first + bounded]
             if ahead is None:
-                fits = self._spread.here(partial(self.fit_ordered, order), part)
+                fits = self.spread.here(partial(self.fit_ordered, order), part)
                 models += [model for model in fits if model is not None]
             else:
                 models += self._taken_in(order, part, ahead[first : first + bounded])
@@ -183,8 +183,8 @@ class ModelComparison:
         """Return what comes of systems, fitted by whoever takes them; None of what time has cut short."""
         size = self._batch_size(order)
         batches = [FitBatch(order, tuple(systems[first : first + size])) for first in range(0, len(systems), size)]
-        left, outcomes = self.estimator.deadline.left, list[FitOutcome | None]()
-        fitted = self._spread.share(FITS, self.encoded, batches, 1, left)
+        outcomes: list[FitOutcome | None] = []
+        fitted = self.spread.share(FITS, self.encoded, batches, 1)
         for batch, made in zip(batches, fitted, strict=True):
             outcomes += [None] * len(batch.systems) if made is None else made
         return outcomes
@@ -194,12 +194,10 @@ class ModelComparison:
     ) -> list[FittedModel]:
         """Return the models of systems that were fitted elsewhere, and count their work."""
         self.estimator.count(sum(outcome.work for outcome in outcomes if outcome is not None))
-        if None in outcomes:
-            self.estimator.deadline.has_cut_short = True
         pairs = zip(systems, outcomes, strict=True)
-        return [self._summarized(order, programs, made.summary) for programs, made in pairs if made and made.summary]
+        return [self.summarized(order, programs, made.summary) for programs, made in pairs if made and made.summary]
 
-    def _summarized(self, order: FitOrder, programs: Programs, summary: FitSummary) -> FittedModel:
+    def summarized(self, order: FitOrder, programs: Programs, summary: FitSummary) -> FittedModel:
         """Return the model of a system that was fitted elsewhere."""
         admitted = self.admitted(programs)
         assert admitted is not None, "what was fitted may stand"
@@ -224,9 +222,10 @@ class ModelComparison:
     def _outcome(self, order: FitOrder, programs: Programs) -> FitOutcome:
         before = self.estimator.counted
         model = self.fit_ordered(order, programs)
-        return FitOutcome(None if model is None else self._summary(order, model), self.estimator.counted - before)
+        return FitOutcome(None if model is None else self.summary(order, model), self.estimator.counted - before)
 
-    def _summary(self, order: FitOrder, model: FittedModel) -> FitSummary:
+    def summary(self, order: FitOrder, model: FittedModel) -> FitSummary:
+        """Return what travels of the model of a system that was fitted to an order."""
         fit, sharing = model.fit, model.fit.system.sharing
         in_whole = order.near is not None or self.errors is not None
         return FitSummary(
@@ -241,9 +240,9 @@ class ModelComparison:
         work = measurements.rows * numbers * min(order.steps, SETTINGS.spread.steps) * max(len(order.lengths), 1)
         return max(1, round(SETTINGS.spread.batch / work))
 
-    @cached_property
-    def _parts(self) -> ComparisonParts:
-        """What this comparison is made of, before it is calibrated."""
+    @property
+    def parts(self) -> ComparisonParts:
+        """What this comparison is made of, as it is calibrated."""
         estimator = self.estimator
         return ComparisonParts(
             estimator.measurements, estimator.tolerance, estimator.measured_rows, self.names, self.fixed, self.leading,
@@ -252,9 +251,9 @@ class ModelComparison:
 
     @property
     def encoded(self) -> bytes:
-        """What this comparison is made of, as it is calibrated, in bytes."""
+        """The bytes of its parts."""
         if self._encoded is None:
-            self._encoded = encode_value(replace(self._parts, errors=self.errors, misfit=self.misfit))
+            self._encoded = encode_value(self.parts)
         return self._encoded
 
     @classmethod

@@ -9,11 +9,15 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.fit_batches import ComparisonParts
+from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +29,16 @@ class Validated:
 
     r2: tuple[float | None, ...]
     misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """The `programs` of a fit to all trajectories, its `starts` and `errors`, and which ones are to be left out."""
+
+    programs: tuple[Program, ...]
+    starts: FloatArray
+    errors: ErrorModel
+    left_out: frozenset[int]
 
 
 class Validation:
@@ -41,14 +55,15 @@ class Validation:
 
     def of(self, model: FittedModel) -> Validated | None:
         """Return how well the system of `model` predicts; None where time is over: fits that end early tell nothing."""
-        deadline = self._comparison.estimator.deadline
-        measurements = self._comparison.estimator.measurements
+        comparison, fit = self._comparison, model.fit
+        measurements = comparison.estimator.measurements
         squares, whitened, total = np.zeros((3, len(measurements.observed)))
-        for left_out in self._folds:
-            errors = None if deadline.is_over else self._squared_errors(model, left_out)
-            if deadline.is_over:
+        folds = [Fold(model.programs, fit.starts, fit.errors, left_out) for left_out in self._folds]
+        found = comparison.spread.map(FOLDS, comparison, folds, parts=lambda: comparison.parts)
+        for left_out, errors in zip(self._folds, found, strict=True):
+            if comparison.estimator.deadline.is_over or errors is None:
                 return None
-            if errors is None:
+            if not errors:
                 return Validated(tuple(-np.inf for _ in measurements.observed), np.inf)
             squares += errors[0]
             whitened += errors[1]
@@ -58,34 +73,37 @@ class Validation:
         misfit = self._comparison.misfit.total(whitened / counts)
         return Validated(tuple(r2), misfit)
 
-    def _squared_errors(self, model: FittedModel, left_out: frozenset[int]) -> tuple[FloatArray, FloatArray] | None:
-        """Return the sums of squared errors (O,) along trajectories left out, as they are and without what goes
-        together in errors of measurement; None where they cannot be simulated."""
-        comparison, fit = self._comparison, model.fit
-        measurements = comparison.estimator.measurements
-        is_out = np.isin(measurements.owners, list(left_out))
-        others = self._shooter(measurements.part(set(measurements.owners.tolist()) - left_out))
-        fitted = others.fit(
-            comparison.system(model.programs),
-            None,
-            SETTINGS.effort.steps,
-            fit.starts[~is_out],
-            fit.errors,
-        )
-        if fitted is None:
-            return None
-        rest = self._shooter(measurements.part(left_out))
-        fixed = fitted.system.with_fixed_constants()
-        predicted = rest.fit(fixed, None, SETTINGS.effort.steps, fit.starts[is_out], fit.errors)
-        if predicted is None:
-            return None
-        weights, errors = rest.measurements.weights, comparison.errors
-        whitened = predicted.residuals if errors is None else rest.whitened(predicted.residuals, errors)
-        return (weights * predicted.residuals**2).sum(axis=1), (weights * whitened**2).sum(axis=1)
 
-    def _shooter(self, measurements: Measurements) -> MultipleShooting:
-        whole = self._comparison.estimator
-        return MultipleShooting(measurements, whole.tolerance, whole.deadline)
+def squared_errors(comparison: ModelComparison, fold: Fold) -> tuple[FloatArray, ...]:
+    """Return the sums of squared errors (O,) along trajectories left out, as they are and without what goes together
+    in errors of measurement; nothing where they cannot be simulated, or time is over."""
+    whole, steps = comparison.estimator, SETTINGS.effort.steps
+    measurements, left_out = whole.measurements, fold.left_out
+    is_out = np.isin(measurements.owners, list(left_out))
+    if whole.deadline.is_over:
+        return ()
+    others = _shooter(whole, measurements.part(set(measurements.owners.tolist()) - left_out))
+    fitted = others.fit(comparison.system(fold.programs), None, steps, fold.starts[~is_out], fold.errors)
+    if fitted is None:
+        return ()
+    rest = _shooter(whole, measurements.part(left_out))
+    fixed = fitted.system.with_fixed_constants()
+    predicted = rest.fit(fixed, None, steps, fold.starts[is_out], fold.errors)
+    if predicted is None:
+        return ()
+    weights, errors = rest.measurements.weights, comparison.errors
+    whitened = predicted.residuals if errors is None else rest.whitened(predicted.residuals, errors)
+    return (weights * predicted.residuals**2).sum(axis=1), (weights * whitened**2).sum(axis=1)
+
+
+def _shooter(whole: MultipleShooting, measurements: Measurements) -> MultipleShooting:
+    return MultipleShooting(measurements, whole.tolerance, whole.deadline)
+
+
+FOLDS: Final[BatchFunction[ModelComparison, Fold, tuple[FloatArray, ...]]] = BatchFunction(
+    "folds", ComparisonParts, Fold, tuple[FloatArray, ...], squared_errors, ModelComparison.of_parts
+)
+"""Systems fitted without some trajectories, and what they miss of these."""
 
 
 def _total_squares(measurements: Measurements) -> FloatArray:

@@ -5,12 +5,17 @@ over standard error is left out, and so on. Every sum on the way is a candidate.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.least_squares import coefficients_of
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.fit_batches import ComparisonParts, FitOrder, FitSummary
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.term_libraries import sum_of
 from atoll_coordinator.settings import SETTINGS
@@ -19,6 +24,66 @@ from atoll_core.expression.builder import Expression
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE
 from atoll_core.expression.program import Program
+
+
+@dataclass(frozen=True, eq=False)
+class EliminationParts:
+    """A comparison for one state alone, and the problem by which terms are fitted first."""
+
+    comparison: ComparisonParts
+    problem: Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """The programs on the way, as they were before the fit, a summary of each fit, and the work of all."""
+
+    programs: tuple[Program, ...]
+    summaries: tuple[FitSummary, ...]
+    work: int
+
+
+_Eliminating = tuple[ModelComparison, Problem]
+
+
+def _eliminated(within: _Eliminating, terms: tuple[Expression, ...]) -> Eliminated:
+    comparison, problem = within
+    before = comparison.estimator.counted
+    models = eliminated(comparison, problem, list(terms))
+    work = comparison.estimator.counted - before
+    summaries = tuple(comparison.summary(_ORDER, model) for model in models)
+    return Eliminated(tuple(model.fit.system.equations[-1] for model in models), summaries, work)
+
+
+def _built(parts: EliminationParts) -> _Eliminating:
+    return ModelComparison.of_parts(parts.comparison), parts.problem
+
+
+_ORDER: Final = FitOrder(SETTINGS.effort.brief_steps, SETTINGS.shooting.lengths[:1])
+_ELIMINATIONS: Final[BatchFunction[_Eliminating, tuple[Expression, ...], Eliminated]] = BatchFunction(
+    "eliminations", EliminationParts, Hashable, Eliminated, _eliminated, _built
+)
+
+
+def eliminate_all(
+    comparison: ModelComparison, problem: Problem, libraries: Iterable[list[Expression]], until: float
+) -> Iterator[FittedModel]:
+    """Yield what `eliminated` gives of libraries, one after another as long as the estimator's work is below `until`.
+
+    Where others take batches, all are gone through at the same time, and those that do not count are dropped.
+    """
+    if not comparison.spread.is_shared:
+        for terms in libraries:
+            if comparison.estimator.work < until:
+                yield from eliminated(comparison, problem, terms)
+        return
+    tried = [tuple(terms) for terms in libraries]
+    parts = partial(EliminationParts, comparison.parts, problem)
+    for made in comparison.spread.map(_ELIMINATIONS, (comparison, problem), tried, parts=parts):
+        if made is not None and comparison.estimator.work < until:
+            comparison.estimator.count(made.work)
+            for program, summary in zip(made.programs, made.summaries, strict=True):
+                yield comparison.summarized(_ORDER, (program,), summary)
 
 
 def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Expression]) -> list[FittedModel]:

@@ -9,6 +9,7 @@ search begins.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from atoll_coordinator.model.selection.joint_search import combine, exchange, reduce_all, search_locally
 from atoll_coordinator.model.selection.piece_lengths import search_in_pieces
@@ -144,10 +145,10 @@ def with_sums_like(selection: SelectedModel) -> SelectedModel:
     task, comparison, before = selection.task, selection.comparison, selection.model
     if task.recording.groups or task.solver is not None or task.is_over or not comparison.has_room(before):
         return selection
-    lists = [
-        [program] if name in task.known else propose_like(before, comparison, task, name)
-        for name, program in zip(task.variables, before.programs, strict=True)
-    ]
+    known = [[task.known[name]] if name in task.known else None for name in task.variables]
+    calls = [partial(propose_like, before, comparison, task, name) for name in task.variables if name not in task.known]
+    proposed = iter(task.spread.branches(calls))
+    lists = [[before.programs[index]] if given else next(proposed) for index, given in enumerate(known)]
     best = exchange(comparison, before, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
     if best is before:
         return selection

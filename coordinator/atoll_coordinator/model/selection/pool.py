@@ -6,6 +6,7 @@ are no longer taken in.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Final
 
 from atoll_coordinator.model.selection.candidates import RankedCandidates
@@ -41,21 +42,25 @@ class CandidatePool:
 
     def add(self, propose: Proposer) -> None:
         """Take in what is proposed for each equation."""
-        for equation, name in enumerate(self._task.variables):
-            if name not in self._ranked or self._task.is_over:
-                continue
-            most = math.inf if self.best is None else self.comparison.affordable(self.best, equation)
-            programs, libraries = propose(self._task, name, most)
-            ranked = self._ranked[name]
-            ranked.add(programs, libraries, most)
-            restrictions = self._task.restrictions(name)
-            admitted = map(restrictions.admitted, ranked.programs)
-            self.lists[equation] = [one for one in admitted if one is not None and self._task.may_be_shown(one)]
+        calls = [partial(self._add_to, propose, equation) for equation, _ in enumerate(self._task.variables)]
+        self._task.spread.branches(calls)
         if not all(self.lists):
             return
         begun = combine(self.comparison, self.lists)
         if begun is not None and (self.best is None or begun.nats < self.best.nats):
             self.best = self.comparison.calibrate(begun) if self._is_calibrating else begun
+
+    def _add_to(self, propose: Proposer, equation: int) -> None:
+        """Take in what is proposed for one equation, which has nothing to do with what is for the others."""
+        task, name = self._task, self._task.variables[equation]
+        if name not in self._ranked or task.is_over:
+            return
+        most = math.inf if self.best is None else self.comparison.affordable(self.best, equation)
+        programs, libraries = propose(task, name, most)
+        ranked = self._ranked[name]
+        ranked.add(programs, libraries, most)
+        admitted = map(task.restrictions(name).admitted, ranked.programs)
+        self.lists[equation] = [one for one in admitted if one is not None and task.may_be_shown(one)]
 
     @property
     def suffices(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.task import ModellingTask
-from atoll_coordinator.model.sparse.pursuit import pursue
+from atoll_coordinator.model.sparse.pursuit import PURSUED, Pursuit
 from atoll_coordinator.model.structure.term_libraries import fractions, libraries
 from atoll_core.data.dataset import Problem
 from atoll_core.expression.builder import Expression
@@ -48,7 +48,7 @@ def propose_like(model: FittedModel, comparison: ModelComparison, task: Modellin
     missed = float(np.sqrt((comparison.squares(model.fit) / points.scales[points.observed] ** 2).max()))
     along = rates_of(model.programs[equation], replace(task.dataset.problem(name), inputs=inputs), missed)
     most = comparison.affordable(model, equation)
-    sums = [] if along is None else pursue(along, task.columns(name), task.operators(name), (), most)
+    sums = [] if along is None else _sums(task, along, Pursuit(task.columns(name), task.operators(name), most=most))
     return [program for program in sums if task.may_be_shown(program)]
 
 
@@ -88,4 +88,10 @@ def _pursued(task: ModellingTask, name: str, most: float, needed: Collection[int
     problem = task.dataset.problem(name)
     parts = [problem.of_group(group) for group in range(len(task.recording.groups))] or [problem]
     operators = task.operators(name) | set(needed)
-    return [program for part in parts for program in pursue(part, task.columns(name), operators, needed, most)]
+    sought = Pursuit(task.columns(name), frozenset(operators), frozenset(needed), most)
+    return [program for part in parts for program in _sums(task, part, sought)]
+
+
+def _sums(task: ModellingTask, problem: Problem, sought: Pursuit) -> tuple[Program, ...]:
+    """Return the sums that leave least of a target; none where time is over before they are found."""
+    return task.spread.map(PURSUED, problem, [sought])[0] or ()

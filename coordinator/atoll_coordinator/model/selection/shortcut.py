@@ -35,7 +35,7 @@ def with_laws(task: ModellingTask) -> ModellingTask:
     """Return the task with the laws of sparse regression of each variable that is sought."""
     others = {name: task.candidates[name].programs for name in task.variables}
     preparation = Preparation(task.dataset, task.recording)
-    laws_by_name = find_all_laws(preparation, task.config, others, task.among_many)
+    laws_by_name = find_all_laws(preparation, task.config, others, task.among_many, task.spread)
     return replace(task, laws={name: laws for name, laws in laws_by_name.items() if name in task.variables})
 
 

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, by_group
+from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.refinement import Law, LawsByGroup, may_be_shown
 from atoll_coordinator.model.sparse.elimination import Elimination, eliminated
@@ -27,6 +29,41 @@ from atoll_core.expression.program import MAX_NODES, Program, constant_places, s
 from atoll_core.expression.writing.shortest import collected
 
 _DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
+_RIVALS_OF_A_BATCH: Final = 16
+"""Programs that are compared with laws: each takes a millisecond or two."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """What a weak form is made of, see `weak_form`, and the terms of the largest library."""
+
+    measured: Measured
+    target: int
+    half: int
+    largest: tuple[Product, ...]
+
+    def form(self) -> WeakForm:
+        """Return the weak form, which there is."""
+        form = weak_form(self.measured, self.target, self.half)
+        assert form is not None, "there are windows"
+        return form
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The terms that the search of a law begins with."""
+
+    terms: tuple[Product, ...]
+    is_tested: bool
+
+
+def _law(regression: Regression, search: _Search) -> tuple[Law, ...]:
+    law = regression.law(search.terms, is_tested=search.is_tested)
+    return () if law is None else (law,)
+
+
+def _nats(law: Law) -> float:
+    return law.nats
 
 
 def find_all_laws(
@@ -34,6 +71,7 @@ def find_all_laws(
     config: JobConfig,
     others: Mapping[str, Sequence[Program]],
     among_many: LawsByGroup | None = None,
+    spread: Spread | None = None,
 ) -> dict[str, tuple[Law, ...]]:
     """Return the laws of each variable that is not known already, those of one group of trajectories after another.
 
@@ -42,11 +80,12 @@ def find_all_laws(
         config: the resolved configuration.
         others: programs by variable that laws are compared with where there is noise.
         among_many: what `laws_among_many` gave; None: it is asked here.
+        spread: has the work done; one after another unless given.
     """
     by_variable: dict[str, tuple[Law, ...]] = {}
     among_many = laws_among_many(preparation, config) if among_many is None else among_many
     for part, known in zip(_parts(preparation), among_many, strict=True):
-        for name, laws in _laws(part, config, others, known):
+        for name, laws in _laws(part, config, others, known, spread or Spread()).items():
             by_variable[name] = by_variable.get(name, ()) + laws
     return by_variable
 
@@ -69,12 +108,18 @@ def _laws(
     config: JobConfig,
     others: Mapping[str, Sequence[Program]],
     among_many: Mapping[str, tuple[Law, ...]],
-) -> Iterator[tuple[str, tuple[Law, ...]]]:
+    spread: Spread,
+) -> dict[str, tuple[Law, ...]]:
     dataset, recording = part.dataset, part.recording
     assert recording is not None
-    for name, (columns, operators) in _spaces(dataset, config).items():
+
+    def found(name: str, columns: Sequence[int], operators: Collection[int]) -> tuple[Law, ...]:
         alone = (dataset.problem(name), recording, columns, operators, others.get(name, ()))
-        yield name, among_many.get(name) or find_laws(*alone)
+        return among_many.get(name) or find_laws(*alone, spread)
+
+    spaces = _spaces(dataset, config)
+    calls = [partial(found, name, *space) for name, space in spaces.items()]
+    return dict(zip(spaces, spread.branches(calls), strict=True))
 
 
 def _spaces(dataset: Dataset, config: JobConfig) -> dict[str, tuple[tuple[int, ...], frozenset[int]]]:
@@ -119,6 +164,7 @@ def find_laws(
     columns: Sequence[int],
     operators: Collection[int],
     others: Sequence[Program] = (),
+    spread: Spread | None = None,
 ) -> tuple[Law, ...]:
     """Return the laws of one state by itself that its rows single out, the shortest description first.
 
@@ -130,12 +176,13 @@ def find_laws(
         columns: indices of the variables that it may be made of.
         operators: codes of the operators.
         others: programs that laws are compared with where there is noise.
+        spread: has the work done; one after another unless given.
     """
     if not _has_like_rows(recording) or not _makes_sums(columns, operators) or recording.order == 2:
         return ()
     if _is_interpolated(recording) and problem.target.uncertainty <= SETTINGS.inference.largest_uncertainty:
         return tuple(_without_noise(problem, columns))
-    return tuple(_with_noise(problem, recording, columns, others))
+    return tuple(_with_noise(problem, recording, columns, others, spread or Spread()))
 
 
 def _are_many(names: Sequence[str]) -> bool:
@@ -165,7 +212,7 @@ def _settled_variables(
     assert part.recording is not None
     rows = sum(len(trajectory.times) for trajectory in part.recording.trajectories if not trajectory.held_out)
     settled = set()
-    for name, laws in _laws(part, config, {}, among_many):
+    for name, laws in _laws(part, config, {}, among_many, Spread()).items():
         if _settles(laws, rows, config.space.max_size):
             settled.add(name)
         elif not _are_many(part.dataset.names):
@@ -227,32 +274,33 @@ def _converged(
 
 
 def _with_noise(
-    problem: Problem, recording: Recording, columns: Sequence[int], others: Sequence[Program]
+    problem: Problem, recording: Recording, columns: Sequence[int], others: Sequence[Program], spread: Spread
 ) -> Iterator[Law]:
     """Yield the best sum of each library, the shortest description first."""
     measured = measured_of(recording, problem.names)
     place = recording.states.index(problem.target.variable)
     target = problem.names.index(recording.state_symbols[place])
-    form = weak_form(measured, target, _half(measured, recording.smoothing[place], len(columns)))
+    half = _half(measured, recording.smoothing[place], len(columns))
+    form = weak_form(measured, target, half)
     if form is None:
         return
     tried = list(libraries(columns, form.independent, _DEGREES))
     if not tried:
         return
     largest, is_tested = tried[-1]
-    regression = Regression(form, largest)
     written = [collected(program) for program in others]  # without x/x, of which no sum of products is made
     summed = [products_of(program, SETTINGS.sparse.degree) for program in written]
     own = dict.fromkeys(tuple(terms) for terms in summed if terms and set(terms) <= set(largest))
     begun = dict.fromkeys((*(tuple(terms) for terms, _ in tried), *list(own)[: SETTINGS.effort.beam]))
-    candidates = [regression.law(terms, is_tested=is_tested) for terms in begun]
-    laws = sorted(
-        (law for law in candidates if law is not None and len(law.program) <= MAX_NODES), key=lambda law: law.nats
-    )
+    parts = _Windows(measured, target, half, tuple(largest))
+    searches = [_Search(terms, is_tested) for terms in begun]
+    candidates = spread.map(_SUMS, Regression(form, largest), searches, parts=lambda: parts)
+    laws = sorted((law for laws in candidates for law in laws or () if len(law.program) <= MAX_NODES), key=_nats)
     if not laws:
         return
-    functions = (program for program, terms in zip(written, summed, strict=True) if terms is None)
-    rival = min((_nats_of(form, program) for program in functions), default=math.inf)
+    functions = [program for program, terms in zip(written, summed, strict=True) if terms is None]
+    nats = spread.map(_RIVALS, form, functions, _RIVALS_OF_A_BATCH, parts=lambda: parts)
+    rival = min((one for one in nats if one is not None), default=math.inf)
     structures: set[bytes] = set()
     for law in laws:
         key = structure(collected(law.program))
@@ -317,3 +365,11 @@ def _factor(sides: FloatArray, integrals: FloatArray, variances: FloatArray) -> 
         return 1.0
     squares = math.fsum((integrals * integrals / variances).tolist())
     return math.fsum((sides * integrals / variances).tolist()) / squares if squares > 0.0 else 1.0
+
+
+_SUMS: Final[BatchFunction[Regression, _Search, tuple[Law, ...]]] = BatchFunction(
+    "sums of products", _Windows, _Search, tuple[Law, ...], _law, lambda parts: Regression(parts.form(), parts.largest)
+)
+_RIVALS: Final[BatchFunction[WeakForm, Program, float]] = BatchFunction(
+    "rivals of laws", _Windows, Program, float, lambda form, program: _nats_of(form, program), _Windows.form
+)

@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.least_squares import Solver, coefficients_of, inverse, minimize, solver
 from atoll_coordinator.model.sparse.elimination import on_the_way
 from atoll_coordinator.model.sparse.products import products
@@ -85,6 +86,22 @@ def pursue(
         error = problem.target.uncertainty * problem.target.standard_deviation
         return pursuit.run(len(rows) * error * error)
 
+
+@dataclass(frozen=True, eq=False)
+class Pursuit:
+    """What sums are pursued of, see `pursue`."""
+
+    columns: tuple[int, ...]
+    operators: frozenset[int]
+    needed: frozenset[int] = frozenset()
+    most: float = math.inf
+
+
+PURSUED: Final[BatchFunction[Problem, Pursuit, tuple[Program, ...]]] = BatchFunction(
+    "pursued sums", Problem, Pursuit, tuple[Program, ...],
+    lambda problem, of: tuple(pursue(problem, of.columns, of.operators, of.needed, of.most)),
+)  # fmt: skip
+"""Sums that leave least of a target."""
 
 _Promise = tuple[float, tuple[int, ...], FloatArray]
 """A sum that is not fitted yet: about the sum of squares that it leaves, its terms and inner constants."""
