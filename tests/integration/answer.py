@@ -2,6 +2,7 @@
 
 import json
 import sys
+from hashlib import sha256
 from pathlib import Path
 
 from atoll_coordinator.data.prepare import prepare
@@ -12,6 +13,7 @@ from atoll_coordinator.model.sparse.product_laws import find_all_laws, laws_amon
 from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig, PredictorConfig
 from atoll_core.expression.text.infix import to_infix
+from atoll_core.wire.values import encode_value
 from tests.archipelago import search_all
 
 CONFIG = JobConfig(
@@ -36,14 +38,8 @@ def answer(path: Path) -> dict[str, object]:
     return {
         "laws": {name: [bits(law) for law in laws] for name, laws in find_all_laws(preparation, config, {}).items()},
         "settled": sorted(settled_variables(preparation, plain, laws_among_many(preparation, plain))),
-        "shown": {
-            name: {
-                "expression": to_infix(equation.program, dataset.names),
-                "verdict": equation.grade,
-                "constants": [(constant.fitted, constant.std_error) for constant in equation.constants],
-            }
-            for name, equation in refinement.equations.items()
-        },
+        "shown": {name: to_infix(one.program, dataset.names) for name, one in refinement.equations.items()},
+        "refined": sha256(encode_value(refinement)).hexdigest(),
         "dataset": dataset.digest,
         "noise": [target.noise.hex() for target in dataset.targets],
         "islands": [search.digests for search in searches],
