@@ -52,7 +52,14 @@ CONTENTS: Final = {
         "reproducibility",
         "glossary",
     ),
-    "Operations": ("service", "scale", "project/deploy/README", "project/deploy/tls/README", "project/SECURITY"),
+    "Operations": (
+        "service",
+        "operations",
+        "scale",
+        "project/deploy/README",
+        "project/deploy/tls/README",
+        "project/SECURITY",
+    ),
     "For developers": (
         "architecture",
         "how-to/export-format",

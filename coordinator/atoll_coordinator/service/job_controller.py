@@ -75,7 +75,7 @@ class JobController:
         self.shown: Final = JobViews(self.jobs, self.queue, self, store, self.breakages)
         self.checkpoints: Final = PullBudget()
         self._store = store
-        self.tasks: Final = TaskController(channel, self.workers.membership, store, post, self._rank)
+        self.tasks: Final = TaskController(channel, self.workers.membership, store, post, self._rank, self._may_follow)
         self._channel = channel
         self._writer = writer
         self._clock = clock
@@ -263,6 +263,11 @@ class JobController:
         task = self.tasks.table.get(report.body.task)
         with self.guarded(task.job if task is not None else "", "taking in what came of a task", now, by_peer=True):
             self.tasks.add_report(worker, report, now)
+
+    def _may_follow(self, job_id: str) -> bool:
+        """Tell whether a task of a job may be wanted soon: after a restart its data are prepared first."""
+        job = self.jobs.get(job_id)
+        return job is not None and job.state in ("queued", "preparing")
 
     def _rank(self, job_id: str) -> tuple[float, ...]:
         """Return by what the tasks of a job are put in order: by priority, then as the jobs came."""

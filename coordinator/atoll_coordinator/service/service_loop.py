@@ -224,6 +224,7 @@ class Service:
 
     def _check_time(self, now: float) -> None:
         """Let time pass, now that everything has been taken in that had come before."""
+        self._store.beat()
         if self._bus.dropped > self._dropped:
             self._dropped = self._bus.dropped
             _LOG.warning("messages were dropped, since they came too fast", extra=fields(dropped=self._dropped))

@@ -119,12 +119,11 @@ class TaskRunner:
 
     def statuses(self) -> tuple[TaskStatus, ...]:
         """Return what the heartbeat says of tasks."""
-        helped = (TaskStatus(task=self._helped.help.task, state="helping"),) if self._helped is not None else ()
-        return (*(TaskStatus(task=task, state=leased.state) for task, leased in self._leased.items()), *helped)
-
-    def jobs(self) -> tuple[str, ...]:
-        """Return the jobs of the tasks here."""
-        return tuple(leased.lease.job for leased in self._leased.values())
+        own = (TaskStatus(task=task, job=leased.lease.job, state=leased.state) for task, leased in self._leased.items())
+        if self._helped is None:
+            return tuple(own)
+        helped = self._helped.help
+        return (*own, TaskStatus(task=helped.task, job=helped.job, state="helping"))
 
     # ------------------------------------------------------------------------------------- the coordinator
 

@@ -110,6 +110,11 @@ class DiskStore:
         """Return what room there is."""
         return self._disk.room
 
+    def beat(self) -> None:
+        """Meet no disk: nothing is written, and there is no standby."""
+        if self.is_dead:
+            raise CoordinatorDied
+
     def __getattr__(self, name: str) -> Any:
         inner = getattr(self._store, name)
         if not callable(inner):

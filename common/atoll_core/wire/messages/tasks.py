@@ -66,9 +66,10 @@ class Release(Frozen):
 
 
 class TaskStatus(Frozen):
-    """What a worker has of a task."""
+    """What a worker has of a task of this job."""
 
     task: Digest
+    job: Id
     state: TaskState
 
 

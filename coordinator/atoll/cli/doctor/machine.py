@@ -12,6 +12,7 @@ from typing import Final
 from atoll.cli.doctor.finding import Finding, counted, fine
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.machine.cores import usable_cores
+from atoll_core.machine.file_systems import file_system, is_networked
 
 MB: Final = 1024 * 1024
 GB: Final = 1024 * MB
@@ -23,9 +24,7 @@ FEW_FILES: Final = 1024
 LITTLE_ROOM: Final = 100 * MB
 SOME_ROOM: Final = GB
 
-_NETWORKED: Final = ("nfs", "cifs", "smb", "lustre", "gpfs", "beegfs", "ceph", "afs", "fuse.sshfs", "9p")
 _MEMINFO: Final = Path("/proc/meminfo")
-_MOUNTS: Final = Path("/proc/self/mounts")
 _CGROUP: Final = Path("/sys/fs/cgroup")
 
 
@@ -122,23 +121,12 @@ def check_state(options: argparse.Namespace) -> Iterator[Finding]:
         advice = "make room, or name a folder on another disk with --state"
         yield Finding("state folder", "problem" if free < LITTLE_ROOM else "warning", fact, advice)
     kind = file_system(place)
-    if kind is not None and kind.startswith(_NETWORKED):
+    if is_networked(kind):
         fact = f"{place} is on a network file system ({kind})"
         advice = (
             "keep the store on a disk of the coordinator's machine: SQLite relies on locks that many such systems lack"
         )
         yield Finding("state folder", "warning", fact, advice)
-
-
-def file_system(place: Path, mounts: Path = _MOUNTS) -> str | None:
-    """Return the kind of file system that `place` is on; None where this is not known."""
-    kinds = {}
-    with contextlib.suppress(OSError):
-        for line in mounts.read_text("utf-8", "replace").splitlines():
-            _, point, kind, *_ = line.split()
-            kinds[Path(point.replace("\\040", " "))] = kind
-    real = place.resolve()
-    return next((kinds[folder] for folder in (real, *real.parents) if folder in kinds), None)
 
 
 def _existing(path: Path) -> Path:

@@ -87,6 +87,9 @@ _LISTEN: Final = _value(
     "--listen", "tcp/HOST:PORT", default="tcp/127.0.0.1:7447",
     text="where workers and clients connect; tcp/0.0.0.0:7447 for every network (default: %(default)s)",
 )  # fmt: skip
+_STATE: Final = _value(
+    "--state", "DIR", "folder of the job store (default: %(default)s)", default="atoll-state"
+)  # fmt: skip
 _SERVICE: Final = (
     _value(
         "--connect-file", "FILE",
@@ -140,17 +143,30 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
                 "do not listen, but join a router there (coordinator router, or zenohd), as workers and clients do",
             ),
         ),
-        _value("--state", "DIR", "folder of the job store (default: %(default)s)", default="atoll-state"),
+        _STATE,
         _value(
             "--keep", "AGE,SIZE", type=_keep, default="90d,8G",
             text="delete ended jobs, the oldest first, that ended longer ago (30m, 12h, 90d) or while the store takes "
             "more (500M, 8G); one of the two may be left out, and `all` keeps all (default: %(default)s)",
+        ),
+        _switch(
+            "--standby",
+            "wait while another coordinator serves the same --state, and take over when it has died or hangs",
         ),
         *_SERVICE,
         _value(
             "--wait", "SECONDS", "how long --router may take to be there (default: %(default)g)",
             type=seconds, default=10.0,
         ),
+    )),
+    "backup": ("copy a coordinator's job store into a file, also while it is served", (
+        _value("file", "FILE", "the copy; it must not exist yet"), _STATE, _JSON,
+    )),
+    "restore": ("make a job store of a copy; no coordinator may serve it", (
+        _value("file", "FILE", "the copy that backup has written"),
+        _STATE,
+        _switch("--replace", "put a store that is there aside"),
+        _JSON,
     )),
     "router": ("pass messages on: for a site of its own, or to keep connections while serve restarts", (
         _LISTEN,

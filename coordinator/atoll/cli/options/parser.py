@@ -12,6 +12,8 @@ from atoll_core.errors import UsageError
 HANDLERS: Final = {
     "run": "atoll.cli.verbs.run",
     "serve": "atoll.cli.verbs.serve",
+    "backup": "atoll.cli.verbs.backup",
+    "restore": "atoll.cli.verbs.backup",
     "router": "atoll.cli.verbs.router",
     "submit": "atoll.cli.verbs.submit",
     "ping": "atoll.cli.verbs.ping",

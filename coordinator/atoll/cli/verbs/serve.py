@@ -10,8 +10,9 @@ from atoll.cli.listener import addresses_of, read_options, warnings_of
 from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, StoreError, UnreachableError, UsageError
+from atoll_core.machine.file_systems import file_system, is_networked
 from atoll_core.signals import stopping
-from atoll_core.wire.addresses import Destination, parse_address
+from atoll_core.wire.addresses import Destination, bindable, parse_address
 from atoll_core.wire.connect_file import announced
 from atoll_core.wire.security.role_bindings import RoleBindings
 
@@ -23,23 +24,33 @@ if TYPE_CHECKING:
 ANOTHER_LIMIT_S: Final = 0.5
 """How long another coordinator behind the same router is listened for."""
 
+LEAVING_LOOKS: Final = 10
+"""How often a coordinator that has taken a store over looks whether the one before it is gone: ten of its ticks."""
+
 
 def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0."""
     wanted, role_bindings = read_options(options, options.router)
+    if options.standby:
+        refuse_network(Path(options.state))
     from atoll_coordinator.service.service_loop import Service
     from atoll_coordinator.service.store.retention import Retention
     from atoll_coordinator.service.tasks.dependencies import Dependencies
 
     behind, stop = options.router is not None, threading.Event()
-    with stopping(stop), _opened(options.state) as store, _joined(options, wanted, role_bindings) as bus:
-        dependencies = Dependencies(retention=Retention(*options.keep))
-        service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings)
-        service.start()
-        here = Destination(parse_address(bus.endpoint), wanted.credentials)
-        with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
-            say(greeting(here, options.state, role_bindings, behind))
-            service.work(stop)
+    with stopping(stop):
+        store = _awaited(options, wanted, stop) if options.standby else _opened(options.state)
+        if store is None:
+            note("coordinator: stopped on standby; another one serves")
+            return DONE
+        with store, _joined(options, wanted, role_bindings) as bus:
+            dependencies = Dependencies(retention=Retention(*options.keep))
+            service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings)
+            service.start()
+            here = Destination(parse_address(bus.endpoint), wanted.credentials)
+            with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
+                say(greeting(here, options.state, role_bindings, behind))
+                service.work(stop)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
 
@@ -56,11 +67,47 @@ def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: Rol
         return open_router(wanted, role_bindings=role_bindings)
     bus = open_client(wanted, wait_s=options.wait)
     try:
-        refuse_another(bus, bus.endpoint)
+        for left in reversed(range(LEAVING_LOOKS if options.standby else 1)):
+            try:
+                refuse_another(bus, bus.endpoint)
+                break
+            except UsageError:  # the one whose store was taken over ends at its next tick
+                if not left:
+                    raise
     except BaseException:
         bus.close()
         raise
     return bus
+
+
+def _awaited(options: argparse.Namespace, wanted: Destination, stop: threading.Event) -> "Store | None":
+    """Wait for the store in ``options.state`` until no other coordinator serves it; None when `stop` was set before."""
+    from atoll_coordinator.service.store.standby import Standby
+
+    def obstacle() -> str | None:
+        """Say why we could not listen beside a coordinator that hangs; a router leads to whoever answers."""
+        try:
+            if options.router is None:
+                bindable(wanted.address)
+        except UsageError as error:
+            return str(error)
+        return None
+
+    try:
+        return Standby(Path(options.state), stop, obstacle, lambda sentence: note(f"coordinator: {sentence}")).store()
+    except StoreError as error:
+        raise UsageError(str(error)) from error
+
+
+def refuse_network(state: Path) -> None:
+    """Raise UsageError where a death or the writes of another coordinator cannot be told from here."""
+    kind = file_system(state.absolute())
+    if is_networked(kind):
+        raise UsageError(
+            f"--standby needs the store on a disk of this machine, but {state} is on a network file system ({kind}), "
+            "where a lock may outlive its machine and SQLite's shared memory does not reach another one; use a copy "
+            "(coordinator backup, Litestream) for other machines"
+        )
 
 
 def refuse_another(bus: "Bus", router: str) -> None:

@@ -14,7 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from atoll_coordinator.service.store.schema import Lock, connect, connect_to_read, translated
+from atoll_coordinator.service.store.lock import Lock
+from atoll_coordinator.service.store.schema import connect, connect_to_read, translated
 from atoll_core.errors import StoreError
 from atoll_core.wire.messages.views import StoreView
 
@@ -52,15 +53,17 @@ class OpenFile:
         self._served_since = now() - float(served)
 
     @classmethod
-    def open(cls, directory: Path | None, now: Callable[[], float] = time.monotonic) -> Self:
+    def open(cls, directory: Path | None, now: Callable[[], float] = time.monotonic, lock: Lock | None = None) -> Self:
         """Open the store in `directory`, making it if need be; None: in memory, gone when closed.
+
+        `lock` is the one on the directory, if it has been taken already; it is given back with the store.
 
         Raises:
             StoreError: another coordinator serves from it, it is damaged, of a newer version, or cannot be written.
         """
         if directory is None:
             return cls(connect(None), None, None, now)
-        lock = Lock(directory)
+        lock = lock or Lock(directory)
         try:
             return cls(connect(directory), lock, directory, now)
         except BaseException:
@@ -89,6 +92,18 @@ class OpenFile:
         """Raise StoreError when another coordinator has opened the store since."""
         with self._transaction():
             pass
+
+    def beat(self) -> None:
+        """Show a coordinator on standby that this one gets on; raise StoreError when it has taken over nevertheless."""
+        if self._lock_on_directory is None:
+            return
+        self._lock_on_directory.beat()
+        if self._lock.acquire(blocking=False):  # else a transaction is under way, and looks by itself
+            try:
+                with translated(self._directory):
+                    self._check_incarnation()
+            finally:
+                self._lock.release()
 
     @property
     def served_s(self) -> float:

@@ -1,7 +1,6 @@
 """The store's file: its tables and versions, opening it, and refusing what is no store of ours. SQLite in WAL mode."""
 
 import contextlib
-import os
 import sqlite3
 import uuid
 from collections.abc import Iterator
@@ -11,8 +10,11 @@ from typing import Final
 from atoll_core.errors import StoreError
 
 FILE_NAME: Final = "atoll.sqlite3"
-LOCK_NAME: Final = "lock"
 _APPLICATION: Final = 0x41544F4C  # "ATOL"; SQLite keeps it in the file's head
+BUSY_LIMIT_S: Final = 5.0
+"""How long another process may keep the file to itself: Litestream does so while it moves pages out of the WAL, and
+asks for this limit."""
+
 _CHECKED_BYTES: Final = 256 * 1024 * 1024
 
 _LAYOUT_1: Final = """
@@ -130,7 +132,9 @@ def connect(directory: Path | None) -> sqlite3.Connection:
     """
     file = directory / FILE_NAME if directory else None
     with translated(file):
-        connection = sqlite3.connect(file or ":memory:", isolation_level=None, check_same_thread=False, timeout=1.0)
+        connection = sqlite3.connect(
+            file or ":memory:", isolation_level=None, check_same_thread=False, timeout=BUSY_LIMIT_S
+        )
     try:
         with translated(file):
             _prepare(connection, file)
@@ -149,44 +153,6 @@ def connect_to_read(directory: Path) -> sqlite3.Connection:
     return connection
 
 
-class Lock:
-    """A lock on the store's directory, so that no second coordinator serves from it. Gone with its process."""
-
-    def __init__(self, directory: Path) -> None:
-        """Take the lock; raises StoreError when another process has it or the directory cannot be written."""
-        import fcntl
-
-        path = directory / LOCK_NAME
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        except OSError as error:
-            reason = (error.strerror or "").lower()
-            raise StoreError(
-                f"the store {directory} cannot be written: {reason}; choose another directory with --state"
-            ) from error
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            holder = os.read(self._file, 32).decode("ascii", "replace").strip() or "unknown"
-            os.close(self._file)
-            raise StoreError(
-                f"the store {directory} is in use by another coordinator (process {holder}); "
-                "stop that one, or choose another directory with --state"
-            ) from error
-        try:
-            os.ftruncate(self._file, 0)
-            os.write(self._file, f"{os.getpid()}\n".encode())
-        except OSError as error:
-            os.close(self._file)
-            reason = (error.strerror or "").lower()
-            raise StoreError(f"the store {directory} cannot be written: {reason}; see that there is room") from error
-
-    def release(self) -> None:
-        """Give the lock back."""
-        os.close(self._file)
-
-
 @contextlib.contextmanager
 def translated(place: Path | None) -> Iterator[None]:
     """Turn what SQLite raises about the store at `place` into a StoreError."""
@@ -202,23 +168,33 @@ def _advice(error: sqlite3.Error) -> str:
     return "check that its directory can be written and that there is room"
 
 
-def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
+def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
+    """Return the version of the layout of a file, 0 of an empty one.
+
+    Raises:
+        StoreError: it is foreign, or of a newer version.
+    """
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if application != _APPLICATION and (tables or application):
-        raise StoreError(f"{file} is a database, but not a store of this program; choose another directory")
+        raise StoreError(f"{file} is a database, but not a store of this program; name another")
     if version > SCHEMA_VERSION:
         raise StoreError(
             f"the store {file} was written by a newer version (layout {version}, this version knows {SCHEMA_VERSION}); "
-            "use that version, or choose another directory with --state"
+            "use that version, or name another"
         )
+    return int(version) if tables else 0
+
+
+def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
+    version = check_kind(connection, file)
     for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
         connection.execute(f"PRAGMA {pragma}")
     _check(connection, file)
     connection.execute("BEGIN IMMEDIATE")
     _migrate(connection, version)
-    if not tables:
+    if not version:
         _baptize(connection)
     if connection.execute("UPDATE realm SET incarnation = incarnation + 1").rowcount != 1:
         raise StoreError(f"the store {file} is damaged (it has no name); restore it from a copy")
@@ -245,4 +221,15 @@ def _migrate(connection: sqlite3.Connection, version: int) -> None:
 def _baptize(connection: sqlite3.Connection) -> None:
     """Mark a new file as ours and give it a name."""
     connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-    connection.execute("INSERT INTO realm (id, incarnation) VALUES (?, 0)", (uuid.uuid4().hex[:12],))
+    connection.execute("INSERT INTO realm (id, incarnation) VALUES (?, 0)", (_new_name(),))
+
+
+def rename_cluster(connection: sqlite3.Connection) -> str:
+    """Give a file another random name, in a transaction of the caller; return it."""
+    name = _new_name()
+    connection.execute("UPDATE realm SET id = ?", (name,))
+    return name
+
+
+def _new_name() -> str:
+    return uuid.uuid4().hex[:12]

@@ -6,7 +6,7 @@ workers still have of the same tasks.
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -30,7 +30,16 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.tasks.frames import Failure
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.messages.tasks import Help, Release, TaskChunk, TaskFailed, TaskFunction, TaskInput, TaskReport
+from atoll_core.wire.messages.tasks import (
+    Help,
+    Release,
+    TaskChunk,
+    TaskFailed,
+    TaskFunction,
+    TaskInput,
+    TaskReport,
+    TaskStatus,
+)
 from atoll_core.wire.messages.workers import WorkerStatus
 from atoll_core.wire.values import decode_value
 
@@ -55,14 +64,24 @@ class TaskController:
     def __init__(
         self, channel: WorkerChannel, membership: Membership, store: Store, post: Callable[[object], None],
         rank: Callable[[str], tuple[float, ...]] = lambda job: (),
+        may_follow: Callable[[str], bool] = lambda job: False,
     ) -> None:  # fmt: skip
-        """`post` hands outcomes to the loop; of tasks that wait, that of the job of least `rank` goes first."""
+        """Set up.
+
+        Args:
+            channel: reaches the workers that `membership` knows.
+            store: has the tables.
+            post: hands outcomes to the loop.
+            rank: of tasks that wait, that of the job of least rank goes first.
+            may_follow: tells whether a job may soon want a task that is not known: a worker that has one keeps it.
+        """
         self.table: Final = TaskTable()
         self._channel = channel
         self._membership = membership
         self._store = store
         self.post: Final = post
         self._rank = rank
+        self._may_follow = may_follow
         self._purposes: dict[str, _Purpose] = {}
         self._blobs: dict[str, tuple[str, bytes]] = {}
         self._prepared: dict[str, bytes] = {}
@@ -182,26 +201,33 @@ class TaskController:
 
     def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
         """Take in which tasks a worker has; correct what it should not have, or should and has not."""
-        shown = {held.task: held.state for held in status.tasks}
-        for name, state in shown.items():
-            task = self.table.get(name)
-            if state == "helping":
-                if task is None or worker not in task.helpers:
-                    self._channel.send(worker, Release(task=name))
-            elif task is not None and task.worker is None and status.state != "leaving":
-                self.table.lease(task, worker, now)  # a coordinator that was here before has leased it
-                self._channel.send(worker, task.lease(1))
-            elif task is None or task.worker != worker:
-                self._channel.send(worker, Release(task=name))
-            elif state == "running":
-                if self.table.begin(task, now) and task.function == "prepare":
-                    self.post(PreparationBegun(task.job))
-            elif state in ("done", "failed"):
-                self._channel.send(worker, task.lease(1))  # its report was lost; it is sent again
+        for held in status.tasks:
+            self._compare(worker, held, status.state == "leaving", now)
+        shown = {held.task for held in status.tasks}
         self._correct(worker, shown, now)
         self.dispatch(now)
 
-    def _correct(self, worker: str, shown: Mapping[str, str], now: float) -> None:
+    def _compare(self, worker: str, held: TaskStatus, is_leaving: bool, now: float) -> None:
+        """Take in how far a worker is with a task; have it forget what is not its own."""
+        task = self.table.get(held.task)
+        if task is None:
+            if held.state == "helping" or not self._may_follow(held.job):
+                self._channel.send(worker, Release(task=held.task))
+        elif held.state == "helping":
+            if worker not in task.helpers:
+                self._channel.send(worker, Release(task=held.task))
+        elif task.worker is None and not is_leaving and self.table.on(worker) is None:
+            self.table.lease(task, worker, now)  # a coordinator that was here before has leased it
+            self._channel.send(worker, task.lease(1))
+        elif task.worker != worker:
+            self._channel.send(worker, Release(task=held.task))
+        elif held.state == "running":
+            if self.table.begin(task, now) and task.function == "prepare":
+                self.post(PreparationBegun(task.job))
+        elif held.state in ("done", "failed"):
+            self._channel.send(worker, task.lease(1))  # its report was lost; it is sent again
+
+    def _correct(self, worker: str, shown: Collection[str], now: float) -> None:
         """Say again what a worker has missed."""
         for task in self.table:
             if task.worker == worker and task.id not in shown and now - task.leased_at > SETTLED_S:

@@ -319,7 +319,7 @@ def test_a_disk_that_is_full_at_the_start_is_said(tmp_path: Path, monkeypatch: p
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as full:
-        full.setattr("atoll_coordinator.service.store.schema.os.write", is_full)
+        full.setattr("atoll_coordinator.service.store.lock.os.pwrite", is_full)
         with pytest.raises(StoreError, match="no space left on device; see that there is room"):
             Store.open(tmp_path)
     Store.open(tmp_path).close()

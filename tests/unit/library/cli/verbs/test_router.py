@@ -15,7 +15,7 @@ from atoll_core.errors import UnreachableError, UsageError
 from atoll_core.wire.addresses import destination
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 
-LOGS = {"log_format": "text", "log_level": "info"}
+LOGS = {"log_format": "text", "log_level": "info", "standby": False}
 
 
 @pytest.fixture

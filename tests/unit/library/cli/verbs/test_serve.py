@@ -41,7 +41,13 @@ def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
     place = tmp_path / "file"
     place.write_text("")
     options = Namespace(
-        listen="tcp/127.0.0.1:0", router=None, state=str(place), roster=None, log_format="text", log_level="info"
+        listen="tcp/127.0.0.1:0",
+        router=None,
+        state=str(place),
+        roster=None,
+        log_format="text",
+        log_level="info",
+        standby=False,
     )
     with pytest.raises(UsageError, match="choose another directory with --state"):
         serve.serve(options)
