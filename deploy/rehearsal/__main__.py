@@ -14,9 +14,9 @@ from pathlib import Path
 from deploy.rehearsal.image import build_image, remove_containers
 from deploy.rehearsal.machine import FailedError, Machine, NotPossibleError
 from deploy.rehearsal.manifests import check_compose, check_kubernetes
-from deploy.rehearsal.services import rehearse_containers, rehearse_slurm, rehearse_systemd
+from deploy.rehearsal.services import rehearse_adapt, rehearse_containers, rehearse_slurm, rehearse_systemd
 
-SERVICES = ("containers", "slurm", "systemd")
+SERVICES = ("containers", "slurm", "adapt", "systemd")
 """Steps whose services are ended with them."""
 STEPS: dict[str, Callable[[Machine], str]] = {
     "compose": check_compose,
@@ -24,6 +24,7 @@ STEPS: dict[str, Callable[[Machine], str]] = {
     "image": build_image,
     "containers": rehearse_containers,
     "slurm": rehearse_slurm,
+    "adapt": rehearse_adapt,
     "systemd": rehearse_systemd,
 }
 

@@ -5,6 +5,7 @@ import re
 import shutil
 import socket
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
@@ -108,11 +109,7 @@ def rehearse_slurm(machine: Machine) -> str:
     cores = len(os.sched_getaffinity(0))
     folder = machine.work / f"slurm-{machine.id}"
     results, tls = folder / "atoll", folder / "atoll" / "tls"
-    path = f"PATH={Path(job.PROGRAM).parent}:{os.environ['PATH']}"
-    environment = ("env", f"SLURM_CONF={folder}/slurm.conf", f"ATOLL_DIR={results}", path)
-
-    def slurm(*words: str) -> str:
-        return machine.run(*environment, *words).stdout.strip()
+    slurm = _slurm(machine, folder, cores, ATOLL_DIR=results)
 
     def submit() -> str:
         options = ("--nodes=1", f"--cpus-per-task={cores}", "--time=60", f"--output={folder}/%j.out")
@@ -130,7 +127,6 @@ def rehearse_slurm(machine: Machine) -> str:
             raise FailedError(f"job {number} of Slurm is {state()}:\n{said[-2000:]}")
         return said
 
-    _start_slurm(machine, folder, cores, environment)
     first, file = submit(), results / "address"
     wait_until("a coordinator has an address", lambda: file.exists() and bool(file.read_text("utf-8")), job.LIMIT_S)
     certificates = (f"--tls-ca={tls}/authority.pem", f"--tls-cert={tls}/certificate.pem", f"--tls-key={tls}/key.key")
@@ -146,6 +142,69 @@ def rehearse_slurm(machine: Machine) -> str:
     wait_for_end(submit())
     job.check_digest(machine, results / "result")
     return f"atoll.sbatch on {cores} cores cut off, submitted again and finished, digest equal to the checkout's"
+
+
+def rehearse_adapt(machine: Machine) -> str:
+    """Have ``coordinator adapt`` start workers in jobs of Slurm, kill one and drain them; return what was done."""
+    if os.geteuid() != 0:
+        raise NotPossibleError("a node of Slurm runs jobs as their users, which needs root")
+    machine.need(PROGRAMS)
+    folder, cores = machine.work / f"adapt-{machine.id}", len(os.sched_getaffinity(0))
+    slurm = _slurm(machine, folder, cores)
+    address = f"tcp/127.0.0.1:{free_port()}"
+
+    def running() -> list[str]:
+        return slurm("squeue", "--noheader", "--states=RUNNING", "--format=%A").split()
+
+    machine.start("adapt-coordinator", job.PROGRAM, "serve", "--listen", address, "--state", str(folder / "store"))
+    ping = (job.PROGRAM, "ping", "--connect", address)
+    wait_until("the coordinator answers", lambda: machine.run(*ping, check=False).returncode == 0)
+    bounds = ("--minimum", "0", "--maximum", str(cores), "--cores", "1", "--idle", "20s", "--interval", "1s")
+    outputs = f"--sbatch=--output={folder}/%j.out --time=60"
+    adapting = machine.start("adapt", *slurm.environment, job.PROGRAM, "adapt", "--connect", address, *bounds, outputs)
+    submit = (job.PROGRAM, "submit", str(job.DATA), *job.OPTIONS, "--connect", address, "--out", str(folder / "out"))
+    submitting = machine.start("adapt-client", *submit)
+    before = job.wait_until_under_way(machine, cores, address)
+    killed = running()[0]
+    slurm("scancel", "--signal=KILL", "--full", killed)  # as when its node is lost
+    wait_until(
+        "another job of Slurm has taken the place of the one that was killed",
+        lambda: len(now := job.computing(machine, address)) == cores and now != before,
+        job.LIMIT_S,
+    )
+    drained = running()
+    job.check_submitted(machine, submitting, folder / "out")
+    wait_until("all jobs of Slurm have been drained", lambda: not slurm("squeue", "--noheader"), job.LIMIT_S)
+    for number in drained:
+        said = (folder / f"{number}.out").read_text("utf-8")
+        if "this worker ends" not in said:
+            raise FailedError(f"job {number} of Slurm was not let go by the coordinator, but said: {said[-2000:]}")
+    if adapting.poll() is not None:
+        raise FailedError(f"coordinator adapt ended with {adapting.returncode}; see {machine.logs}")
+    return (
+        f"adapt kept {cores} jobs of Slurm, replaced one that was killed, digest equal to the checkout's, then drained "
+        f"all {len(drained)}"
+    )
+
+
+@dataclass(frozen=True)
+class _Slurm:
+    """A Slurm of one node; calling it runs a program of Slurm and returns what that prints."""
+
+    machine: Machine
+    environment: tuple[str, ...]
+
+    def __call__(self, *words: str) -> str:
+        return self.machine.run(*self.environment, *words).stdout.strip()
+
+
+def _slurm(machine: Machine, folder: Path, cores: int, **settings: Path) -> _Slurm:
+    """Start a Slurm that keeps its files in `folder`, for programs of the checkout with these settings."""
+    path = f"PATH={Path(job.PROGRAM).parent}:{os.environ['PATH']}"
+    given = (f"{name}={value}" for name, value in settings.items())
+    slurm = _Slurm(machine, ("env", f"SLURM_CONF={folder}/slurm.conf", *given, path))
+    _start_slurm(machine, folder, cores, slurm.environment)
+    return slurm
 
 
 def _start_slurm(machine: Machine, folder: Path, cores: int, environment: tuple[str, ...]) -> None:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _WAIT_S: Final = 10.0
 _GRACE_S: Final = 30.0
 _MOST_PROCESSES: Final = 1024
+_LONGEST_BATCH_ID: Final = 10
+"""Digits of a number of 32 bits, which Slurm's ids are."""
 
 _EPILOG: Final = """\
 exit codes: 0 the coordinator ended or the worker was told to end, 1 failed, 2 bad usage or refused by the coordinator,
@@ -171,8 +173,11 @@ def _name_for(principal: str | None, wanted: str | None) -> str:
 def _default_name() -> str:
     import socket
 
-    host = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname().split(".")[0])[:40] or "worker"
-    return f"{host}-{os.getpid()}"
+    host = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname().split(".")[0]) or "worker"
+    batch_job = os.environ.get("SLURM_JOB_ID", "")
+    if batch_job.isdecimal() and len(batch_job) <= _LONGEST_BATCH_ID:  # `coordinator adapt` looks for it
+        return f"{host[:28]}-slurm{batch_job}-{os.getpid()}"
+    return f"{host[:40]}-{os.getpid()}"
 
 
 def _processes(text: str) -> int | None:

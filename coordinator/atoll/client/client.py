@@ -50,7 +50,7 @@ _ERRORS: Final[dict[messages.FailureKind, type[AtollError]]] = {
 A = TypeVar("A")
 _Question = (
     messages.Upload | messages.Submit | messages.Jobs | messages.FindJob | messages.Status | messages.Workers
-    | messages.GetResult | messages.Cancel | messages.Delete | messages.GetEvents
+    | messages.GetQueueDepth | messages.GetResult | messages.Cancel | messages.Delete | messages.GetEvents
 )  # fmt: skip
 
 
@@ -162,6 +162,10 @@ class Client:
     def coordinator(self) -> CoordinatorView | None:
         """Return the coordinator's view of itself."""
         return self._ask(messages.Workers(), messages.WorkerList, "the coordinator's counters").coordinator
+
+    def queue_depth(self) -> messages.QueueDepth:
+        """Return how much work waits."""
+        return self._ask(messages.GetQueueDepth(), messages.QueueDepth, "the depth of the queue")
 
     def events(self, job: str | None, after: int = 0, limit: int = 200) -> tuple[EventView, ...]:
         """Return what happened to `job`, or at all (None), after that event; the last events when `after` is 0."""

@@ -68,6 +68,12 @@ class Workers(Frozen):
     kind: Literal["workers"] = "workers"
 
 
+class GetQueueDepth(Frozen):
+    """Tell how much work waits."""
+
+    kind: Literal["get-queue-depth"] = "get-queue-depth"
+
+
 class GetResult(Frozen):
     """Give a job's result; while it runs, the best so far."""
 
@@ -105,7 +111,7 @@ class Request(Frozen):
     """A request of a client."""
 
     body: Annotated[
-        Upload | Submit | Jobs | FindJob | Status | Workers | GetResult | Cancel | Delete | GetEvents,
+        Upload | Submit | Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | Cancel | Delete | GetEvents,
         Field(discriminator="kind"),
     ]
 
@@ -148,6 +154,21 @@ class WorkerList(Frozen):
     coordinator: CoordinatorView | None = None
 
 
+class QueueDepth(Frozen):
+    """How many jobs are in which state; how many tasks, such as islands, could be computed at once.
+
+    `workers_wanted`: how many worker processes would have work now, or as soon as data are prepared.
+    """
+
+    kind: Literal["queue-depth"] = "queue-depth"
+    queued: Count
+    preparing: Count
+    running: Count
+    refining: Count
+    tasks_ready: Count
+    workers_wanted: Count
+
+
 class EventList(Frozen):
     """What happened, in order."""
 
@@ -184,6 +205,6 @@ class Answer(Frozen):
     """Answer to a client."""
 
     body: Annotated[
-        Uploaded | JobList | JobFound | JobStatus | WorkerList | Result | Deleted | EventList | Failure,
+        Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | Deleted | EventList | Failure,
         Field(discriminator="kind"),
     ]

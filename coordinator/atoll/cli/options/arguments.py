@@ -176,6 +176,35 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         ),
         *_SERVICE,
     )),
+    "adapt": ("keep as many Slurm jobs with workers as the coordinator's queue has work for", (
+        *_CONNECT,
+        _value(
+            "--minimum", "N", "Slurm jobs at least (default: %(default)s)", type=whole_number(0, 10**6 - 1), default=0
+        ),
+        _value("--maximum", "N", "Slurm jobs at most", type=whole_number(0, 10**6 - 1), required=True),
+        _value(
+            "--cores", "N", "cores, and so workers, of each (default: %(default)s)",
+            type=whole_number(1, MOST_WORKERS), default=1,
+        ),
+        _value("--sbatch", "OPTIONS", 'further options of sbatch, as --sbatch="--partition=idle --time=2:00:00"'),
+        _value(
+            "--worker", "COMMAND",
+            "how a job starts its workers, such as 'apptainer exec atoll.sif island-worker' (default: the "
+            "island-worker beside this program)",
+        ),
+        _value(
+            "--idle", "TIME", type=duration, default=300.0,
+            text="how long fewer jobs must be enough before one is drained (default: 5m)",
+        ),
+        _value(
+            "--interval", "TIME", "from one look to the next (default: 15s)", type=duration, default=15.0
+        ),
+        _value(
+            "--wait", "SECONDS", "how long coordinator or Slurm may be away (default: %(default)g)",
+            type=seconds, default=600.0,
+        ),
+        add_log_options,
+    )),
     "submit": ("give a job to a coordinator and follow it; Ctrl-C detaches, the job goes on", (
         *_CONNECT,
         *_JOB,

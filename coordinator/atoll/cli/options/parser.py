@@ -15,6 +15,7 @@ HANDLERS: Final = {
     "backup": "atoll.cli.verbs.backup",
     "restore": "atoll.cli.verbs.backup",
     "router": "atoll.cli.verbs.router",
+    "adapt": "atoll.cli.adapt.adapt",
     "submit": "atoll.cli.verbs.submit",
     "ping": "atoll.cli.verbs.ping",
     "jobs": "atoll.cli.verbs.jobs",

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
+from atoll_coordinator.service.monitoring.queue_depth import queue_depth
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import Uploads
@@ -18,11 +19,13 @@ from atoll_core.wire.messages.clients import (
     FailureKind,
     FindJob,
     GetEvents,
+    GetQueueDepth,
     GetResult,
     JobFound,
     JobList,
     Jobs,
     JobStatus,
+    QueueDepth,
     Request,
     Result,
     Status,
@@ -42,7 +45,7 @@ the loop."""
 
 _SHOWN: Final = 5
 
-Body = Uploaded | JobList | JobFound | JobStatus | WorkerList | Result | Deleted | EventList | Failure
+Body = Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | Deleted | EventList | Failure
 
 
 class ClientRequests:
@@ -99,7 +102,7 @@ class ClientRequests:
             case _:
                 return self._tell(body)
 
-    def _tell(self, body: Jobs | FindJob | Status | Workers | GetResult | GetEvents) -> Body:
+    def _tell(self, body: Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetEvents) -> Body:
         """Answer a question that changes nothing."""
         match body:
             case Jobs():
@@ -111,6 +114,8 @@ class ClientRequests:
             case Workers():
                 views = self._controller.workers.membership.views(self._now())
                 return WorkerList(workers=views, coordinator=self._coordinator())
+            case GetQueueDepth():
+                return queue_depth(self._controller.jobs.values())
             case GetResult():
                 return self._result(body.job)
             case GetEvents():

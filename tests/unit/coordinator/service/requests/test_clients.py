@@ -26,11 +26,13 @@ from atoll_core.wire.messages.clients import (
     Deleted,
     Failure,
     FindJob,
+    GetQueueDepth,
     GetResult,
     JobFound,
     JobList,
     Jobs,
     JobStatus,
+    QueueDepth,
     Request,
     Status,
     Submit,
@@ -97,6 +99,17 @@ def chunk(data: bytes = TABLE, **changes: object) -> Request:
 def failure(answer: object) -> Failure:
     assert isinstance(answer, Failure)
     return answer
+
+
+def test_the_depth_of_the_queue_counts_a_job_that_was_submitted(clients: ClientRequests) -> None:
+    empty = clients.answer("c", Request(body=GetQueueDepth()))
+    assert isinstance(empty, QueueDepth)
+    assert empty.workers_wanted == 0
+    clients.answer("c", Request(body=Upload(blob=BLOB, size=len(TABLE), sha256=BLOB, data=TABLE)))
+    clients.answer("c", Request(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    depth = clients.answer("c", Request(body=GetQueueDepth()))
+    assert isinstance(depth, QueueDepth)
+    assert (depth.queued + depth.preparing, depth.workers_wanted) == (1, JobConfig().evolution.islands)
 
 
 def test_a_table_is_uploaded_in_chunks_any_number_of_times(clients: ClientRequests) -> None:

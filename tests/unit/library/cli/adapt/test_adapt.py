@@ -1,0 +1,239 @@
+"""Slurm's programs are called as they want to be, and a failure of either side is borne for a while."""
+
+import argparse
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from atoll.cli.adapt import adapt as verb
+from atoll.cli.adapt.adapt import Adapting, job_of, need_of, worker_command
+from atoll.cli.adapt.adapt_policy import AdaptPolicy, BatchJob, Limits, Need
+from atoll.cli.adapt.slurm import Slurm, SlurmError
+from atoll.cli.main import main
+from atoll.cli.options.parser import parse
+from atoll_core.errors import UnreachableError, UsageError
+from atoll_core.wire.addresses import destination
+from atoll_core.wire.messages.clients import QueueDepth
+from atoll_core.wire.messages.views import WorkerState, WorkerView
+from atoll_island_worker import cli as worker_cli
+
+PROGRAM = """#!/bin/sh
+for word in "$(basename "$0")" "$@"; do printf '%s\\n' "$word"; done >>"{folder}/called"
+if [ "$(basename "$0")" = sbatch ]; then cat >"{folder}/script"; fi
+cat "{folder}/answer-$(basename "$0")"
+exit "$(cat "{folder}/code")"
+"""
+
+
+class FakeSlurm:
+    """Programs of Slurm's names that note how they are called, and answer what they are told to."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for name in ("sbatch", "squeue", "scancel"):
+            (folder / name).write_text(PROGRAM.format(folder=folder))
+            (folder / name).chmod(0o755)
+            self.answer(name, "")
+        self.code(0)
+
+    def answer(self, program: str, text: str) -> None:
+        (self.folder / f"answer-{program}").write_text(text)
+
+    def code(self, code: int) -> None:
+        (self.folder / "code").write_text(str(code))
+
+    def called(self) -> list[str]:
+        words = (self.folder / "called").read_text().splitlines()
+        (self.folder / "called").unlink()
+        return words
+
+
+@pytest.fixture
+def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeSlurm:
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    return FakeSlurm(tmp_path)
+
+
+@pytest.fixture
+def slurm(programs: FakeSlurm) -> Slurm:
+    return Slurm("atoll-abc", ["island-worker", "--name", "a b"], 8, ["--partition=idle"])
+
+
+def view(worker: str, islands: int = 0, state: WorkerState = "computing") -> WorkerView:
+    return WorkerView(worker=worker, host="h", pid=1, state=state, islands=islands, silent=0.0, version="0")
+
+
+class FakeClient:
+    """A coordinator's answers."""
+
+    welcome = argparse.Namespace(realm="abc")
+
+    def __init__(self, wanted: int, *workers: WorkerView) -> None:
+        self._wanted = wanted
+        self._workers = workers
+
+    def queue_depth(self) -> QueueDepth:
+        return QueueDepth(
+            queued=0, preparing=0, running=1, refining=0, tasks_ready=self._wanted, workers_wanted=self._wanted
+        )
+
+    def workers(self) -> tuple[WorkerView, ...]:
+        return self._workers
+
+
+def test_a_submission_is_one_node_whose_shell_becomes_the_workers(slurm: Slurm, programs: FakeSlurm) -> None:
+    programs.answer("sbatch", "42;cluster\n")
+    assert slurm.submit() == "42"
+    assert (programs.folder / "script").read_text() == "#!/bin/sh\nexec island-worker --name 'a b'\n"
+    called = programs.called()
+    assert called[-1] == "--partition=idle", "what the user wants takes precedence"
+    assert {"--job-name=atoll-abc", "--nodes=1", "--ntasks=1", "--cpus-per-task=8", "--signal=B:TERM@60"} < set(called)
+
+
+def test_jobs_are_listed_with_what_they_come_to(slurm: Slurm, programs: FakeSlurm) -> None:
+    programs.answer("squeue", "7 RUNNING\n8 PENDING\n9 COMPLETING\n10 CONFIGURING\n")
+    states = {job.id: job.state for job in slurm.jobs()}
+    assert states == {"7": "running", "8": "pending", "9": "ending", "10": "pending"}
+    assert {"--me", "--name=atoll-abc"} < set(programs.called())
+
+
+def test_what_waits_is_cancelled_and_what_runs_is_told_once(slurm: Slurm, programs: FakeSlurm) -> None:
+    slurm.take_back("7")
+    assert programs.called() == ["scancel", "--state=PENDING", "7"]
+    slurm.drain("8")
+    assert programs.called() == ["scancel", "--batch", "--signal=TERM", "8"]
+
+
+def test_a_program_that_fails_is_quoted(slurm: Slurm, programs: FakeSlurm) -> None:
+    programs.answer("sbatch", "sbatch: error: invalid partition\n")
+    programs.code(1)
+    with pytest.raises(
+        SlurmError, match=r"sbatch failed \(sbatch: error: invalid partition\); the command was: sbatch"
+    ):
+        slurm.submit()
+
+
+def test_without_slurm_the_missing_program_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(UsageError, match="sbatch was not found; run adapt on a machine from which"):
+        Slurm("atoll-abc", ["island-worker"], 1, [])
+
+
+@pytest.mark.parametrize(
+    "words", [["--maximum", "2", "--minimum", "3"], ["--maximum", "2", "--sbatch", "'a"], ["--maximum", "-1"], []]
+)
+def test_bad_options_are_one_sentence(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextmanager
+    def connected(*_: object) -> Iterator[FakeClient]:
+        yield FakeClient(0)
+
+    monkeypatch.setattr(verb, "connected", connected)
+    assert main(["adapt", "--connect", "tcp/h:1", *words]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_the_workers_of_a_job_fill_its_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    options = parse(
+        ["adapt", "--maximum", "2", "--cores", "16", "--connect", "tcp/h:1", "--worker", "env A=b island-worker"]
+    )
+    words = worker_command(options, destination("tcp/h:1,tcp/i:2"))
+    assert words[:3] == ["env", "A=b", "island-worker"]
+    parsed = worker_cli._parse(words[3:])
+    assert (parsed.connect, parsed.processes, parsed.wait) == ("tcp/h:1,tcp/i:2", 16, 600.0)
+    options.worker = None
+    assert Path(worker_command(options, destination("tcp/h:1"))[0]).name == "island-worker"
+
+
+def test_workers_say_by_their_names_of_which_job_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SLURM_JOB_ID", "4294967295")
+    monkeypatch.setattr("socket.gethostname", lambda: "node-" + 80 * "x")
+    plain, certified = worker_cli._name_for(None, None), worker_cli._name_for("ann" * 10, None)
+    assert len(certified) <= 58
+    assert [job_of(name) for name in (plain, certified, f"{plain[:58]}-1023")] == 3 * ["4294967295"]
+    monkeypatch.delenv("SLURM_JOB_ID")
+    assert job_of(worker_cli._name_for(None, None)) is None
+
+
+def test_workers_of_other_origin_are_told_apart_and_those_that_go_do_not_count() -> None:
+    client = FakeClient(
+        9, view("n-slurm7-1-0", 2), view("n-slurm7-1-1", 3), view("n-slurm8-1", 1), view("lab", 2),
+        view("n-slurm7-9", 0, "lost"), view("n-slurm5-9", 1, "leaving"),
+    )  # fmt: skip
+    assert need_of(client, {"7"}) == Need(workers=9, others=2, islands={"7": 5})  # type: ignore[arg-type]
+
+
+class Breaking:
+    """A Slurm that fails as long as it is told to."""
+
+    def __init__(self) -> None:
+        self.fails = False
+        self.submitted = 0
+
+    def jobs(self) -> list[BatchJob]:
+        return [BatchJob(str(number), number, "running") for number in range(self.submitted)]
+
+    def submit(self) -> str:
+        if self.fails:
+            raise SlurmError("sbatch failed")
+        self.submitted += 1
+        return str(self.submitted)
+
+
+class Looks:
+    """So many looks, a second apart, with a coordinator that may be away."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, slurm: Breaking, patience_s: float) -> None:
+        self.wanted = 1
+        self.is_away = False
+        self.now = 0.0
+        monkeypatch.setattr(verb.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(verb, "connected", self._connected)
+        self._adapting = Adapting(destination("tcp/h:1"), slurm, AdaptPolicy(Limits(0, 9, 1, 50.0)), patience_s)  # type: ignore[arg-type]
+
+    @contextmanager
+    def _connected(self, *_: object) -> Iterator[FakeClient]:
+        if self.is_away:
+            raise UnreachableError("no coordinator answers")
+        yield FakeClient(self.wanted)
+
+    def look(self, times: int) -> None:
+        stop, left = threading.Event(), [times]
+
+        def wait(_: float) -> bool:
+            self.now += 1.0
+            left[0] -= 1
+            if not left[0]:
+                stop.set()
+            return True
+
+        stop.wait = wait  # type: ignore[method-assign,assignment]
+        self._adapting.run(stop, 1.0)
+
+
+def test_a_slurm_that_never_accepted_a_job_ends_it_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    slurm = Breaking()
+    slurm.fails = True
+    with pytest.raises(SlurmError):
+        Looks(monkeypatch, slurm, 100.0).look(1)
+
+
+def test_slurm_or_the_coordinator_may_be_away_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    slurm = Breaking()
+    looks = Looks(monkeypatch, slurm, 10.0)
+    looks.look(3)
+    assert slurm.submitted == 1
+    looks.is_away = True
+    looks.look(9)
+    looks.is_away, looks.wanted, slurm.fails = False, 3, True
+    looks.look(2)
+    slurm.fails = False
+    looks.look(1)
+    assert slurm.submitted == 3
+    looks.is_away = True
+    with pytest.raises(UnreachableError):
+        looks.look(20)

@@ -1,0 +1,108 @@
+"""How many jobs of a batch system there are, look by look: at once more, later fewer, never beyond the bounds."""
+
+import random
+from collections.abc import Mapping
+
+import pytest
+
+from atoll.cli.adapt.adapt_policy import MOST_FAILURES, AdaptPolicy, BatchJob, BatchState, Decision, Limits, Need
+from atoll_core.errors import AtollError
+
+LIMITS = Limits(minimum=1, maximum=5, workers=4, idle_s=100.0)
+
+
+def need(workers: int, others: int = 0, islands: Mapping[str, int] | None = None) -> Need:
+    return Need(workers, others, islands or {})
+
+
+def batch(*states: BatchState) -> list[BatchJob]:
+    return [BatchJob(str(number), number, state) for number, state in enumerate(states)]
+
+
+@pytest.mark.parametrize(
+    ("workers", "others", "expected"),
+    [(0, 0, 1), (1, 0, 1), (4, 0, 1), (5, 0, 2), (20, 0, 5), (900, 0, 5), (20, 13, 2)],
+)
+def test_it_grows_at_once_within_its_bounds_by_what_others_do_not_do(workers: int, others: int, expected: int) -> None:
+    assert AdaptPolicy(LIMITS).decide(0.0, need(workers, others), []) == Decision(submit=expected)
+
+
+def test_jobs_that_wait_count_and_those_that_end_do_not() -> None:
+    policy = AdaptPolicy(LIMITS)
+    assert policy.decide(0.0, need(16), batch("pending", "running", "ending")) == Decision(submit=2)
+
+
+def test_it_shrinks_when_fewer_have_been_enough_for_a_while() -> None:
+    policy, jobs = AdaptPolicy(LIMITS), batch("running", "running", "running")
+    assert policy.decide(0.0, need(12), jobs) == Decision()
+    assert policy.decide(10.0, need(4), jobs) == Decision()
+    assert policy.decide(99.0, need(4), jobs) == Decision()
+    assert policy.decide(100.0, need(4), jobs) == Decision(drain=("0", "1")), "what was needed at 0 is long ago"
+
+
+def test_it_shrinks_to_the_most_that_was_needed_lately() -> None:
+    policy, jobs = AdaptPolicy(LIMITS), batch("running", "running", "running", "running")
+    policy.decide(0.0, need(16), jobs)
+    policy.decide(60.0, need(8), jobs)
+    assert policy.decide(120.0, need(0), jobs) == Decision(drain=("0", "1"))
+    assert policy.decide(130.0, need(0), jobs) == Decision(), "who was told is not told again, and counts no more"
+    assert policy.decide(161.0, need(0), jobs) == Decision(drain=("2",))
+
+
+def test_what_exceeds_the_maximum_ends_at_once() -> None:
+    assert AdaptPolicy(LIMITS).decide(0.0, need(99), batch(*["running"] * 7)).drain == ("0", "1")
+
+
+def test_those_end_first_that_cost_least() -> None:
+    policy = AdaptPolicy(Limits(0, 9, 4, 0.0))
+    jobs = batch("running", "pending", "running", "pending", "running")
+    islands = {"0": 3, "2": 0, "4": 3}
+    assert policy.decide(0.0, need(8, islands=islands), jobs) == Decision(take_back=("3", "1"), drain=("2",))
+    assert policy.decide(1.0, need(4, islands=islands), [jobs[0], jobs[4]]) == Decision(drain=("0",)), "the older one"
+
+
+def test_jobs_that_end_before_a_worker_has_joined_are_not_submitted_for_ever() -> None:
+    policy = AdaptPolicy(LIMITS)
+    for number in range(MOST_FAILURES - 1):
+        policy.decide(number, need(4), [BatchJob(str(number), number, "pending")])
+    policy.decide(5.0, need(4), [BatchJob("7", 7, "running")])
+    with pytest.raises(AtollError, match=r"3 jobs one after the other ended .* the last of them 7; see what they"):
+        policy.decide(6.0, need(4), [])
+
+
+def test_one_that_has_joined_or_was_told_to_end_is_no_failure() -> None:
+    policy = AdaptPolicy(Limits(0, 5, 4, 0.0))
+    for number in range(10):
+        job = BatchJob(str(number), number, "running")
+        policy.decide(number, need(4), [job])
+        policy.decide(number + 0.3, need(4, islands={job.id: 0} if number % 2 else {}), [job])
+        policy.decide(number + 0.5, need(0 if number % 2 == 0 else 4), [job])
+        policy.decide(number + 0.7, need(0), [])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_bounds_hold_whatever_comes(seed: int) -> None:
+    """A batch system that begins and ends jobs as it likes, and a queue that jumps: 500 looks."""
+    draw = random.Random(seed)
+    limits = Limits(draw.randint(0, 3), draw.randint(3, 8), draw.randint(1, 8), 60.0)
+    policy, jobs, number, drained = AdaptPolicy(limits), {}, 0, set()
+    for look in range(500):
+        workers = draw.choice([0, 1, 5, 30, 100])
+        islands = {job.id: draw.randint(0, 9) for job in jobs.values() if job.state == "running"}
+        decision = policy.decide(15.0 * look, Need(workers, draw.choice([0, 0, 3]), islands), list(jobs.values()))
+        ends = {*decision.take_back, *decision.drain}
+        assert not ends & drained, "a second SIGTERM would end workers without handing over"
+        drained |= ends
+        assert not (decision.submit and ends)
+        for _ in range(decision.submit):
+            number += 1
+            jobs[str(number)] = BatchJob(str(number), number, "pending")
+        kept = [job for job in jobs.values() if job.id not in drained]
+        assert limits.minimum <= len(kept) <= limits.maximum
+        for job in list(jobs.values()):
+            if job.id in drained and draw.random() < 0.5:
+                del jobs[job.id]
+            elif job.state == "pending" and draw.random() < 0.5:
+                jobs[job.id] = BatchJob(job.id, job.number, "running")
+            elif job.id in islands and draw.random() < 0.02:
+                del jobs[job.id]
