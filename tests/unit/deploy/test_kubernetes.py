@@ -1,26 +1,31 @@
 """The manifests, as far as they can be judged without a cluster: they fit each other and the programs."""
 
 import argparse
+import re
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import yaml
 
 from atoll.cli.options import parser as arguments
+from atoll_coordinator.service.jobs.queue import MAX_RUNNING
+from atoll_core.config import JobConfig
 from atoll_core.wire.addresses import parse_address
+from atoll_core.wire.messages.views import JobState
 from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import ROOT
 
 BASE = ROOT / "deploy" / "kubernetes" / "base"
 TLS = ROOT / "deploy" / "kubernetes" / "tls"
+KEDA = ROOT / "deploy" / "kubernetes" / "keda"
 
 
 def documents(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
     """Return what the files that a kustomization lists hold, by kind and name."""
     listed = yaml.safe_load((folder / "kustomization.yaml").read_text("utf-8"))
     files = [name for name in listed["resources"] if name.endswith(".yaml")]
-    files += [patch["path"] for patch in listed.get("patches", [])]
+    files += [patch["path"] for patch in listed.get("patches", []) if "path" in patch]
     manifests = [manifest for name in files for manifest in yaml.safe_load_all((folder / name).read_text("utf-8"))]
     return {(manifest["kind"], manifest["metadata"]["name"]): manifest for manifest in manifests}
 
@@ -51,9 +56,9 @@ def parsed(words: list[str]) -> argparse.Namespace:
 
 
 def test_every_manifest_is_listed(base: dict[tuple[str, str], dict[str, Any]]) -> None:
-    for folder in (BASE, TLS):
+    for folder in (BASE, TLS, KEDA):
         listed = yaml.safe_load((folder / "kustomization.yaml").read_text("utf-8"))
-        named = {*listed["resources"], *(patch["path"] for patch in listed.get("patches", []))}
+        named = {*listed["resources"], *(patch["path"] for patch in listed.get("patches", []) if "path" in patch)}
         files = {file.name for file in folder.glob("*.yaml")} - {"kustomization.yaml"}
         assert files == {name for name in named if name.endswith(".yaml")}
 
@@ -137,3 +142,71 @@ def test_with_certificates_both_sides_speak_tls_and_their_files_are_mounted(
     assert parse_address(options.listen).protocol == "tls"
     assert options.roster.startswith("/tls/")
     assert "livenessProbe" not in container(coordinator)  # the one without certificates serves here as well
+
+
+@pytest.fixture(scope="module")
+def keda() -> dict[tuple[str, str], dict[str, Any]]:
+    return documents(KEDA)
+
+
+def metrics_address(keda: dict[tuple[str, str], dict[str, Any]]) -> tuple[list[str], str]:
+    """Return the coordinator's command without the address of its metrics, and that address."""
+    words = list(container(keda["StatefulSet", "coordinator"])["args"])
+    place = words.index("--metrics")
+    address = words[place + 1]
+    return words[:place] + words[place + 2 :], address
+
+
+def test_keda_scales_the_workers_and_nothing_else_does(
+    base: dict[tuple[str, str], dict[str, Any]], keda: dict[tuple[str, str], dict[str, Any]]
+) -> None:
+    spec = keda["ScaledObject", "worker"]["spec"]
+    target = spec["scaleTargetRef"]
+    assert base[target["kind"], target["name"]]["apiVersion"] == target["apiVersion"]
+    listed = yaml.safe_load((KEDA / "kustomization.yaml").read_text("utf-8"))
+    (deleted,) = [yaml.safe_load(patch["patch"]) for patch in listed["patches"] if "patch" in patch]
+    scaler = base["HorizontalPodAutoscaler", "worker"]
+    assert (deleted["$patch"], deleted["kind"], deleted["metadata"]) == ("delete", scaler["kind"], scaler["metadata"])
+    assert deleted["apiVersion"] == scaler["apiVersion"]
+    assert spec["maxReplicaCount"] == scaler["spec"]["maxReplicas"]
+    down = spec["advanced"]["horizontalPodAutoscalerConfig"]["behavior"]["scaleDown"]
+    assert down == scaler["spec"]["behavior"]["scaleDown"]
+
+
+def test_pods_that_keda_ends_have_longer_than_handing_over_takes(
+    base: dict[tuple[str, str], dict[str, Any]],
+) -> None:
+    spec = base["Deployment", "worker"]
+    assert pod(spec)["terminationGracePeriodSeconds"] >= parsed(container(spec)["args"]).grace + 10
+
+
+def test_keda_wants_as_many_workers_as_the_coordinator_says(keda: dict[tuple[str, str], dict[str, Any]]) -> None:
+    (trigger,) = keda["ScaledObject", "worker"]["spec"]["triggers"]
+    ready, per_job, states, jobs = re.fullmatch(  # type: ignore[union-attr]
+        r"sum\((\w+)\) \+ (\d+) \* clamp_max\(sum\(atoll_jobs\{state=~\"([^\"]+)\"\}\), (\d+)\)",
+        trigger["metadata"]["query"],
+    ).groups()
+    assert ready == "atoll_tasks_ready"
+    assert int(per_job) == JobConfig().evolution.islands
+    assert set(states.split("|")) < set(get_args(JobState))
+    assert int(jobs) == MAX_RUNNING
+    assert int(trigger["metadata"]["threshold"]) == parsed(["island-worker", "--processes", "1"]).processes
+
+
+def test_the_metrics_are_served_where_prometheus_looks(
+    base: dict[tuple[str, str], dict[str, Any]], keda: dict[tuple[str, str], dict[str, Any]]
+) -> None:
+    coordinator = keda["StatefulSet", "coordinator"]
+    words, address = metrics_address(keda)
+    assert words == container(base["StatefulSet", "coordinator"])["args"], "nothing else is changed"
+    host, _, port = address.rpartition(":")
+    assert host == "0.0.0.0"
+    (opened,) = container(coordinator)["ports"]
+    annotations = coordinator["spec"]["template"]["metadata"]["annotations"]
+    assert annotations["prometheus.io/port"] == port == str(opened["containerPort"])
+    policy = keda["NetworkPolicy", "metrics"]["spec"]
+    assert policy["ingress"][0]["ports"][0]["port"] == opened["name"]
+    assert policy["podSelector"] == base["NetworkPolicy", "coordinator"]["spec"]["podSelector"]
+    namespace = policy["ingress"][0]["from"][0]["namespaceSelector"]["matchLabels"]["kubernetes.io/metadata.name"]
+    (trigger,) = keda["ScaledObject", "worker"]["spec"]["triggers"]
+    assert f".{namespace}.svc:" in trigger["metadata"]["serverAddress"]
