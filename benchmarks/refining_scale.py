@@ -70,6 +70,7 @@ class Recorder:
     """Batches that are computed here, one after another, and what they take."""
 
     workers: int = 1
+    threads: int = 1
     parts: list[Serial | Mapped | Fork] = field(default_factory=list)
     begun: float = field(default_factory=time.thread_time)
     is_mapping: bool = False

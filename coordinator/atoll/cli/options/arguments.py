@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from atoll.client.options import GROUPS, MOST_WORKERS
-from atoll_core.command_line import add_log_options, add_tls_options, seconds, whole_number
+from atoll_core.command_line import add_log_options, add_tls_options, duration, seconds, whole_number
 from atoll_core.completion import SHELLS
 
 EXPORT_FORMATS: Final = (

@@ -3,26 +3,34 @@
 from collections.abc import Iterable
 
 from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.jobs.queue import MAX_RUNNING, waiting_jobs
+from atoll_core.config import JobConfig
 from atoll_core.wire.messages.clients import QueueDepth
 
 
-def queue_depth(jobs: Iterable[Job]) -> QueueDepth:
+def queue_depth(begun: Iterable[Job], queued: int, places: int) -> QueueDepth:
     """Return how many jobs are in which state, and what could be computed at once.
 
-    Of a job whose data are not prepared yet it is not known how many equations it has: it counts with one. Those that
-    wait for others to end first give nobody work, and do not count among the workers wanted.
+    Of a job whose data are not prepared yet it is not known how many equations it has: it counts with the islands of
+    one, and so does one that is refined, whose batches keep about as many workers busy. Of those that wait for their
+    turn only as many count as there are `places` left; the others give nobody work yet.
+
+    Args:
+        begun: the jobs that do not wait for their turn.
+        queued: how many do.
+        places: how many jobs may be prepared and searched at once.
     """
-    jobs = tuple(jobs)
+    jobs = tuple(begun)
     states = [job.state for job in jobs]
-    ready = sum(archipelago.collector.limits.islands for job in jobs for archipelago in job.open_archipelagos)
+    islands = sum(archipelago.collector.limits.islands for job in jobs for archipelago in job.open_archipelagos)
+    tasks = states.count("preparing") + states.count("refining")
     under_way = states.count("preparing") + states.count("running")
-    soon = [job for job in jobs if job.state == "preparing"] + waiting_jobs(jobs)[: max(0, MAX_RUNNING - under_way)]
+    soon = min(queued, max(0, places - under_way)) * JobConfig().evolution.islands
+    wanted = sum(job.config.evolution.islands for job in jobs if job.state in ("preparing", "refining"))
     return QueueDepth(
-        queued=states.count("queued"),
+        queued=queued,
         preparing=states.count("preparing"),
         running=states.count("running"),
         refining=states.count("refining"),
-        tasks_ready=ready,
-        workers_wanted=ready + sum(job.config.evolution.islands for job in soon),
+        tasks_ready=islands + tasks,
+        workers_wanted=islands + wanted + soon,
     )

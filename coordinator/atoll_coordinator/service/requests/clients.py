@@ -115,7 +115,8 @@ class ClientRequests:
                 views = self._controller.workers.membership.views(self._now())
                 return WorkerList(workers=views, coordinator=self._coordinator())
             case GetQueueDepth():
-                return queue_depth(self._controller.jobs.values())
+                queue = self._controller.queue
+                return queue_depth(self._controller.begun.values(), queue.queued, queue.limits.total.running)
             case GetResult():
                 return self._result(body.job)
             case GetEvents():

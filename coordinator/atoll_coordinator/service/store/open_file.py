@@ -101,7 +101,7 @@ class OpenFile:
         if self._lock.acquire(blocking=False):  # else a transaction is under way, and looks by itself
             try:
                 with translated(self._directory):
-                    self._check_incarnation()
+                    self._check_incarnation(self._connection)
             finally:
                 self._lock.release()
 

@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 from typing import Any
 
-from atoll_coordinator.service.jobs.queue import MAX_RUNNING
 from atoll_coordinator.service.monitoring.queue_depth import queue_depth
 from atoll_core.config import EvolutionConfig, JobConfig
 
@@ -16,18 +15,18 @@ def job(state: str, islands: int = 8, equations: int = 0, priority: int = 0) -> 
 
 
 def test_without_jobs_nothing_is_wanted() -> None:
-    depth = queue_depth([])
+    depth = queue_depth([], 0, 4)
     assert (depth.tasks_ready, depth.workers_wanted) == (0, 0)
 
 
 def test_islands_of_open_searches_are_ready_and_jobs_to_come_count_with_one_equation() -> None:
-    depth = queue_depth([job("running", 4, 3), job("preparing", 8), job("queued", 2), job("refining", 8)])
+    depth = queue_depth([job("running", 4, 3), job("preparing", 6), job("refining", 5)], 1, 4)
     assert (depth.queued, depth.preparing, depth.running, depth.refining) == (1, 1, 1, 1)
-    assert depth.tasks_ready == 12
-    assert depth.workers_wanted == 12 + 8 + 2
+    assert depth.tasks_ready == 12 + 1 + 1
+    assert depth.workers_wanted == 12 + 6 + 5 + JobConfig().evolution.islands
 
 
 def test_jobs_that_wait_for_others_to_end_want_nobody() -> None:
-    depth = queue_depth([job("running", 4, 1) for _ in range(MAX_RUNNING)] + [job("queued") for _ in range(100)])
+    depth = queue_depth([job("running", 4, 1) for _ in range(4)], 100, 4)
     assert depth.queued == 100
-    assert depth.workers_wanted == depth.tasks_ready == 4 * MAX_RUNNING
+    assert depth.workers_wanted == depth.tasks_ready == 4 * 4
