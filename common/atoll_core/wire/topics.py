@@ -18,6 +18,7 @@ so that one access rule per name fences them all. Column names never enter a key
     atoll/{cluster}/worker/{worker}/pull       served by the worker: what it sent and still keeps
     atoll/{cluster}/worker/{worker}/to/{peer}  put by the worker: migrants for islands of `peer`
     atoll/{cluster}/client/{client}/ask        served by the coordinator: requests of the command line
+    atoll/{cluster}/client/{client}/changes    put by the coordinator: what the client follows has changed
 """
 
 import re
@@ -110,7 +111,15 @@ class ClientKey:
     client: str
 
 
-Key = HelloKey | ControlKey | JobKey | PlacementKey | StateKey | BlobKey | WorkerKey | MailKey | ClientKey
+@dataclass(frozen=True, slots=True)
+class ChangesKey:
+    """Changes of what a client follows."""
+
+    cluster: str
+    client: str
+
+
+Key = HelloKey | ControlKey | JobKey | PlacementKey | StateKey | BlobKey | WorkerKey | MailKey | ClientKey | ChangesKey
 
 
 def is_id(text: str) -> bool:
@@ -164,6 +173,11 @@ def mail(cluster: str, name: str, peer: str) -> str:
 def client(cluster: str, name: str) -> str:
     """Return the key on which a client asks the coordinator."""
     return f"{ROOT}/{_id(cluster)}/client/{_id(name)}/ask"
+
+
+def changes(cluster: str, name: str) -> str:
+    """Return the key on which a client hears changes of what it follows."""
+    return f"{ROOT}/{_id(cluster)}/client/{_id(name)}/changes"
 
 
 def all_greetings() -> str:
@@ -228,8 +242,8 @@ def _parse(parts: list[str]) -> Key | None:
             parsed = WorkerKey(cluster, name, cast(WorkerPart, part))
         case [cluster, "worker", name, "to", peer]:
             parsed = MailKey(cluster, name, peer)
-        case [cluster, "client", name, "ask"]:
-            parsed = ClientKey(cluster, name)
+        case [cluster, "client", name, "ask" | "changes" as part]:
+            parsed = ClientKey(cluster, name) if part == "ask" else ChangesKey(cluster, name)
     return parsed
 
 

@@ -2,13 +2,12 @@
 
 import html
 import sys
-from collections.abc import Sequence
 from typing import Any
 
 from atoll.client.follower import Display
 from atoll.terminal.output import note
 from atoll.terminal.progress import plain_lines
-from atoll_core.wire.messages.views import JobView, WorkerView
+from atoll_core.wire.messages.views import JobView, Workforce
 
 
 def is_notebook() -> bool:
@@ -27,10 +26,10 @@ class NotebookDisplay(Display):
         self._handle = ipython.display(ipython.HTML(""), display_id=True)
         self._shown: list[str] = []
 
-    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+    def show(self, view: JobView, workforce: Workforce, now: float) -> None:
         """Write the lines anew when they have changed."""
         del now
-        lines = plain_lines(view, workers, "")
+        lines = plain_lines(view, workforce, "")
         if lines != self._shown and self._handle is not None:
             self._shown = lines
             self._handle.update(self._html(f"<pre>{html.escape(chr(10).join(lines))}</pre>"))

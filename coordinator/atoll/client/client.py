@@ -9,6 +9,7 @@ import json
 import sys
 import time
 import uuid
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final, TypeVar
@@ -25,7 +26,7 @@ from atoll_core.errors import (
 )
 from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
-from atoll_core.wire.bus.interface import Bus, Reply
+from atoll_core.wire.bus.interface import Bus, Event, Message, Reply
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages import clients as messages
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
@@ -37,6 +38,9 @@ ANSWER_LIMIT_S: Final = 10.0
 
 CANCEL_LIMIT_S: Final = 10.0
 """How long a job that was cancelled is waited for."""
+
+MAX_CHANGES: Final = 256
+"""Changes that are kept until somebody takes them; who takes none for long misses some, and asks anew."""
 
 _TRIES: Final = 3
 _PAUSE_S: Final = 0.1
@@ -51,6 +55,7 @@ A = TypeVar("A")
 _Question = (
     messages.Upload | messages.Submit | messages.Jobs | messages.FindJob | messages.Status | messages.Workers
     | messages.GetQueueDepth | messages.GetResult | messages.Cancel | messages.Delete | messages.GetEvents
+    | messages.Follow
 )  # fmt: skip
 
 
@@ -66,6 +71,7 @@ class Client:
         self._address = address
         self._name = f"{principal}-{uuid.uuid4().hex[:12]}"
         self._cluster: str | None = None
+        self._changes: deque[bytes] | None = None
 
     def greet(self, limit_s: float = ANSWER_LIMIT_S) -> str:
         """Learn and return the coordinator's cluster; the first question calls this by itself.
@@ -155,13 +161,23 @@ class Client:
         """Return how `job` is getting on."""
         return self._ask(messages.Status(job=job), messages.JobStatus, f"the status of job {job}", limit_s).job
 
-    def workers(self) -> tuple[WorkerView, ...]:
-        """Return the workers that the coordinator knows."""
-        return self._ask(messages.Workers(), messages.WorkerList, "the list of workers").workers
+    def workers(self, prefix: str = "") -> tuple[WorkerView, ...]:
+        """Return the workers that the coordinator knows, by name; `prefix` is the beginning of their names."""
+        if prefix and not topics.is_id(prefix):
+            return ()
+        workers: list[WorkerView] = []
+        after: str | None = ""
+        while after is not None:
+            question = messages.Workers(prefix=prefix, after=after)
+            page = self._ask(question, messages.WorkerList, "the list of workers")
+            workers += page.workers
+            after = page.after
+        return tuple(workers)
 
     def coordinator(self) -> CoordinatorView | None:
         """Return the coordinator's view of itself."""
-        return self._ask(messages.Workers(), messages.WorkerList, "the coordinator's counters").coordinator
+        question = messages.Workers(limit=1)
+        return self._ask(question, messages.WorkerList, "the coordinator's counters").coordinator
 
     def queue_depth(self) -> messages.QueueDepth:
         """Return how much work waits."""
@@ -171,6 +187,25 @@ class Client:
         """Return what happened to `job`, or at all (None), after that event; the last events when `after` is 0."""
         body = messages.GetEvents(job=job, after=after, limit=limit)
         return self._ask(body, messages.EventList, "the log of events").events
+
+    def follow(self, job: str | None, after: int | None, sequence: int) -> messages.Following:
+        """Have changes come to us for a while, see `atoll.client.subscription`; return what we do not have yet."""
+        if self._changes is None:
+            self._changes = deque(maxlen=MAX_CHANGES)
+            self._bus.subscribe(topics.changes(self._cluster or self.greet(), self._name))
+        body = messages.Follow(job=job, after=after, sequence=sequence)
+        return self._ask(body, messages.Following, f"changes of job {job}" if job is not None else "what happens")
+
+    def next_change(self, limit_s: float) -> messages.Change | None:
+        """Return the next change of something that we follow; None when there is none within `limit_s` seconds."""
+        end = self._bus.now() + limit_s
+        while not self._changes:
+            left = end - self._bus.now()
+            if left <= 0.0:
+                return None
+            self._notice(self._bus.receive(left))
+        with _understanding():
+            return decode(self._changes.popleft(), messages.Change)
 
     def result(self, job: str) -> dict[str, object]:
         """Return the contents of result.json; while the job runs, the best so far."""
@@ -207,7 +242,7 @@ class Client:
         """Let time pass on the bus."""
         end = self._bus.now() + seconds
         while (left := end - self._bus.now()) > 0:
-            self._bus.receive(left)
+            self._notice(self._bus.receive(left))
 
     def now(self) -> float:
         """Return the bus's monotonic seconds."""
@@ -246,7 +281,13 @@ class Client:
             event = self._bus.receive(left)
             if isinstance(event, Reply) and event.token == token:
                 return event.payload
+            self._notice(event)
         return None
+
+    def _notice(self, event: Event | None) -> None:
+        """Keep a change that comes while something else is waited for."""
+        if isinstance(event, Message) and self._changes is not None:
+            self._changes.append(event.payload)
 
 
 @contextmanager

@@ -1,18 +1,19 @@
-"""Following a job to its end: ask, show, wait. What shows it is passed in."""
+"""Following a job to its end by a subscription to its changes. What shows them is passed in."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Final, Self
 
 from atoll.client.client import Client
+from atoll.client.subscription import Subscription
 from atoll_core.errors import UnreachableError
-from atoll_core.wire.messages.views import FINAL_STATES, JobView, WorkerView
+from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 PATIENCE_S: Final = 30.0
 """How long a coordinator that stopped answering is waited for."""
 
-_FIRST_INTERVAL_S: Final = 0.05
-_LAST_INTERVAL_S: Final = 0.3
+_LOOK_S: Final = 0.3
+"""How often `check` is called, and the time that has passed is shown."""
 
 
 class Display:
@@ -24,7 +25,7 @@ class Display:
     def __exit__(self, *_: object) -> None:
         return
 
-    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+    def show(self, view: JobView, workforce: Workforce, now: float) -> None:
         """Take notice of the latest state, seen at monotonic second `now`."""
 
     def print_note(self, sentence: str) -> None:
@@ -32,7 +33,7 @@ class Display:
 
 
 class Follower:
-    """Follows one job through a client. Before every question `check` returns sentences to show, or raises."""
+    """Follows one job through a client. A few times a second `check` returns sentences to show, or raises."""
 
     def __init__(self, client: Client, job: str, display: Display, check: Callable[[], Sequence[str]] = tuple) -> None:
         self.job = job
@@ -41,39 +42,50 @@ class Follower:
         self._client = client
         self._display = display
         self._check = check
+        self._view: JobView | None = None
+        self._workforce = Workforce()
+        self._changed_at = 0.0
         self._seen_at: float | None = None
         self._silent_since: float | None = None
         self._warned: set[str] = set()
 
     def follow(self) -> JobView:
         """Return the final state of the job; raises UnreachableError after a silence of `PATIENCE_S` seconds."""
-        interval = _FIRST_INTERVAL_S
+        subscription = Subscription(self._client, self.job)
         while True:
             for sentence in self._check():
                 self._display.print_note(sentence)
-            view = self._ask()
-            if view is not None and view.state in FINAL_STATES:
-                return view
-            self._client.pause(interval)
-            interval = min(_LAST_INTERVAL_S, interval * 1.05)
+            self._look(subscription)
+            if self._view is not None and self._view.state in FINAL_STATES:
+                return self._view
 
-    def _ask(self) -> JobView | None:
+    def _look(self, subscription: Subscription) -> None:
+        """Wait for a change, or a moment; show the job as it stands then."""
         try:
-            view, workers = self._client.status(self.job), self._client.workers()
+            change = subscription.wait(_LOOK_S)
         except UnreachableError as error:
             self._tolerate_silence(error)
-            return None
+            return
         self._silent_since = None
-        for warning in view.warnings:
+        now = self._client.now()
+        if change is not None and change.view is not None:
+            self._view, self._workforce, self._changed_at = change.view, change.workforce, now
+        if self._view is None:
+            return
+        for warning in self._view.warnings:
             if warning not in self._warned:
                 self._warned.add(warning)
                 self._display.print_note(f"note: {warning}")
-        now = self._client.now()
         if self._seen_at is not None:
-            self.phases[phase(view, workers)] += now - self._seen_at
+            self.phases[phase(self._view, self._workforce)] += now - self._seen_at
         self._seen_at = now
-        self._display.show(view, workers, now)
-        return view
+        self._display.show(self._aged(self._view, now), self._workforce, now)
+
+    def _aged(self, view: JobView, now: float) -> JobView:
+        """Return the view with the time that has passed since it came: nothing is told for that alone."""
+        if view.state in FINAL_STATES or now == self._changed_at:
+            return view
+        return view.model_copy(update={"elapsed": view.elapsed + now - self._changed_at})
 
     def _tolerate_silence(self, error: UnreachableError) -> None:
         """Take in that the coordinator is silent; raise UnreachableError when it is so for too long."""
@@ -85,15 +97,15 @@ class Follower:
             raise UnreachableError(f"{error}; the job may go on there: coordinator status {self.job}") from error
 
 
-def phase(view: JobView, workers: Sequence[WorkerView]) -> str:
+def phase(view: JobView, workforce: Workforce) -> str:
     """Return what the time goes into: starting, compiling or loading kernels, preparing, searching, refining."""
     if view.state == "refining":
         return "refining"
     if any(variable.epoch for variable in view.variables):
         return "searching"
-    busy = [worker for worker in workers if worker.state == "compiling"]
-    if busy:
-        return "compiling kernels" if any("compiling" in worker.detail for worker in busy) else "loading kernels"
+    if workforce.compiling:
+        is_compiling = any("compiling" in detail for detail in workforce.details)
+        return "compiling kernels" if is_compiling else "loading kernels"
     if view.state == "running":
         return "searching"
-    return "preparing" if any(worker.state != "lost" for worker in workers) else "starting"
+    return "preparing" if workforce.alive else "starting"

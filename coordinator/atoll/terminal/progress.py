@@ -8,13 +8,13 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Self
 
 from atoll.client.follower import Display
 from atoll.terminal.output import clipped, count, duration, error_text, note, shortened
 from atoll_core.compilation.progress import count_of
-from atoll_core.wire.messages.views import FINAL_STATES, JobView, VariableView, WorkerView
+from atoll_core.wire.messages.views import FINAL_STATES, JobView, VariableView, Workforce
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -35,28 +35,26 @@ def is_screen() -> bool:
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
-def headline(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> str:
+def headline(view: JobView, workforce: Workforce, connect_hint: str) -> str:
     """Return one line on the whole job: state, time, workers, speed, and what it waits for."""
-    number = view.workers or sum(worker.state != "lost" for worker in workers)
+    number = view.workers or workforce.alive
     parts = [f"job {view.job} {view.state}", duration(view.elapsed), "1 worker" if number == 1 else f"{number} workers"]
     if view.point_evaluations:
         parts.append(f"{count(view.point_evaluations)} point evaluations")
     if view.point_evaluations_per_second and view.state not in FINAL_STATES:
         parts.append(f"{count(view.point_evaluations_per_second)}/s")
-    waits = waiting(view, workers, connect_hint)
+    waits = waiting(view, workforce, connect_hint)
     return ", ".join(parts) + (f"; {waits}" if waits else "")
 
 
-def waiting(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> str:
+def waiting(view: JobView, workforce: Workforce, connect_hint: str) -> str:
     """Return what an unfinished job waits for, or where it stands still, if anywhere."""
     if view.state in FINAL_STATES:
         return ""
-    alive = [worker for worker in workers if worker.state != "lost"]
-    if not alive:
+    if not workforce.alive:
         return f"no worker has joined; start one with: {connect_hint}" if connect_hint else "its workers are starting"
-    if all(worker.state == "compiling" for worker in alive):
-        details = sorted(worker.detail for worker in alive if worker.detail)  # "compiling …" before "waiting …"
-        return f"workers are getting ready: {details[0] if details else 'loading kernels'}"
+    if workforce.compiling == workforce.alive:
+        return f"workers are getting ready: {workforce.details[0] if workforce.details else 'loading kernels'}"
     return view.reason or (view.stalls[0] if view.stalls else "")
 
 
@@ -80,9 +78,9 @@ def standing(variable: VariableView) -> str:
     return f"ended: {variable.why}" if variable.why else "ended"
 
 
-def plain_lines(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> list[str]:
+def plain_lines(view: JobView, workforce: Workforce, connect_hint: str) -> list[str]:
     """Return the lines of the plain display: the headline, then one for each equation with something to say."""
-    lines = [headline(view, workers, connect_hint)]
+    lines = [headline(view, workforce, connect_hint)]
     for variable in view.variables:
         if not variable.epoch and not variable.finished:
             continue
@@ -101,14 +99,14 @@ class PlainDisplay(Display):
         self._shown: tuple[object, ...] = ()
         self._due = 0.0
 
-    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+    def show(self, view: JobView, workforce: Workforce, now: float) -> None:
         """Write the lines when there is something to say."""
         standings = tuple((variable.finished, variable.converged) for variable in view.variables)
-        state = (view.state, standings, _PASSING.sub("", waiting(view, workers, self._hint)))
+        state = (view.state, standings, _PASSING.sub("", waiting(view, workforce, self._hint)))
         if state == self._shown and now < self._due:
             return
         self._shown, self._due = state, now + PLAIN_INTERVAL_S
-        for line in plain_lines(view, workers, self._hint):
+        for line in plain_lines(view, workforce, self._hint):
             self._write(line)
 
     def print_note(self, sentence: str) -> None:
@@ -123,9 +121,9 @@ class JsonDisplay(Display):
         self._write = write
         self._shown: JobView | None = None
 
-    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+    def show(self, view: JobView, workforce: Workforce, now: float) -> None:
         """Write the view, unless only time has passed."""
-        del workers, now
+        del workforce, now
         timeless = view.model_copy(update={"elapsed": 0.0, "point_evaluations_per_second": None})
         if timeless != self._shown:
             self._shown = timeless
@@ -153,15 +151,15 @@ class LiveDisplay(Display):
     def __exit__(self, *_: object) -> None:
         self._live.stop()
 
-    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+    def show(self, view: JobView, workforce: Workforce, now: float) -> None:
         """Redraw the table."""
-        self._live.update(self._table(view, workers), refresh=True)
+        self._live.update(self._table(view, workforce), refresh=True)
 
     def print_note(self, sentence: str) -> None:
         """Print the sentence above the table."""
         self._live.console.print(sentence, markup=False, highlight=False)
 
-    def _table(self, view: JobView, workers: Sequence[WorkerView]) -> "Group":
+    def _table(self, view: JobView, workforce: Workforce) -> "Group":
         from rich import box
         from rich.console import Group
         from rich.progress_bar import ProgressBar
@@ -174,6 +172,6 @@ class LiveDisplay(Display):
         for variable in view.variables:
             is_found = variable.verdict in ("exact", "good") if variable.verdict else variable.converged
             grid.add_row(*map(Text, row(variable)), style="green" if is_found else "")
-        compiled = [count_of(worker.detail) for worker in workers if worker.state == "compiling"]
+        compiled = [count_of(detail) for detail in workforce.details]
         bars = [ProgressBar(total=known[1], completed=known[0], width=40) for known in compiled if known is not None]
-        return Group(Text(headline(view, workers, self._hint)), *bars, *([grid] if view.variables else []))
+        return Group(Text(headline(view, workforce, self._hint)), *bars, *([grid] if view.variables else []))

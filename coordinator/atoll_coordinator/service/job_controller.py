@@ -74,6 +74,8 @@ class JobController:
         self.counters: Final = self.workers.counters
         self.shown: Final = JobViews(self.jobs, self.queue, self, store, self.breakages)
         self.checkpoints: Final = PullBudget()
+        self.changed: Callable[[str], object] = lambda job: None
+        """Called with the id of a job to which something has happened."""
         self._store = store
         self.tasks: Final = TaskController(channel, self.workers.membership, store, post, self._rank, self._may_follow)
         self._channel = channel
@@ -383,6 +385,7 @@ class JobController:
         if job is not None:
             with self.guarded(job_id, task, now, by_peer=by_peer):
                 self._carry_out(job, act(job), now)
+            self.changed(job_id)
 
     @contextlib.contextmanager
     def guarded(self, job_id: str, task: str, now: float, *, by_peer: bool = False) -> Iterator[None]:

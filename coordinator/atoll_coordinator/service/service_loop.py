@@ -11,6 +11,7 @@ from functools import singledispatchmethod
 from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
+from atoll_coordinator.service.monitoring.followers import Followers
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
@@ -48,7 +49,7 @@ from atoll_core.wire.messages.epochs import (
 )
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.tasks import TaskReport
-from atoll_core.wire.messages.views import CoordinatorView, Counters
+from atoll_core.wire.messages.views import CoordinatorView, Counters, Workforce
 from atoll_core.wire.messages.workers import Shutdown, WorkerStatus
 from atoll_core.wire.rejects import Rejects
 from atoll_core.wire.security.role_bindings import RoleBindings
@@ -58,6 +59,7 @@ _LOG = logging.getLogger(__name__)
 TICK_S: Final = 0.5
 _TICK: Final = "tick"
 _ABSENCE: Final = "absence"
+_CHANGES: Final = "changes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +111,14 @@ class Service:
         )
         authorization = Authorization(role_bindings, store)
         self._deletion = JobDeletion(self.controller, store, dependencies.retention)
-        clients = ClientRequests(self.controller, store, authorization, self._deletion, bus.now, self.view)
+        self._followers = Followers(
+            store.incarnation, self.controller.jobs, self.controller.shown, self.controller.events, self._workforce,
+            lambda client, payload: self._bus.put(topics.changes(store.cluster, client), payload),
+        )  # fmt: skip
+        self.controller.changed = self.controller.events.told = self._followers.touch
+        clients = ClientRequests(
+            self.controller, store, authorization, self._deletion, bus.now, self.view, self._followers
+        )
         self._uploads = clients.uploads
         handshake = Handshake(self.controller, store, authorization, self.rejects, bus.now, dependencies.clock)
         self._requests = RequestDispatcher(self.controller, store, handshake, clients, self.rejects, bus.now)
@@ -162,6 +171,17 @@ class Service:
                 if isinstance(event, Timer | Posted | Link):  # no peer has said anything
                     raise
                 self.rejects.count(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
+        with self.controller.breakages.tolerated("telling followers"):
+            self._tell_followers()
+
+    def _tell_followers(self) -> None:
+        """Tell what has changed and is due; come back for what is due later."""
+        next_s = self._followers.tell(self._bus.now())
+        if next_s is not None:
+            self._bus.call_later(next_s, _CHANGES)
+
+    def _workforce(self, now: float) -> Workforce:
+        return Workforce.of(self.controller.workers.membership.views(now))
 
     def view(self) -> CoordinatorView:
         """Return what people are shown of the coordinator itself."""
@@ -231,6 +251,9 @@ class Service:
             self.controller.workers.membership.renew_leases(now)
         if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
             self.controller.tick(now)
+        with self.controller.breakages.tolerated("looking after followers"):
+            self._followers.expire(now)
+            self._followers.look(now)
         with self.controller.breakages.tolerated("deleting uploads that were given up"):
             self._uploads.expire()
         with self.controller.breakages.tolerated("deleting what is not kept"):

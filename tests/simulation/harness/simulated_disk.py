@@ -15,10 +15,9 @@ from atoll_core.errors import StoreError
 from atoll_core.wire.codec import encode
 
 READS: Final = frozenset({
-    "job", "jobs", "open_jobs", "view", "job_page", "count_jobs", "submitter", "is_deleted",
-    "result", "cuts", "checkpoints", "state",
-    "whole_checkpoints", "events", "has_blob", "get_blob", "get_chunk", "missing_chunks", "blob_bytes", "deaths",
-    "oldest_ended_job", "used_bytes", "unused_blobs", "timing", "check", "close", "room",
+    "job", "jobs", "open_jobs", "views", "job_page", "count_jobs", "submitter", "is_deleted", "result", "cuts",
+    "checkpoints", "state", "whole_checkpoints", "events", "has_blob", "get_blob", "get_chunk", "missing_chunks",
+    "blob_bytes", "deaths", "oldest_ended_job", "used_bytes", "unused_blobs", "timing", "check", "close", "room",
 })  # fmt: skip
 """What needs no room: it answers on a full disk as well, and no coordinator dies of it."""
 

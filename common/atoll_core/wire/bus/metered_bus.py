@@ -94,4 +94,5 @@ _KINDS: Final[dict[type, str]] = {
     topics.BlobKey: "blob",
     topics.MailKey: "mail",
     topics.ClientKey: "ask",
+    topics.ChangesKey: "changes",
 }

@@ -14,6 +14,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 from typing import Any, Final, Self, cast
 
@@ -50,6 +51,13 @@ _QUICK_S: Final = 0.1
 _SLOW_S: Final = 1.0
 _CLOSE_LIMIT_S: Final = 5.0
 _FREE_PORT_ATTEMPTS: Final = 20
+_LARGE: Final = 256 * 1024
+"""An answer of so many bytes may not fit the queue of a slow line: it is sent by a thread of its own, for which the
+owner does not wait."""
+
+_MOST_LARGE: Final = 4
+"""Large answers on their way at a time; for the next one the owner waits, so that they do not fill the memory."""
+
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
 Settings = Mapping[str, object]
@@ -62,6 +70,7 @@ _SIZE_LIMITS: Final = {
         f"{ROOT}/*/worker/*/to/*",
         f"{ROOT}/*/control/**",
         f"{ROOT}/*/client/*/ask",
+        f"{ROOT}/*/client/*/changes",
     ),
 }
 """Bytes that a put or a question may have, by its key; a router drops what is larger before anybody reads it."""
@@ -138,6 +147,8 @@ class ZenohBus:
         self._timers = Timers()
         self._tokens = itertools.count(1)
         self._kept: list[object] = []  # liveliness tokens vanish with their Python objects
+        self._large = threading.BoundedSemaphore(_MOST_LARGE)
+        self._senders = ThreadPoolExecutor(_MOST_LARGE, "sending large answers")  # has no thread before its first task
         if not is_router:
             session.info.declare_transport_events_listener(_directly(self._on_transport))
             if not session.info.routers_zid():  # lost between opening and listening
@@ -198,10 +209,23 @@ class ZenohBus:
         handle = cast(zenoh.Query, query.handle)  # see `_on_query`
         if payload is not None:
             check_payload(query.key, payload)
-            self._call(lambda: handle.reply(query.key, payload))
+        if payload is None or len(payload) < _LARGE or not self._large.acquire(blocking=False):
+            self._reply(handle, query.key, payload)
+        else:
+            self._senders.submit(self._reply_large, handle, query.key, payload)
+
+    def _reply(self, handle: zenoh.Query, key: str, payload: bytes | None) -> None:
+        if payload is not None:
+            self._call(lambda: handle.reply(key, payload))
         else:
             self._call(lambda: handle.reply_err(b""))
         self._call(handle.drop)
+
+    def _reply_large(self, handle: zenoh.Query, key: str, payload: bytes) -> None:
+        try:
+            self._reply(handle, key, payload)
+        finally:
+            self._large.release()
 
     def announce(self, key: str) -> None:
         """See `Bus.announce`."""

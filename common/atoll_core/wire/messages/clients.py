@@ -5,8 +5,19 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from atoll_core.config import Frozen, JobConfig
-from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_PAGE_JOBS, MAX_UPLOAD, Count, Digest, Id, Priority, Sentence
-from atoll_core.wire.messages.views import CoordinatorView, EventView, JobView, WorkerView
+from atoll_core.wire.messages.limits import (
+    CHUNK_SIZE,
+    MAX_PAGE_JOBS,
+    MAX_PAGE_WORKERS,
+    MAX_UPLOAD,
+    Count,
+    Digest,
+    Id,
+    Priority,
+    Seconds,
+    Sentence,
+)
+from atoll_core.wire.messages.views import CoordinatorView, EventView, JobView, WorkerView, Workforce
 
 
 class Upload(Frozen):
@@ -63,9 +74,12 @@ class Status(Frozen):
 
 
 class Workers(Frozen):
-    """List all workers."""
+    """List workers whose names begin with `prefix`, by name, those behind `after`: at most `limit` of them."""
 
     kind: Literal["workers"] = "workers"
+    prefix: Id | Literal[""] = ""
+    after: Id | Literal[""] = ""
+    limit: Annotated[int, Field(ge=1, le=MAX_PAGE_WORKERS)] = MAX_PAGE_WORKERS
 
 
 class GetQueueDepth(Frozen):
@@ -107,11 +121,37 @@ class GetEvents(Frozen):
     limit: Annotated[int, Field(ge=1, le=1000)] = 200
 
 
+class Follow(Frozen):
+    """Put changes of a job, or (`job` None) all that happens, on the client's key `changes`, for a lease.
+
+    Asked again, it renews the lease.
+
+    `after` is the number of the last event that the client has; None: it wants none that came before. `sequence` is
+    that of the last change it has.
+    """
+
+    kind: Literal["follow"] = "follow"
+    job: Id | None = None
+    after: Count | None = None
+    sequence: Count = 0
+
+
 class Request(Frozen):
     """A request of a client."""
 
     body: Annotated[
-        Upload | Submit | Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | Cancel | Delete | GetEvents,
+        Upload
+        | Submit
+        | Jobs
+        | FindJob
+        | Status
+        | Workers
+        | GetQueueDepth
+        | GetResult
+        | Cancel
+        | Delete
+        | GetEvents
+        | Follow,
         Field(discriminator="kind"),
     ]
 
@@ -147,10 +187,14 @@ class JobStatus(Frozen):
 
 
 class WorkerList(Frozen):
-    """All workers seen since the coordinator started, and the coordinator itself."""
+    """Workers seen since the coordinator started, by name, and the coordinator itself.
+
+    `after` is the cursor for those behind them, None when there are none.
+    """
 
     kind: Literal["worker-list"] = "worker-list"
     workers: tuple[WorkerView, ...]
+    after: Id | None = None
     coordinator: CoordinatorView | None = None
 
 
@@ -174,6 +218,32 @@ class EventList(Frozen):
 
     kind: Literal["event-list"] = "event-list"
     events: tuple[EventView, ...]
+
+
+class Change(Frozen):
+    """How a job stands now, and what has happened to it since the change of the sequence number `previous`.
+
+    Who does not have that one has missed some, and asks anew. Sequence numbers rise through all lives of a store. `job`
+    None: all that happens is followed, and there is no view. `last` is the number of the last event that has been told;
+    with `has_more` there are others already.
+    """
+
+    job: Id | None = None
+    sequence: Count
+    previous: Count
+    view: JobView | None = None
+    workforce: Workforce = Workforce()
+    events: tuple[EventView, ...] = ()
+    last: Count = 0
+    has_more: bool = False
+
+
+class Following(Frozen):
+    """The client hears of changes for `lease_s` seconds; `change` is what it does not have yet, None: nothing."""
+
+    kind: Literal["following"] = "following"
+    lease_s: Seconds
+    change: Change | None = None
 
 
 class Result(Frozen):
@@ -205,6 +275,16 @@ class Answer(Frozen):
     """Answer to a client."""
 
     body: Annotated[
-        Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | Deleted | EventList | Failure,
+        Uploaded
+        | JobList
+        | JobFound
+        | JobStatus
+        | WorkerList
+        | QueueDepth
+        | Result
+        | Deleted
+        | EventList
+        | Following
+        | Failure,
         Field(discriminator="kind"),
     ]

@@ -13,6 +13,9 @@ MAX_UPLOAD: Final = 1024 * 1024 * 1024
 MAX_PAGE_JOBS: Final = 100
 """Most jobs in one list of them."""
 
+MAX_PAGE_WORKERS: Final = 500
+"""Most workers in one list of them: each has a few thousand bytes of counters."""
+
 CHUNK_LIMIT_S: Final = 120.0
 """How long a client tries to have one chunk of an upload taken, on a slow line, in seconds."""
 

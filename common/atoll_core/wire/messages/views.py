@@ -1,6 +1,7 @@
 """What the coordinator tells its clients about jobs and workers; the shapes behind `status`, `jobs` and `workers`."""
 
-from typing import Annotated, Literal
+from collections.abc import Iterable
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field
 
@@ -164,3 +165,23 @@ class WorkerView(Frozen):
     doing: str = ""
     standing: float = 0.0
     counters: Counters = Counters()
+
+
+MAX_DETAILS: Final = 8
+"""What so many workers are getting ready with is told; more are not read."""
+
+
+class Workforce(Frozen):
+    """How many workers are there, how many of them are getting ready, and with what: the first sentences in order."""
+
+    alive: Annotated[int, Field(ge=0)] = 0
+    compiling: Annotated[int, Field(ge=0)] = 0
+    details: Annotated[tuple[str, ...], Field(max_length=MAX_DETAILS)] = ()
+
+    @classmethod
+    def of(cls, workers: Iterable[WorkerView]) -> Self:
+        """Return what these workers are together; lost ones are not there."""
+        alive = [worker for worker in workers if worker.state != "lost"]
+        compiling = [worker for worker in alive if worker.state == "compiling"]
+        details = sorted(worker.detail for worker in compiling if worker.detail)  # "compiling …" before "waiting …"
+        return cls(alive=len(alive), compiling=len(compiling), details=tuple(details[:MAX_DETAILS]))

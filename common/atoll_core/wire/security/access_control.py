@@ -91,8 +91,13 @@ def _of_worker(name: str) -> tuple[Permission, ...]:
 
 
 def _of_client(name: str) -> tuple[Permission, ...]:
-    asked = _own(name, "client/{}/ask") + _hello(name)
-    return (Permission("ingress", ("query",), asked), Permission("egress", _SERVING, asked))
+    asked, heard = _own(name, "client/{}/ask") + _hello(name), _own(name, "client/{}/changes")
+    return (
+        Permission("ingress", ("query",), asked),
+        Permission("egress", _SERVING, asked),
+        Permission("ingress", ("declare_subscriber",), heard),
+        Permission("egress", _SPEAKING, heard),
+    )
 
 
 def _keys(*parts: str) -> tuple[str, ...]:

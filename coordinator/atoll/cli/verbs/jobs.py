@@ -15,7 +15,7 @@ from atoll.terminal.progress import JsonDisplay, LiveDisplay, PlainDisplay, is_s
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
 from atoll_core.wire.addresses import Destination
-from atoll_core.wire.messages.views import FINAL_STATES, JobView, WorkerView
+from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 _SHOWN: Final = 20
 """Jobs under way that are named when one is to be chosen."""
@@ -36,12 +36,12 @@ def status(options: argparse.Namespace) -> int:
         return _follow_job(options, address)
     with connected(address, CONNECT_LIMIT_S) as client:
         views = client.jobs(is_open=True) if options.job is None else [client.status(client.resolve(options.job))]
-        workers = client.workers()
+        workforce = Workforce.of(client.workers())
     if options.json:
         say(_json(views if options.job is None else views[0]))
     else:
         hint = f"island-worker --connect {address}"
-        say("\n\n".join(_status_text(view, workers, hint) for view in views) or "no job is under way")
+        say("\n\n".join(_status_text(view, workforce, hint) for view in views) or "no job is under way")
     return DONE
 
 
@@ -100,10 +100,10 @@ def _json(views: object) -> str:
     return as_json(to_jsonable_python(views))
 
 
-def _status_text(view: JobView, workers: Sequence[WorkerView], hint: str) -> str:
+def _status_text(view: JobView, workforce: Workforce, hint: str) -> str:
     notes = [f"  stands still: {stall}" for stall in view.stalls]
     notes += [f"  note: {warning}" for warning in view.warnings]
-    return "\n".join([*plain_lines(view, workers, hint), *notes])
+    return "\n".join([*plain_lines(view, workforce, hint), *notes])
 
 
 def _job_table(views: Sequence[JobView]) -> str:

@@ -10,12 +10,13 @@ from pydantic_core import to_jsonable_python
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.client.client import Client, connected
+from atoll.client.subscription import Subscription
 from atoll.terminal.output import as_json, say
 from atoll_core.signals import raising_interrupts
 from atoll_core.wire.messages.views import FINAL_STATES, EventView
 
-_INTERVAL_S: Final = 0.5
-_PAGE: Final = 500
+_LOOK_S: Final = 1.0
+"""How long a change is waited for at a time."""
 
 
 def logs(options: argparse.Namespace) -> int:
@@ -34,14 +35,14 @@ def logs(options: argparse.Namespace) -> int:
 
 def _follow_events(client: Client, job: str | None, last: int, as_objects: bool) -> int:
     """Show what comes, until the job has ended and all of it has been shown."""
+    subscription = Subscription(client, job, last)
     while True:
-        is_over = job is not None and client.status(job).state in FINAL_STATES
-        while events := client.events(job, last, _PAGE):
-            last = events[-1].number
-            _show(events, as_objects)
-        if is_over:
+        change = subscription.wait(_LOOK_S)
+        if change is None:
+            continue
+        _show(change.events, as_objects)
+        if change.view is not None and change.view.state in FINAL_STATES and not change.has_more:
             return DONE
-        client.pause(_INTERVAL_S)
 
 
 def _show(events: Iterable[EventView], as_objects: bool) -> None:

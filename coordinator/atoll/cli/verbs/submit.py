@@ -13,7 +13,7 @@ from atoll.terminal.output import note, say
 from atoll.terminal.progress import open_display, waiting
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
-from atoll_core.wire.messages.views import FINAL_STATES, JobView
+from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 if TYPE_CHECKING:
     from atoll_coordinator.result.result import Result
@@ -61,7 +61,7 @@ def _say_what_it_waits_for(view: JobView, client: Client, hint: str) -> None:
     """Tell somebody who leaves now what keeps the job from being searched at once, if anything does."""
     if view.state in FINAL_STATES:
         note(f"job {view.job} is known, and has ended: {view.state}")
-    elif waits := waiting(view, client.workers(), hint):
+    elif waits := waiting(view, Workforce.of(client.workers()), hint):
         note(f"job {view.job} {view.state}; {waits}")
 
 

@@ -15,7 +15,7 @@ def workers(options: argparse.Namespace) -> int:
     """List all workers, or those whose name begins with ``options.job``; or show the coordinator's own counters."""
     address = address_of(options)
     with connected(address, CONNECT_LIMIT_S) as client:
-        views = [view for view in client.workers() if view.worker.startswith(options.job or "")]
+        views = client.workers(options.job or "")
         own = client.coordinator() if options.coordinator else None
     if options.coordinator:
         say(as_json(to_jsonable_python(own)) if options.json else coordinator_lines(own))

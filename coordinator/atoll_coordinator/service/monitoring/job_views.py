@@ -60,16 +60,29 @@ class JobViews:
 
         One that cannot be shown whole is shown as far as the store knows it, and takes no list of jobs with it.
         """
-        for job_id in job_ids:
-            try:
-                view = self._view(job_id, now)
-            except StoreError:
-                raise
-            except Exception as error:
-                record, sentence = self._store.job(job_id), self._breakages.add("showing a job", error)
-                view = view_of_record(record, sentence) if record else None
-            if view is not None:
-                yield view
+        ids = [*job_ids]
+        kept = self._store.views([job_id for job_id in ids if job_id not in self._jobs])
+        made: dict[str, str] = {}
+        try:
+            for job_id in ids:
+                view = self._guarded_view(job_id, kept.get(job_id), made, now)
+                if view is not None:
+                    yield view
+        finally:
+            if made:
+                with contextlib.suppress(StoreError):  # the disk is full, perhaps: then they are made again
+                    self._store.keep_views(made)
+
+    def _guarded_view(
+        self, job_id: str, kept: str | None, made: dict[str, str], now: float
+    ) -> JobView | None:  # fmt: skip
+        try:
+            return self._view(job_id, kept, made, now)
+        except StoreError:
+            raise
+        except Exception as error:
+            record, sentence = self._store.job(job_id), self._breakages.add("showing a job", error)
+            return view_of_record(record, sentence) if record else None
 
     def result(self, job_id: str, now: float) -> str | None:
         """Return a job's result as JSON text, while it runs the best so far; None while there is none."""
@@ -83,17 +96,15 @@ class JobViews:
         view = self._live_view(job, now).model_copy(update={"workers": 0, "stalls": (), "ahead": None})
         return view if job.result_text is None else with_equations(view, job.result_text)
 
-    def _view(self, job_id: str, now: float) -> JobView | None:
+    def _view(
+        self, job_id: str, kept: str | None, made: dict[str, str], now: float
+    ) -> JobView | None:  # fmt: skip
+        """Return the view of a job; what had to be made for an ended one is added to `made`."""
         if job_id in self._jobs:
             return self._live_view(self._jobs[job_id], now)
-        text = self._store.view(job_id)
-        if text is not None:
+        if kept is not None:
             with contextlib.suppress(ValidationError):  # else another version has kept it
-                return JobView.model_validate_json(text)
-        return self._made_view(job_id)
-
-    def _made_view(self, job_id: str) -> JobView | None:
-        """Make the view of an ended job of its record and result, and keep it; None for an unknown job."""
+                return JobView.model_validate_json(kept)
         record = self._store.job(job_id)
         if record is None:
             return None
@@ -101,8 +112,7 @@ class JobViews:
         self.bytes_read += len(result or "")
         view = ended_view(record, result)
         if record.is_sound and record.state in FINAL_STATES:
-            with contextlib.suppress(StoreError):  # the disk is full, perhaps: then it is made again
-                self._store.keep_view(job_id, view.model_dump_json())
+            made[job_id] = view.model_dump_json()
         return view
 
     def _live_view(self, job: Job, now: float) -> JobView:

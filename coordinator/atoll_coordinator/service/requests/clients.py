@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
+from atoll_coordinator.service.monitoring.followers import Followers
 from atoll_coordinator.service.monitoring.queue_depth import queue_depth
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
@@ -18,6 +19,8 @@ from atoll_core.wire.messages.clients import (
     Failure,
     FailureKind,
     FindJob,
+    Follow,
+    Following,
     GetEvents,
     GetQueueDepth,
     GetResult,
@@ -40,22 +43,30 @@ from atoll_core.wire.messages.views import CoordinatorView, JobView
 
 MAX_PAGE_BYTES: Final = CHUNK_SIZE
 """Of a list of jobs, as JSON, unless a single one has more: each item of a message has two bytes of JSON at least, so
-that the list keeps to `atoll_core.wire.codec.MAX_ITEMS`. No more is read of results for a list, so that none holds up
-the loop."""
+that the list keeps to `atoll_core.wire.codec.MAX_ITEMS`."""
+
+MAX_RESULT_BYTES: Final = 1024 * 1024
+"""Of results of jobs that ended under an earlier version, of which a list has views made: for 10 ms and not longer."""
 
 _SHOWN: Final = 5
 
-Body = Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | Deleted | EventList | Failure
+Body = (
+    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | Deleted | EventList | Following
+    | Failure
+)  # fmt: skip
+Asked = Upload | Submit | Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | Cancel | Delete | GetEvents
 
 
 class ClientRequests:
     """Answers the questions of clients, one by one."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  # what answers are made of
         self, controller: JobController, store: Store, authorization: Authorization, deletion: JobDeletion,
         now: Callable[[], float], coordinator: Callable[[], CoordinatorView | None] = lambda: None,
+        followers: Followers | None = None,
     ) -> None:  # fmt: skip
-        """`now` gives the bus's seconds, `coordinator` the view of the coordinator itself."""
+        """`now` gives the bus's seconds, `coordinator` the view of the coordinator itself; without `followers` nobody
+        can follow."""
         self._controller = controller
         self._store = store
         self._authorization = authorization
@@ -63,6 +74,7 @@ class ClientRequests:
         self.uploads: Final = Uploads(store, now)
         self._now = now
         self._coordinator = coordinator
+        self._followers = followers
 
     def answer(self, client: str, request: Request) -> Body:
         """Return the answer to a question of `client`.
@@ -74,7 +86,9 @@ class ClientRequests:
         if refusal is not None:
             return Failure(failure="refused", sentence=refusal)
         try:
-            return self._answer(request, self._authorization.submitter(client))
+            if isinstance(request.body, Follow):
+                return self._follow(client, request.body)
+            return self._answer(request.body, self._authorization.submitter(client))
         except TableMissingError as error:
             return Failure(failure="no-table", sentence=str(error))
         except (RefusedError, RemoteProtocolError) as error:
@@ -85,8 +99,12 @@ class ClientRequests:
                 raise
             return Failure(failure="internal", sentence=str(error)[:4000])
 
-    def _answer(self, request: Request, submitter: str | None) -> Body:
-        body = request.body
+    def _follow(self, client: str, question: Follow) -> Following | Failure:
+        if self._followers is None:
+            return Failure(failure="refused", sentence="nothing can be followed here; ask for the status instead")
+        return self._followers.follow(client, question, self._now()) or _unknown(question.job or "of any name")
+
+    def _answer(self, body: Asked, submitter: str | None) -> Body:
         match body:
             case Upload():
                 return self.uploads.take(body)
@@ -112,8 +130,7 @@ class ClientRequests:
             case Status():
                 return self._status(body.job)
             case Workers():
-                views = self._controller.workers.membership.views(self._now())
-                return WorkerList(workers=views, coordinator=self._coordinator())
+                return self._workers(body)
             case GetQueueDepth():
                 queue = self._controller.queue
                 return queue_depth(self._controller.begun.values(), queue.queued, queue.limits.total.running)
@@ -121,6 +138,14 @@ class ClientRequests:
                 return self._result(body.job)
             case GetEvents():
                 return self._events(body)
+
+    def _workers(self, question: Workers) -> WorkerList:
+        """Return a page of workers, by name."""
+        views = self._controller.workers.membership.views(self._now())
+        wanted = [view for view in views if view.worker > question.after and view.worker.startswith(question.prefix)]
+        page = tuple(wanted[: question.limit])
+        after = page[-1].worker if len(page) < len(wanted) else None
+        return WorkerList(workers=page, after=after, coordinator=self._coordinator())
 
     def _events(self, question: GetEvents) -> EventList | Failure:
         """Return what happened; as much of it as one answer bears."""
@@ -139,7 +164,7 @@ class ClientRequests:
         read = shown.bytes_read
         for view in shown.views(numbers, self._now()):
             size += len(view.model_dump_json())
-            if views and max(size, shown.bytes_read - read) > MAX_PAGE_BYTES:
+            if views and (size > MAX_PAGE_BYTES or shown.bytes_read - read > MAX_RESULT_BYTES):
                 return JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
             views.append(view)
         is_last = len(numbers) < question.limit

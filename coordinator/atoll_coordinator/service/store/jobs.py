@@ -1,7 +1,7 @@
 """The store's table of jobs, and what of them is whose. Every function is part of the caller's transaction."""
 
 import sqlite3
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Final, cast
 
@@ -129,29 +129,27 @@ def end(
 ) -> bool:
     """Give a job its final `state` and `result`; return False, changing nothing, when it had ended before."""
     done = sql.execute(
-        f"UPDATE jobs SET state = ?, result_bytes = ?, reason = ?, finished = ? WHERE id = ? AND {_OPEN}",
-        (state, len((result or "").encode()), reason, finished, job),
+        f"UPDATE jobs SET state = ?, result = ?, result_bytes = ?, reason = ?, finished = ? WHERE id = ? AND {_OPEN}",
+        (state, result, len((result or "").encode()), reason, finished, job),
     )
-    if done.rowcount == 1 and result is not None:
-        sql.execute("INSERT OR REPLACE INTO results VALUES (?, ?)", (job, result))
     return done.rowcount == 1
 
 
 def result(sql: sqlite3.Connection, job: str) -> str | None:
     """Return a job's result as JSON; None while there is none."""
-    row = sql.execute("SELECT result FROM results WHERE job = ?", (job,)).fetchone()
-    return cast(str, row[0]) if row else None
+    row = sql.execute("SELECT result FROM jobs WHERE id = ?", (job,)).fetchone()
+    return cast(str | None, row[0]) if row else None
 
 
 def keep_view(sql: sqlite3.Connection, job: str, view: str) -> None:
-    """Keep what people are shown of a job that has ended, as JSON."""
+    """Keep what people are shown of a job that has ended, as JSON; without effect when there is no such job."""
     sql.execute("INSERT OR REPLACE INTO views SELECT id, ? FROM jobs WHERE id = ?", (view, job))
 
 
-def view(sql: sqlite3.Connection, job: str) -> str | None:
-    """Return what people are shown of a job that has ended, as JSON; None when it has not been kept."""
-    row = sql.execute("SELECT view FROM views WHERE job = ?", (job,)).fetchone()
-    return cast(str, row[0]) if row else None
+def views(sql: sqlite3.Connection, jobs: Iterable[str]) -> dict[str, str]:
+    """Return what people are shown of those jobs of which it has been kept, as JSON, by id."""
+    found = ((job, sql.execute("SELECT view FROM views WHERE job = ?", (job,)).fetchone()) for job in jobs)
+    return {job: cast(str, row[0]) for job, row in found if row is not None}
 
 
 def submitter(sql: sqlite3.Connection, job: str) -> str | None:
@@ -171,8 +169,7 @@ def oldest_ended(sql: sqlite3.Connection) -> JobRecord | None:
 
 def delete(sql: sqlite3.Connection, job: str) -> None:
     """Delete a job; its id is remembered, and given to no other job."""
-    for table in ("results", "views"):
-        sql.execute(f"DELETE FROM {table} WHERE job = ?", (job,))
+    sql.execute("DELETE FROM views WHERE job = ?", (job,))
     sql.execute("DELETE FROM jobs WHERE id = ?", (job,))
     sql.execute("INSERT OR IGNORE INTO deleted_jobs (id) VALUES (?)", (job,))
 

@@ -76,9 +76,6 @@ CREATE INDEX jobs_by_state ON jobs (state)
 """
 
 _LAYOUT_6_ENDED_JOBS: Final = """
-CREATE TABLE results (job TEXT PRIMARY KEY, result TEXT NOT NULL);
-INSERT INTO results SELECT id, result FROM jobs WHERE result IS NOT NULL;
-ALTER TABLE jobs DROP COLUMN result;
 CREATE TABLE views (job TEXT PRIMARY KEY, view TEXT NOT NULL);
 CREATE INDEX open_jobs ON jobs (number) WHERE state NOT IN ('done', 'failed', 'cancelled');
 CREATE INDEX ended_jobs ON jobs (ended_at, coalesce(finished, submitted), number)
@@ -89,8 +86,8 @@ DELETE FROM uploads WHERE digest IN (SELECT table_digest FROM jobs);
 DELETE FROM uploads WHERE digest IN (SELECT dataset_digest FROM jobs);
 CREATE INDEX sizes_of_blobs ON blobs (size)
 """
-"""So that nothing takes longer with the number of jobs that have ended: results, of up to megabytes, lie apart from
-what is read of every job, and what a list shows of a job that has ended is kept ready."""
+"""So that nothing takes longer with the number of jobs that have ended, whose results have up to megabytes: what a list
+shows of such a job is kept ready."""
 
 _LAYOUT_7_USERS: Final = """
 ALTER TABLE jobs ADD COLUMN submitter TEXT;
@@ -98,8 +95,7 @@ ALTER TABLE jobs ADD COLUMN shared INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE jobs ADD COLUMN paused INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE jobs ADD COLUMN result_bytes INTEGER NOT NULL DEFAULT 0;
 UPDATE jobs SET submitter = (SELECT name FROM submitters WHERE submitters.job = jobs.id);
-UPDATE jobs SET result_bytes = (SELECT length(CAST(result AS BLOB)) FROM results WHERE job = jobs.id)
-    WHERE id IN (SELECT job FROM results);
+UPDATE jobs SET result_bytes = length(CAST(result AS BLOB)) WHERE result IS NOT NULL;
 DROP TABLE submitters;
 CREATE INDEX jobs_by_submitter ON jobs (submitter, table_digest, result_bytes);
 ALTER TABLE realm ADD COLUMN queue_paused INTEGER NOT NULL DEFAULT 0;

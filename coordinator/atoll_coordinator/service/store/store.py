@@ -114,15 +114,16 @@ class Store(OpenFile):
         with self._reading() as sql:
             return job_table.result(sql, job)
 
-    def keep_view(self, job: str, view: str) -> None:
-        """Keep what people are shown of a job that has ended (JSON); without effect when there is no such job."""
+    def keep_views(self, views: Mapping[str, str]) -> None:
+        """Keep what people are shown of jobs that have ended (JSON), by id; unknown ones are left out."""
         with self._transaction() as sql:
-            job_table.keep_view(sql, job, view)
+            for job, view in views.items():
+                job_table.keep_view(sql, job, view)
 
-    def view(self, job: str) -> str | None:
-        """Return what people are shown of a job that has ended (JSON); None when it has not been kept."""
+    def views(self, jobs: Iterable[str]) -> dict[str, str]:
+        """Return what people are shown of those jobs that have ended and of which it has been kept (JSON), by id."""
         with self._reading() as sql:
-            return job_table.view(sql, job)
+            return job_table.views(sql, jobs)
 
     def oldest_ended_job(self) -> JobRecord | None:
         """Return the job that ended first of those that have ended; None when there is none."""

@@ -83,7 +83,7 @@ def test_a_view_that_another_version_has_kept_is_made_anew(kept: str) -> None:
     with Store.open(None) as store:
         controller = recovered(store, READABLE)
         whole = controller.shown.view("job", 1.0)
-        store.keep_view("job", kept)
+        store.keep_views({"job": kept})
         assert controller.shown.view("job", 1.0) == whole
 
 

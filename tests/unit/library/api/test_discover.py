@@ -110,7 +110,7 @@ class Client:
     def status(self, _: str) -> JobView:
         return VIEW.model_copy(update={"state": "cancelled" if self.is_cancelled else "running"})
 
-    def workers(self) -> tuple[()]:
+    def follow(self, *_: object) -> object:
         raise KeyboardInterrupt  # whenever the progress is looked at
 
     def result(self, _: str) -> dict[str, Any]:

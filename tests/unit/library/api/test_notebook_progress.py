@@ -7,7 +7,7 @@ import pytest
 
 from atoll.api.discover import _display
 from atoll.api.notebook_progress import NotebookDisplay
-from atoll_core.wire.messages.views import JobView
+from atoll_core.wire.messages.views import JobView, Workforce
 
 VIEW = JobView(
     job="j", name="a<b", state="queued", seed=0, preset="default", submitted="", elapsed=1.0, workers=1,
@@ -40,9 +40,9 @@ def handle(monkeypatch: pytest.MonkeyPatch) -> Handle:
 def test_what_has_not_changed_is_not_written_again(handle: Handle) -> None:
     with _display(None) as display:
         assert isinstance(display, NotebookDisplay)
-        display.show(VIEW, (), 0.0)
-        display.show(VIEW, (), 1.0)
-        display.show(VIEW.model_copy(update={"state": "running"}), (), 2.0)
+        display.show(VIEW, Workforce(), 0.0)
+        display.show(VIEW, Workforce(), 1.0)
+        display.show(VIEW.model_copy(update={"state": "running"}), Workforce(), 2.0)
     assert [text.split()[2].rstrip(",") for text in handle.shown] == ["queued", "running"]
 
 

@@ -1,12 +1,11 @@
 """Following a job: what is shown, and when it ends."""
 
-from collections.abc import Sequence
-
 import pytest
 
 from atoll.client.follower import PATIENCE_S, Follower, phase
 from atoll_core.errors import UnreachableError
-from atoll_core.wire.messages.views import JobView, VariableView, WorkerView
+from atoll_core.wire.messages.clients import Change, Following
+from atoll_core.wire.messages.views import JobView, VariableView, WorkerView, Workforce
 from tests.views import job_view
 
 
@@ -16,27 +15,36 @@ def worker_of(**changes: object) -> WorkerView:
 
 
 class ScriptedClient:
-    """Gives one of `views` at each look, the last for ever; an exception is raised."""
+    """Tells `views` one after the other, the last for ever; an exception is raised by the question."""
 
     def __init__(self, *views: JobView | Exception) -> None:
         self._views = list(views)
         self._now = 0.0
+        self._told = 0
+        self._last: JobView | None = None
 
-    def status(self, job: str) -> JobView:
+    def follow(self, job: str, after: int | None, sequence: int) -> Following:
         view = self._views.pop(0) if len(self._views) > 1 else self._views[0]
         if isinstance(view, Exception):
             self._now += 10.0
             raise view
-        return view
+        return Following(lease_s=30.0, change=self._change(view, sequence))
 
-    def workers(self) -> tuple[WorkerView, ...]:
-        return (worker_of(),)
-
-    def pause(self, seconds: float) -> None:
-        self._now += seconds
+    def next_change(self, limit_s: float) -> Change | None:
+        self._now += limit_s
+        view = self._views[0]
+        if view is self._last or isinstance(view, Exception):
+            return None
+        self._views = self._views[1:] or self._views
+        return self._change(view, self._told)
 
     def now(self) -> float:
         return self._now
+
+    def _change(self, view: JobView, previous: int) -> Change:
+        self._told, self._last = previous + 1, view
+        workforce = Workforce.of([worker_of()])
+        return Change(job="j1", sequence=self._told, previous=previous, view=view, workforce=workforce)
 
 
 class Recorder:
@@ -45,14 +53,16 @@ class Recorder:
     def __init__(self) -> None:
         self.states: list[str] = []
         self.sentences: list[str] = []
+        self.elapsed: list[float] = []
 
     def __enter__(self) -> "Recorder":
         return self
 
     def __exit__(self, *_: object) -> None: ...
 
-    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+    def show(self, view: JobView, workers: Workforce, now: float) -> None:
         self.states.append(view.state)
+        self.elapsed.append(view.elapsed)
 
     def print_note(self, sentence: str) -> None:
         self.sentences.append(sentence)
@@ -103,12 +113,25 @@ def test_what_the_check_returns_is_printed_and_what_it_raises_ends_the_following
 
 
 def test_time_is_counted_for_the_phase_that_was_seen() -> None:
-    refining = job_view(state="refining")
-    client = ScriptedClient(job_view(), job_view(), refining, refining, job_view(state="done", variables=FOUND))
-    client.pause = lambda _: setattr(client, "_now", client.now() + 1.0)  # type: ignore[method-assign]
-    follower = Follower(client, "j1", Recorder())  # type: ignore[arg-type]
+    views = (job_view(), job_view(state="refining"), job_view(variables=FOUND), job_view(state="done", variables=FOUND))
+    follower = Follower(ScriptedClient(*views), "j1", Recorder())  # type: ignore[arg-type]
     follower.follow()
-    assert follower.phases == {"searching": 2.0, "refining": 2.0}
+    assert follower.phases.keys() == {"searching", "refining"}
+    assert follower.phases["refining"] == pytest.approx(0.3)
+    assert follower.phases["searching"] > follower.phases["refining"]
+
+
+def test_time_passes_on_the_display_also_while_nothing_changes() -> None:
+    display = Recorder()
+
+    def check() -> list[str]:
+        if len(display.states) == 4:
+            raise RuntimeError("enough")
+        return []
+
+    with pytest.raises(RuntimeError, match="enough"):
+        Follower(ScriptedClient(job_view(elapsed=1.0)), "j1", display, check).follow()  # type: ignore[arg-type]
+    assert display.elapsed == pytest.approx([1.0, 1.3, 1.6, 1.9])
 
 
 READY: dict[str, object] = {"state": "ready"}
@@ -130,4 +153,4 @@ FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=1),)
     ],
 )
 def test_time_goes_into_phases(changes: dict[str, object], workers: list[dict[str, object]], name: str) -> None:
-    assert phase(job_view(**changes), [worker_of(**worker) for worker in workers]) == name
+    assert phase(job_view(**changes), Workforce.of([worker_of(**worker) for worker in workers])) == name

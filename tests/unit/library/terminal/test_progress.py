@@ -5,7 +5,7 @@ import io
 import pytest
 
 from atoll.terminal.progress import LiveDisplay, PlainDisplay, headline, plain_lines, row, standing
-from atoll_core.wire.messages.views import JobView, VariableView, WorkerView
+from atoll_core.wire.messages.views import JobView, VariableView, WorkerView, Workforce
 from tests.views import job_view
 
 X = VariableView(
@@ -58,35 +58,39 @@ def test_the_standing_of_an_equation_is_a_word_or_two(changes: dict[str, object]
 
 
 def test_the_headline_has_state_time_workers_and_speed() -> None:
-    line = headline(job(), [worker()], HINT)
+    line = headline(job(), Workforce.of([worker()]), HINT)
     assert line == "job a1b2c3d4 running, 4.2 s, 2 workers, 4.26e+06 point evaluations, 5.5e+07/s"
 
 
 def test_the_headline_says_how_to_start_a_worker_when_there_is_none() -> None:
     view = job(state="queued", workers=0, point_evaluations=0, variables=())
-    assert headline(view, [worker(state="lost")], HINT).endswith(f"; no worker has joined; start one with: {HINT}")
+    assert headline(view, Workforce.of([worker(state="lost")]), HINT).endswith(
+        f"; no worker has joined; start one with: {HINT}"
+    )
 
 
 def test_the_headline_says_that_kernels_are_being_compiled() -> None:
     waiting = worker(state="compiling", detail="waiting while another process compiles")
     busy = worker(state="compiling", detail="compiling kernels (first time on this machine)")
-    assert "compiling kernels (first time on this machine)" in headline(job(state="queued"), [waiting, busy], HINT)
+    assert "compiling kernels (first time on this machine)" in headline(
+        job(state="queued"), Workforce.of([waiting, busy]), HINT
+    )
 
 
 def test_the_headline_says_why_a_job_waits() -> None:
-    assert headline(job(reason="waits for a place"), [worker()], HINT).endswith("; waits for a place")
+    assert headline(job(reason="waits for a place"), Workforce.of([worker()]), HINT).endswith("; waits for a place")
 
 
 def test_the_plain_display_writes_on_changes_and_otherwise_only_now_and_then() -> None:
     written: list[str] = []
     display = PlainDisplay(HINT, written.append)
     for now in (0.0, 0.1, 4.9):
-        display.show(job(), [worker()], now)
-    assert written == plain_lines(job(), [worker()], HINT)
+        display.show(job(), Workforce.of([worker()]), now)
+    assert written == plain_lines(job(), Workforce.of([worker()]), HINT)
     assert len(written) == 2
-    display.show(job(), [worker()], 5.1)
+    display.show(job(), Workforce.of([worker()]), 5.1)
     assert len(written) == 4
-    display.show(job(state="done"), [worker()], 5.2)
+    display.show(job(state="done"), Workforce.of([worker()]), 5.2)
     assert len(written) == 6
 
 
@@ -97,7 +101,7 @@ def test_the_live_display_shows_the_same_contents(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("COLUMNS", "120")
     odd = Y.model_copy(update={"lhs": "d[y]/dt"})
     with LiveDisplay(HINT) as display:
-        display.show(job(variables=(X, odd)), [worker()], 0.0)
+        display.show(job(variables=(X, odd)), Workforce.of([worker()]), 0.0)
         display.print_note("worker [w1] ended")
     text = screen.getvalue()
     for words in ("job a1b2c3d4 running", "3*x - x**2 - 2*x*y", "d[y]/dt", "worker [w1] ended", "converged"):
@@ -116,5 +120,5 @@ def test_colours_are_left_out_where_the_user_wants_none(
     if no_color is not None:
         monkeypatch.setenv("NO_COLOR", no_color)
     with LiveDisplay(HINT) as display:
-        display.show(job(variables=(X,)), [worker()], 0.0)
+        display.show(job(variables=(X,)), Workforce.of([worker()]), 0.0)
     assert ("\x1b[32m" in screen.getvalue()) == is_coloured

@@ -10,7 +10,8 @@ from atoll.cli.main import main
 from atoll.cli.verbs import jobs as verbs
 from atoll_core.errors import RefusedError
 from atoll_core.wire.addresses import Destination
-from atoll_core.wire.messages.views import JobView, VariableView, WorkerView
+from atoll_core.wire.messages.clients import Change, Following
+from atoll_core.wire.messages.views import JobView, VariableView, WorkerView, Workforce
 from tests.views import VARIABLE, job_view
 
 
@@ -65,19 +66,23 @@ class EndingClient(FakeClient):
     def __init__(self) -> None:
         super().__init__(job("alpha", "running"))
         self.looks = 0
+        self.clock = 0.0
 
-    def status(self, name: str) -> JobView:
+    def follow(self, name: str, after: int | None, sequence: int) -> Following:
         self.looks += 1
-        return job_view(
+        view = job_view(
             job=name, state="done" if self.looks >= 3 else "running", elapsed=1.0, point_evaluations=self.looks,
             target_error=1e-9, variables=(),
         )  # fmt: skip
+        workforce = Workforce.of(self.workers())
+        change = Change(job=name, sequence=self.looks, previous=sequence, view=view, workforce=workforce)
+        return Following(lease_s=30.0, change=change)
 
     def now(self) -> float:
-        return float(self.looks)
+        return self.clock
 
-    def pause(self, seconds: float) -> None:
-        assert seconds <= 1.0
+    def next_change(self, limit_s: float) -> None:
+        self.clock += limit_s
 
 
 def connect(fake: FakeClient, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ import pytest
 from atoll.cli.main import main
 from atoll.cli.verbs import logs as verb
 from atoll.cli.verbs.logs import line
+from atoll_core.wire.messages.clients import Change, Following
 from atoll_core.wire.messages.views import EventView, JobView
 
 PLACED = EventView(
@@ -25,6 +26,7 @@ class FakeClient:
     def __init__(self) -> None:
         self.log = [PLACED]
         self.looks = 0
+        self.clock = 0.0
         self.asked: list[tuple[str | None, int, int]] = []
 
     def resolve(self, prefix: str) -> str:
@@ -34,18 +36,33 @@ class FakeClient:
         self.asked.append((job, after, limit))
         return tuple(event for event in self.log if event.number > after)[:limit]
 
-    def status(self, job: str) -> JobView:
+    def follow(self, job: str, after: int | None, sequence: int) -> Following:
         self.looks += 1
         if self.looks == 3:
             self.log.append(DONE)
+        events = tuple(event for event in self.log if event.number > (after or 0))
+        change = Change(
+            job=job,
+            sequence=self.looks,
+            previous=sequence,
+            view=self._view(),
+            events=events,
+            last=events[-1].number if events else 0,
+        )
+        return Following(lease_s=30.0, change=change)
+
+    def next_change(self, limit_s: float) -> None:
+        self.clock += limit_s
+
+    def now(self) -> float:
+        return self.clock
+
+    def _view(self) -> JobView:
         state: Any = "done" if self.looks >= 3 else "running"
         return JobView(
             job="alpha", name="n", state=state, seed=0, preset="default", submitted="", elapsed=1.0, workers=1,
             point_evaluations=self.looks, target_error=1e-9,
         )  # fmt: skip
-
-    def pause(self, seconds: float) -> None:
-        assert seconds <= 1.0
 
 
 @pytest.fixture

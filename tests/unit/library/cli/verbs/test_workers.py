@@ -30,8 +30,8 @@ class FakeClient:
     def __init__(self) -> None:
         self.views = (WORKER,)
 
-    def workers(self) -> tuple[WorkerView, ...]:
-        return self.views
+    def workers(self, prefix: str = "") -> tuple[WorkerView, ...]:
+        return tuple(view for view in self.views if view.worker.startswith(prefix))
 
     def coordinator(self) -> CoordinatorView:
         return COORDINATOR

@@ -1,0 +1,172 @@
+"""Who follows which job, and what they are told: each change once, encoded once for all of them.
+
+A topic is a job, or all that happens (None). It changes when something happens to it; what has changed is told at once
+where its state is another, and otherwise at most every `INTERVAL_S`: what comes in between goes together. A change
+names the one before it, so that a follower notices what it has missed; what is kept of it are the events in the store.
+"""
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from atoll_coordinator.service.jobs.job import Job
+from atoll_coordinator.service.monitoring.event_log import EventLog
+from atoll_coordinator.service.monitoring.job_views import JobViews
+from atoll_core.errors import RefusedError
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.clients import Change, Follow, Following
+from atoll_core.wire.messages.views import JobView, Workforce
+
+INTERVAL_S: Final = 0.5
+"""As often as a person who looks at a table of numbers can take them in."""
+
+LEASE_S: Final = 30.0
+"""How long a follower that says nothing is told; it renews after a third of that."""
+
+MAX_FOLLOWERS: Final = 10_000
+"""As many as sessions of the router."""
+
+PAGE: Final = 200
+"""Events in one change at most."""
+
+_LIVES: Final = 2**32
+"""Sequence numbers of one incarnation: none comes twice in the lives of a store."""
+
+
+@dataclass
+class _Topic:
+    """One that is followed. `leases`: until when each client is told; `last`: number of the last event told."""
+
+    sequence: int
+    last: int
+    state: str
+    view: JobView | None
+    workforce: Workforce
+    due: float
+    leases: dict[str, float] = field(default_factory=dict)
+
+
+class Followers:
+    """All followers of one coordinator. Its owner calls `tell` after each event, and `expire` now and then."""
+
+    def __init__(  # what a change is made of, and where it goes
+        self, incarnation: int, jobs: Mapping[str, Job], shown: JobViews, events: EventLog,
+        workforce: Callable[[float], Workforce], put: Callable[[str, bytes], None],
+    ) -> None:  # fmt: skip
+        """`workforce` returns how many workers are there now; `put` sends bytes to a client by its name."""
+        self._sequences = itertools.count(incarnation * _LIVES + 1)
+        self._jobs = jobs
+        self._shown = shown
+        self._events = events
+        self._workforce = workforce
+        self._put = put
+        self._topics: dict[str | None, _Topic] = {}
+        self._changed: set[str | None] = set()
+
+    def __len__(self) -> int:
+        return sum(len(topic.leases) for topic in self._topics.values())
+
+    def __bool__(self) -> bool:
+        return True
+
+    def follow(self, client: str, question: Follow, now: float) -> Following | None:
+        """Let a client follow, for another lease; return what it does not have yet. None: there is no such job.
+
+        Raises:
+            RefusedError: There are too many followers.
+        """
+        if question.job is not None and self._shown.view(question.job, now) is None:
+            return None
+        topic = self._topics.get(question.job) or self._begin(question.job, now)
+        if client not in topic.leases and len(self) >= MAX_FOLLOWERS:
+            raise RefusedError(f"{MAX_FOLLOWERS} programs follow jobs already; ask for the status now and then instead")
+        topic.leases[client] = now + LEASE_S
+        return Following(lease_s=LEASE_S, change=self._missed(question, topic, now))
+
+    def touch(self, job: str | None) -> None:
+        """Take notice that something has happened to a job, or to none in particular."""
+        for topic in (job, None):
+            if topic in self._topics:
+                self._changed.add(topic)
+
+    def look(self, now: float) -> None:
+        """Notice what happens by itself: workers come and go, and the line of those that wait gets shorter."""
+        if not self._topics:
+            return
+        workforce = self._workforce(now)
+        for name, topic in self._topics.items():
+            if name is not None and (topic.workforce != workforce or topic.state == "queued"):
+                self._changed.add(name)
+
+    def tell(self, now: float) -> float | None:
+        """Tell the changes that are due; return in how many seconds the next ones are, None when there are none."""
+        for name in [name for name in self._changed if self._is_due(name, now)]:
+            self._changed.discard(name)
+            self._tell(name, self._topics[name], now)
+        return min((max(0.0, self._topics[name].due - now) for name in self._changed), default=None)
+
+    def expire(self, now: float) -> None:
+        """Forget the followers whose leases are over, and what nobody follows."""
+        for topic in self._topics.values():
+            topic.leases = {client: end for client, end in topic.leases.items() if end > now}
+        self._topics = {name: topic for name, topic in self._topics.items() if topic.leases}
+        self._changed &= self._topics.keys()
+
+    def _begin(self, job: str | None, now: float) -> _Topic:
+        told = self._events.read(job, 0, 1)
+        topic = _Topic(next(self._sequences), told[-1].number if told else 0, self._state(job), None, Workforce(), now)
+        self._topics[job] = topic
+        return topic
+
+    def _missed(self, question: Follow, topic: _Topic, now: float) -> Change | None:
+        """Return how it stands and the events that a client does not have; None when it has all."""
+        events = () if question.after is None else self._events.read(question.job, question.after, PAGE)
+        if question.sequence == topic.sequence and not events:
+            return None
+        return Change(
+            job=question.job,
+            sequence=topic.sequence,
+            previous=question.sequence,
+            view=self._view(question.job, now),
+            workforce=self._workforce(now),
+            events=events,
+            last=events[-1].number if events else question.after or 0,
+            has_more=len(events) == PAGE,
+        )
+
+    def _is_due(self, name: str | None, now: float) -> bool:
+        topic = self._topics[name]
+        return now >= topic.due or topic.state != self._state(name)
+
+    def _state(self, job: str | None) -> str:
+        live = self._jobs.get(job) if job is not None else None
+        return live.state if live is not None else ""
+
+    def _tell(self, name: str | None, topic: _Topic, now: float) -> None:
+        """Tell how a topic stands, unless that is as before."""
+        topic.due = now + INTERVAL_S
+        view, workforce = self._view(name, now), self._workforce(now)
+        events = self._events.read(name, topic.last, PAGE) if topic.last else self._events.read(name, 0, PAGE)
+        topic.state = self._state(name)
+        if not events and workforce == topic.workforce and _timeless(view) == _timeless(topic.view):
+            return
+        previous, topic.sequence = topic.sequence, next(self._sequences)
+        topic.view, topic.workforce = view, workforce
+        topic.last = events[-1].number if events else topic.last
+        has_more = len(events) == PAGE
+        change = Change(
+            job=name, sequence=topic.sequence, previous=previous, view=view, workforce=workforce, events=events,
+            last=topic.last, has_more=has_more,
+        )  # fmt: skip
+        payload = encode(change)
+        for client in topic.leases:
+            self._put(client, payload)
+
+    def _view(self, job: str | None, now: float) -> JobView | None:
+        return self._shown.view(job, now) if job is not None else None
+
+
+def _timeless(view: JobView | None) -> JobView | None:
+    """Return a view without what changes by time alone."""
+    return view and view.model_copy(update={"elapsed": 0.0, "point_evaluations_per_second": None})
