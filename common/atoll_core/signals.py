@@ -46,9 +46,39 @@ def ignore(numbers: Iterable[signal.Signals]) -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
+class _Hold:
+    """Whether an interrupt is held back now, and whether one has come meanwhile."""
+
+    depth = 0
+    has_come = False
+
+
+@contextmanager
+def interrupts_held_back() -> Iterator[None]:
+    """Have an interrupt that comes inside be raised at the end of the block.
+
+    For calls of foreign code that calls us back in the main thread, and swallows what is raised there.
+    """
+    _Hold.depth += 1
+    try:
+        yield
+    finally:
+        _Hold.depth -= 1
+        if _Hold.has_come and not _Hold.depth:
+            _Hold.has_come = False
+            raise KeyboardInterrupt
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    if _Hold.depth:
+        _Hold.has_come = True
+    else:
+        raise KeyboardInterrupt
+
+
 def raising_interrupts() -> AbstractContextManager[None]:
     """Return a context that raises KeyboardInterrupt for Ctrl-C, SIGTERM and hang-up alike, also in the background."""
-    return handling(dict.fromkeys((signal.SIGINT, *termination_signals()), signal.default_int_handler))
+    return handling(dict.fromkeys((signal.SIGINT, *termination_signals()), _interrupt))
 
 
 def stopping(stop: "threading.Event") -> AbstractContextManager[None]:
@@ -56,7 +86,7 @@ def stopping(stop: "threading.Event") -> AbstractContextManager[None]:
 
     def ask(number: int, frame: FrameType | None) -> None:
         if stop.is_set():
-            raise KeyboardInterrupt
+            _interrupt(number, frame)
         stop.set()
 
     return handling(dict.fromkeys((signal.SIGINT, *termination_signals()), ask))
@@ -99,7 +129,7 @@ def end_at_interrupts() -> None:
 def raise_interrupts() -> None:
     """Have Ctrl-C raise KeyboardInterrupt from now on, if it has ended the process until now."""
     if signal.getsignal(signal.SIGINT) is _end_at_once:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _interrupt)
 
 
 def _end_at_once(number: int, frame: FrameType | None) -> NoReturn:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from atoll_core.signals import raising_interrupts, stopping
+from atoll_core.signals import interrupts_held_back, raising_interrupts, stopping
 
 
 @pytest.fixture
@@ -42,3 +42,24 @@ def test_without_that_all_of_them_end_a_program_alike(number: signal.Signals) ->
     assert stop.is_set()
     with pytest.raises(KeyboardInterrupt), raising_interrupts():
         signal.raise_signal(number)
+
+
+def test_an_interrupt_during_foreign_code_is_raised_behind_it() -> None:
+    """Zenoh's binding prints what is raised in a callback, and goes on: an interrupt there was lost."""
+    done: list[str] = []
+
+    def interrupted() -> None:
+        with interrupts_held_back():
+            with interrupts_held_back():
+                signal.raise_signal(signal.SIGTERM)
+                done.append("inside")
+            done.append("behind the inner one")
+
+    with raising_interrupts():
+        with pytest.raises(KeyboardInterrupt):
+            interrupted()
+        assert done == ["inside", "behind the inner one"]
+        with interrupts_held_back():
+            pass  # it is raised once
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)

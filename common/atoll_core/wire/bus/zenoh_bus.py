@@ -9,6 +9,7 @@ for at most `_WAIT_FOR_PEER_US`, a lease short enough to notice a lost machine w
 is larger than any of ours.
 """
 
+import contextlib
 import itertools
 import json
 import threading
@@ -22,7 +23,8 @@ import zenoh
 from zenoh.handlers import Callback
 
 from atoll_core.errors import LocalProtocolError, UnreachableError, UsageError
-from atoll_core.wire.addresses import Destination, bindable, check_certificates, destination, why_unreachable
+from atoll_core.signals import interrupts_held_back
+from atoll_core.wire.addresses import Address, Destination, bindable, check_certificates, destination, why_unreachable
 from atoll_core.wire.bus.inbox import Inbox, Timers
 from atoll_core.wire.bus.interface import (
     MAX_PAYLOAD,
@@ -268,9 +270,14 @@ class ZenohBus:
                 return event
 
     def _call(self, act: Callable[[], object]) -> bool:
-        """Let zenoh `act`; return False when the session is closed: what is then sent is lost without a sign."""
+        """Let zenoh `act`; return False when the session is closed: what is then sent is lost without a sign.
+
+        It may call us back meanwhile, and an interrupt that is raised there would be lost.
+        """
+        is_main = threading.current_thread() is threading.main_thread()
         try:
-            act()
+            with interrupts_held_back() if is_main else contextlib.nullcontext():
+                act()
         except zenoh.ZError as error:
             if not self._session.is_closed():
                 raise LocalProtocolError(f"zenoh refused a call: {_reason(error)}") from error
