@@ -6,6 +6,7 @@ With credentials an address is a destination: where to listen or dial, and with 
 import contextlib
 import errno
 import os
+import re
 import socket
 import tempfile
 from collections.abc import Iterator
@@ -25,6 +26,8 @@ _NOT_IN_PATHS: Final = "?#\0\n"
 """What ends the path of an address, for zenoh."""
 _ENCRYPTED: Final = ("tls", "quic")
 _PROBE_LIMIT_S: Final = 2.0
+_BETWEEN: Final = re.compile(rf",(?=\s*(?:{'|'.join((*_PROTOCOLS, _SOCKET))})/)")
+"""What stands between two addresses; the path of a socket may have commas."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,22 +55,43 @@ class Address:
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """An address, and what we show there. Its text is the address alone."""
+    """An address, and what we show there. Its text is the address alone.
+
+    `others` are further addresses of the same service, tried in turn: of a coordinator on standby, of a second router.
+    """
 
     address: Address
     credentials: Credentials | None = None
+    others: tuple[Address, ...] = ()
+
+    @property
+    def addresses(self) -> tuple[Address, ...]:
+        """All addresses, the first one first."""
+        return (self.address, *self.others)
 
     def __str__(self) -> str:
-        return str(self.address)
+        return ",".join(str(address) for address in self.addresses)
 
 
 def destination(text: str, credentials: Credentials | None = None) -> Destination:
-    """Return the address that `text` names, with the credentials to be shown there.
+    """Return the addresses that `text` names, separated by commas, with the credentials to be shown there.
 
     Raises:
-        UsageError: it is no address, or it is an encrypted one without credentials, or the other way round.
+        UsageError: one is no address, or it is an encrypted one without credentials, or the other way round.
     """
-    address = parse_address(text)
+    addresses = addresses_in(text)
+    for address in addresses:
+        _check_protection(address, credentials)
+    return Destination(addresses[0], credentials, addresses[1:])
+
+
+def addresses_in(text: str) -> tuple[Address, ...]:
+    """Return the addresses that `text` names, separated by commas; raises UsageError."""
+    return tuple(dict.fromkeys(parse_address(part) for part in _BETWEEN.split(text)))
+
+
+def _check_protection(address: Address, credentials: Credentials | None) -> None:
+    """Raise UsageError unless there are credentials for an encrypted address, and for no other."""
     place = f"{address.host}:{address.port}"
     if credentials is None and address.protocol in _ENCRYPTED:
         names = ", ".join(f"{option} ({variable})" for option, (variable, _) in TLS_OPTIONS.items())
@@ -77,7 +101,6 @@ def destination(text: str, credentials: Credentials | None = None) -> Destinatio
             f"{address} is not encrypted, but TLS files were given; write tls/{place}, or leave out --tls-... "
             "and ATOLL_TLS_..."
         )
-    return Destination(address, credentials)
 
 
 def parse_address(text: str) -> Address:
@@ -168,20 +191,19 @@ def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | 
     return None
 
 
-def check_certificates(to: Destination, listen_s: float) -> str | None:
-    """Return what is wrong with TLS at `to`, beyond certificates; None when nothing is, or that cannot be told.
+def check_certificates(address: Address, credentials: Credentials | None, listen_s: float) -> str | None:
+    """Return what is wrong with TLS at `address`, beyond certificates; None when nothing is, or that cannot be told.
 
     For `listen_s` seconds it is listened for what the other side thinks of our certificate.
 
     Raises:
         RefusedError: certificates do not fit, or are asked for and not given.
     """
-    address = to.address
     if address.protocol == "quic" or address.is_socket:
         return None
     try:
-        if to.credentials is not None:
-            return check_welcome(address.host, address.port, to.credentials, listen_s)
+        if credentials is not None:
+            return check_welcome(address.host, address.port, credentials, listen_s)
         if speaks_tls(address.host, address.port):
             raise RefusedError(
                 f"it asks for TLS; write tls/{address.host}:{address.port} and give {', '.join(TLS_OPTIONS)}"

@@ -24,6 +24,9 @@ def read_options(options: argparse.Namespace, router: str | None = None) -> tupl
     """Return where to listen, or the `router` to join, and who may do what; begin to log. Raises UsageError."""
     credentials = credentials_of(vars(options), os.environ, "serve" if router is None else "connect")
     wanted = destination(options.listen if router is None else router, credentials)
+    if wanted.others:
+        option = "--listen" if router is None else "--router"
+        raise UsageError(f"{option} takes one address, but {len(wanted.addresses)} were given: {wanted}")
     if options.roster is not None and credentials is None:
         raise UsageError(
             "--roster gives roles to the names in certificates, so it needs --tls-ca, --tls-cert and --tls-key"

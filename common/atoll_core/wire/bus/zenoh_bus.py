@@ -110,7 +110,8 @@ def open_router(
 def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Settings | None = None) -> "ZenohBus":
     """Connect to the router at `connect`, trying again for `wait_s` seconds, and return a bus.
 
-    Once connected, the bus finds a router that went away again by itself; Link events tell of both.
+    Once connected, the bus finds a router that went away again by itself, or one at another of the addresses of
+    `connect`; Link events tell of both.
 
     Raises:
         UnreachableError: no coordinator answered in time.
@@ -118,25 +119,38 @@ def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Setti
         UsageError: `connect` is no address, or a setting is unknown to zenoh.
     """
     to = connect if isinstance(connect, Destination) else destination(connect)
-    address = to.address
-    config = _config("client", [], [str(address)], {**_guards(to), **(settings or {})})
+    further = {**_guards(to), **(settings or {})}
     end = time.monotonic() + wait_s
     while True:
-        reason = why_unreachable(address)
-        if reason is None and to.credentials is not None:
-            reason = check_certificates(to, _QUICK_S)
-        if reason is None:
-            try:
-                return ZenohBus(zenoh.open(config), str(address), is_router=False)
-            except zenoh.ZError:
-                reason = check_certificates(to, _SLOW_S) or "what listens there did not answer as a coordinator does"
+        reasons: list[str] = []
+        for place, address in enumerate(to.addresses):
+            in_turn = [str(each) for each in (*to.addresses[place:], *to.addresses[:place])]
+            opened = _dial(address, to, _config("client", [], in_turn, further))
+            if isinstance(opened, ZenohBus):
+                return opened
+            reasons.append(opened)
         if time.monotonic() >= end:
             waited = f" within {wait_s:g} s" if wait_s > 0.0 else ""
+            reason = ", ".join(dict.fromkeys(reasons))
             raise UnreachableError(
-                f"no coordinator answers at {address}{waited}: {reason}; "
+                f"no coordinator answers at {to}{waited}: {reason}; "
                 "check the address, or start one with `coordinator serve`"
             )
         time.sleep(min(_PAUSE_S, max(0.0, end - time.monotonic())))
+
+
+def _dial(address: Address, to: Destination, config: zenoh.Config) -> "ZenohBus | str":
+    """Return a bus connected to `address`, or why there is none now; raises RefusedError where that stays so."""
+    reason = why_unreachable(address)
+    if reason is None and to.credentials is not None:
+        reason = check_certificates(address, to.credentials, _QUICK_S)
+    if reason is not None:
+        return reason
+    try:
+        return ZenohBus(zenoh.open(config), str(address), is_router=False)
+    except zenoh.ZError:
+        slow = check_certificates(address, to.credentials, _SLOW_S)
+        return slow or "what listens there did not answer as a coordinator does"
 
 
 class ZenohBus:

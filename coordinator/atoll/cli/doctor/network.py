@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from atoll.cli.doctor.finding import Finding, counted, fine, problem
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, UsageError
-from atoll_core.wire.addresses import Destination, bindable, destination, parse_address, why_unreachable
+from atoll_core.wire.addresses import Destination, addresses_in, bindable, destination, parse_address, why_unreachable
 from atoll_core.wire.security.credentials import Credentials, credentials_of
 
 if TYPE_CHECKING:
@@ -39,15 +39,19 @@ def check_address(options: argparse.Namespace) -> Iterator[Finding]:
         yield Finding("address", "problem", "none was named", "give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
         return
     try:
-        address = parse_address(text)
+        addresses = addresses_in(text)
     except UsageError as error:
         yield Finding("address", "problem", str(error), "write it as `coordinator serve` printed it")
         return
-    reason = why_unreachable(address, LIMIT_S)
-    if reason is None:
-        yield fine("address", f"{address} accepts connections")
-    else:
-        yield Finding("address", "problem", f"{address} cannot be reached: {reason}", _advice(reason))
+    reasons = {address: why_unreachable(address, LIMIT_S) for address in addresses}
+    is_enough = None in reasons.values()  # of the others each may be that of a coordinator on standby
+    for address, reason in reasons.items():
+        if reason is None:
+            yield fine("address", f"{address} accepts connections")
+        elif is_enough:
+            yield fine("address", f"{address} does not ({reason}), as a coordinator on standby")
+        else:
+            yield Finding("address", "problem", f"{address} cannot be reached: {reason}", _advice(reason))
 
 
 def _advice(reason: str) -> str:

@@ -81,7 +81,10 @@ def _keep(text: str) -> tuple[int | None, int | None]:
 
 _JSON: Final = _switch("--json", "print JSON")
 _CONNECT: Final = (
-    _value("--connect", "tcp/HOST:PORT", "the coordinator (default: $ATOLL_CONNECT)"), add_tls_options,
+    _value(
+        "--connect", "tcp/HOST:PORT", "the coordinator, at one or several addresses, as a,b (default: $ATOLL_CONNECT)",
+    ),
+    add_tls_options,
 )  # fmt: skip
 _LISTEN: Final = _value(
     "--listen", "tcp/HOST:PORT", default="tcp/127.0.0.1:7447",

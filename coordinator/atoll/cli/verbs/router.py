@@ -39,7 +39,8 @@ def router(options: argparse.Namespace) -> int:
     """Pass messages on until SIGTERM or Ctrl-C; return 0."""
     wanted, role_bindings = read_options(options)
     credentials = wanted.credentials
-    upstream = [str(destination(address, credentials)) for address in options.connect]
+    wanted_there = [destination(text, credentials) for text in options.connect]
+    upstream = [str(address) for there in wanted_there for address in there.addresses]
     from atoll_core.wire.bus.zenoh_bus import open_router
 
     stop = threading.Event()

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from atoll_core.errors import UsageError
-from atoll_core.wire.addresses import Address, bindable, own_address, parse_address, why_unreachable
+from atoll_core.wire.addresses import Address, bindable, destination, own_address, parse_address, why_unreachable
 
 
 @pytest.mark.parametrize(
@@ -91,3 +91,17 @@ def test_why_nothing_can_be_reached_is_said() -> None:
         assert why_unreachable(address) is None
     assert why_unreachable(address) == "connection refused"
     assert why_unreachable(Address("tcp", "no-such-host.invalid", 1)) == "the host 'no-such-host.invalid' is not known"
+
+
+def test_several_addresses_of_one_service_stand_between_commas() -> None:
+    there = destination("tcp/a:1, tcp/b:2,tcp/a:1")
+    assert [str(address) for address in there.addresses] == ["tcp/a:1", "tcp/b:2"]
+    assert str(there) == "tcp/a:1,tcp/b:2"
+    assert destination(str(there)) == there
+    assert destination("unixsock-stream//tmp/a,b/bus,tcp/c:1").addresses[0].host == "/tmp/a,b/bus"
+
+
+@pytest.mark.parametrize("text", ["tcp/a:1,", "tcp/a:1,b:2", ",tcp/a:1", "tcp/a:1,tls/b:2"])
+def test_each_of_several_addresses_must_be_one_of_the_same_kind(text: str) -> None:
+    with pytest.raises(UsageError):
+        destination(text)

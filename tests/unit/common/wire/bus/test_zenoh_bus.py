@@ -15,7 +15,7 @@ import pytest
 from atoll_core.errors import UnreachableError, UsageError
 from atoll_core.wire.addresses import bindable, own_address, parse_address
 from atoll_core.wire.bus import zenoh_bus
-from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Message, Presence, Query, Reply
+from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Link, Message, Presence, Query, Reply
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 
 LIMIT_S = 30.0
@@ -252,3 +252,22 @@ def test_another_user_reaches_no_router_at_an_address_of_its_own() -> None:
         program = f"{be_somebody}; socket.socket(socket.AF_UNIX).connect({address.host!r})"
         done = subprocess.run([sys.executable, "-S", "-c", program], capture_output=True, text=True)
     assert "PermissionError" in done.stderr
+
+
+def test_a_client_with_several_addresses_finds_whoever_listens_and_goes_over_to_another() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        nobody = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with open_router("tcp/127.0.0.1:0") as second:
+        other = open_router("tcp/127.0.0.1:0")
+        try:
+            with open_client(f"{nobody},{other.endpoint},{second.endpoint}", wait_s=10.0) as client:
+                assert client.endpoint == other.endpoint
+                other.close()
+                assert [first(client, Link), first(client, Link)] == [Link(False), Link(True)]
+        finally:
+            other.close()
+
+
+def test_none_of_several_addresses_is_said_with_all_of_them() -> None:
+    with pytest.raises(UnreachableError, match=r"no coordinator answers at tcp/127\.0\.0\.1:9,tcp/127\.0\.0\.1:10"):
+        open_client("tcp/127.0.0.1:9,tcp/127.0.0.1:10")
