@@ -24,6 +24,9 @@ _LOG = logging.getLogger(__name__)
 
 GREET_TIMEOUT_S: Final = 2.0
 GREET_PAUSE_S: Final = 0.2
+STALE_PAUSE_S: Final = 2.0
+"""Between greetings while a former coordinator answers: it ends within a tick of its own, once it goes on."""
+
 GRACE_S: Final = 30.0
 """How long handing over may take, unless another time was given."""
 ALONE_S: Final = 3.0
@@ -76,6 +79,7 @@ class CoordinatorConnection:
         self._clusters: set[str] = set()
         self._welcomes = 0
         self._newest = 0
+        self._stale: int | None = None
 
     def fail(self, error: AtollError) -> None:
         """End the worker with an error and its exit code."""
@@ -112,10 +116,14 @@ class CoordinatorConnection:
             return None
         former = self.welcome
         is_late = welcomes not in (None, self._welcomes)  # and may be of a former coordinator
-        if former and is_late and (former.realm != welcome.realm or welcome.incarnation < self._newest):
+        is_stale = former is not None and former.realm == welcome.realm and welcome.incarnation < self._newest
+        if former and is_late and (former.realm != welcome.realm or is_stale):
             self.greet()
             return None
-        self.welcome, self._away_since = welcome, None
+        if is_stale:
+            self._refuse_stale(welcome.incarnation)
+            return None
+        self.welcome, self._away_since, self._stale = welcome, None, None
         self._welcomes, self._newest = self._welcomes + 1, welcome.incarnation
         self._requests.cluster = welcome.realm
         self.is_accepted = self.is_accepted or bool(fingerprint)
@@ -128,8 +136,29 @@ class CoordinatorConnection:
         _LOG.info("the coordinator started anew; what was held is dropped")
         return Reset(welcome.incarnation if former.realm == welcome.realm else 0)
 
+    def _refuse_stale(self, incarnation: int) -> None:
+        """Join no coordinator of which a later incarnation has been heard: it hung, or its store was copied back."""
+        if self._stale != incarnation:
+            self._stale = incarnation
+            _LOG.warning(
+                "a former coordinator answers, and is not joined; was its store copied back without `restore`?",
+                extra=fields(incarnation=incarnation, newest=self._newest),
+            )
+        if self._away_since is None:
+            self._away_since = self._bus.now()
+        self._bus.call_later(STALE_PAUSE_S, GREET)
+
     def incarnation_heard(self, incarnation: int) -> None:
-        """Take in what a placement says: an answer of a former coordinator may still come, to an older greeting."""
+        """Take in what a placement says: an answer of a former coordinator may still come, to an older greeting.
+
+        Raises:
+            RemoteProtocolError: The placement is one of a former coordinator itself.
+        """
+        if incarnation < self._newest:
+            raise RemoteProtocolError(
+                f"a placement by incarnation {incarnation} of the coordinator came, and incarnation {self._newest} "
+                "has taken over"
+            )
         if incarnation > self._newest:
             self._welcomes, self._newest = self._welcomes + 1, incarnation
 
@@ -146,7 +175,7 @@ class CoordinatorConnection:
         if payload is None:
             self._away_since = self._away_since if self._away_since is not None else self._asked_at
             return
-        if self.welcome is not None:
+        if self.welcome is not None and self._stale is None:
             self._away_since = None
         try:
             _welcome(payload)
@@ -249,6 +278,12 @@ class CoordinatorConnection:
                 f"the coordinator did not answer the greeting of {self._name!r} within {self._wait_s:.0f} s, though it "
                 "can be reached: access control on the way does probably not know this name; have the router started "
                 "again with the roster that the coordinator has"
+            )
+        if self._stale is not None:
+            return (
+                f"for {self._wait_s:.0f} s only a coordinator of incarnation {self._stale} has answered, though "
+                f"incarnation {self._newest} has taken over; if its store was copied back, put the copy in place by "
+                "`coordinator restore`"
             )
         return f"the coordinator has not answered for {self._wait_s:.0f} s; start it again"
 

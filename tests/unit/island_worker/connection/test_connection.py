@@ -3,7 +3,7 @@
 import pytest
 
 from atoll_core import PROTOCOL_VERSION, VERSION
-from atoll_core.errors import RefusedError, UnreachableError
+from atoll_core.errors import RefusedError, RemoteProtocolError, UnreachableError
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Refusal, Welcome
 from atoll_island_worker.connection.connection import ALONE_S, CoordinatorConnection
@@ -88,7 +88,37 @@ def test_a_late_welcome_of_a_former_coordinator_voids_nothing() -> None:
     assert bench.connection.handle_answer("", welcome(cluster="s"), 1) is None
     assert len(bench.requests.greetings) == sent + 2, "what is there now is asked"
     assert bench.connection.handle_answer("", welcome(incarnation=3), 1) == Reset(3)
-    assert bench.connection.handle_answer("", welcome(), 3) == Reset(1), "a store of before is in use again"
+
+
+def test_a_former_coordinator_that_answers_again_is_not_joined() -> None:
+    """One that hung while another took over, or a store that was copied back: its terms would be issued twice."""
+    bench = ConnectionBench()
+    bench.connection.handle_answer("", welcome(incarnation=2))
+    assert bench.connection.handle_answer("", welcome(incarnation=1)) is None
+    assert bench.connection.welcome is not None
+    assert bench.connection.welcome.incarnation == 2
+    bench.connection.handle_enquiry(welcome(incarnation=1))
+    bench.network.run(2 * WAIT_S)
+    bench.connection.check_absence()
+    assert isinstance(bench.connection.error, UnreachableError)
+    assert "incarnation 2 has taken over" in str(bench.connection.error)
+
+
+def test_a_former_coordinator_is_forgotten_when_the_present_one_answers() -> None:
+    bench = ConnectionBench()
+    bench.connection.handle_answer("", welcome(incarnation=2))
+    bench.connection.handle_answer("", welcome(incarnation=1))
+    assert bench.connection.handle_answer("", welcome(incarnation=3)) == Reset(3)
+    bench.network.run(2 * WAIT_S)
+    bench.connection.check_absence()
+    assert bench.connection.error is None
+
+
+def test_a_placement_of_a_former_coordinator_is_refused() -> None:
+    bench = ConnectionBench()
+    bench.connection.handle_answer("", welcome(incarnation=2))
+    with pytest.raises(RemoteProtocolError, match="incarnation 2 has taken over"):
+        bench.connection.incarnation_heard(1)
 
 
 def test_a_late_welcome_voids_nothing_that_a_later_coordinator_has_placed() -> None:
