@@ -15,7 +15,7 @@ from atoll_core.compilation.progress import count_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.logs import fields
 from atoll_core.machine.usage import memory_bytes
-from atoll_core.tasks.frames import Begun, Computed, Ended, Failed, Finished, Give
+from atoll_core.tasks.frames import Said
 from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Query, Reply, Timer
@@ -145,7 +145,7 @@ class Worker:
             case events.JobReady() | events.LoadFailed():
                 if self._datasets.finish_loading(item.job):
                     self._handle(item)
-            case Begun() | Finished() | Failed() | Give() | Computed() | Ended():
+            case Said():
                 if self._tasks.process_said(item):
                     self._send_heartbeat()
             case events.Snapshot() | events.Computed() | events.Rejected() | events.Broken() | events.Abandoned():

@@ -123,5 +123,13 @@ class Ended:
     why: str
 
 
+@dataclass(frozen=True, slots=True)
+class Said:
+    """Posted to the worker's loop: what its process says. `life` counts the processes that it has started."""
+
+    life: int
+    message: "FromProcess"
+
+
 ToProcess = Run | Load | Ask | Take | Batch
 FromProcess = Started | Begun | Finished | Failed | Give | Computed | Logged | Ended

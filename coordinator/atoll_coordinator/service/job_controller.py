@@ -245,7 +245,7 @@ class JobController:
 
     def has_task(self, worker: str) -> bool:
         """Tell whether a worker has a task that has not ended."""
-        return any(task.worker == worker for task in self.tasks.table)
+        return self.tasks.table.on(worker) is not None
 
     def lose_tasks(self, worker: str, now: float) -> None:
         """Take in that a worker is lost: others get its tasks."""

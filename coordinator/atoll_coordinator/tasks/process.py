@@ -33,15 +33,23 @@ from atoll_core.tasks.frames import (
     Take,
     ToProcess,
 )
+from atoll_core.tasks.installation import OTHER_VERSION, version
 
 _STDIN: Final = 0
+_STDOUT: Final = 1
+_STDERR: Final = 2
 _MORE_LIKELY: Final = "500"
 _POLL_S: Final = 0.25
 _LOG = logging.getLogger(__name__)
 
 
-def main(descriptor: int, level: int) -> None:
-    """Run tasks until the worker at the other end of the pipe `descriptor` is gone; `level` is the least logged."""
+def main(descriptor: int, level: int, of: str) -> None:
+    """Run tasks until the worker at the other end of the pipe `descriptor`, whose version is `of`, is gone.
+
+    `level` is the least that is logged.
+    """
+    if of != version():
+        sys.exit(OTHER_VERSION)
     serve(Connection(descriptor), level)
 
 
@@ -53,14 +61,16 @@ def serve(connection: "Connection[FromProcess, ToProcess]", level: int) -> None:
         with contextlib.suppress(OSError):  # where memory runs out, this is to go before its worker
             Path("/proc/self/oom_score_adj").write_text(_MORE_LIKELY, "ascii")
     collect_rarely()
-    _close_stdin()
+    _turn_away_streams()
     TaskProcess(connection, level).work()
 
 
-def _close_stdin() -> None:
+def _turn_away_streams() -> None:
+    """Have nothing to read on stdin, and what is printed go to stderr: stdout is the worker's."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, _STDIN)
     os.close(nothing)
+    os.dup2(_STDERR, _STDOUT)
 
 
 class TaskProcess:
@@ -156,8 +166,14 @@ class _LogSender(logging.Handler):
         self._send = send
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Send a record."""
+        """Send a record; one that cannot be sent is told on stderr, as any handler does."""
+        try:
+            self._send(self._logged(record))
+        except Exception:
+            self.handleError(record)
+
+    def _logged(self, record: logging.LogRecord) -> Logged:
         values: Mapping[str, object] = dict(vars(record))
         if record.exc_info:
             values = {**values, "exc_text": logging.Formatter().formatException(record.exc_info)}
-        self._send(Logged({**values, "msg": record.getMessage(), "args": None, "exc_info": None}))
+        return Logged({**values, "msg": record.getMessage(), "args": None, "exc_info": None})

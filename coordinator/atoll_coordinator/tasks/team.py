@@ -119,7 +119,7 @@ class Team:
             given, place = min(out)
             due = given + LATE * call.longest_s
             if now < due:
-                self._changed.wait(min(due, end or due) - now)
+                self._changed.wait((due if end is None else min(due, end)) - now)
                 return None
             call.given[place] = now
             return place
@@ -141,7 +141,7 @@ class Team:
             self._serve_waiting()
 
     def take(self, number: int, result: bytes | None) -> None:
-        """Take in what a helper made of a batch; of one that could not be made somebody else has to make it."""
+        """Take in what a helper made of a batch; one that could not be made there is the next that is made here."""
         with self._changed:
             call = next((one for one in self._calls if one.first <= number < one.first + len(one.items)), None)
             if call is None or number - call.first not in call.given:
@@ -149,8 +149,7 @@ class Team:
             place = number - call.first
             if result is None:
                 del call.given[place]
-                call.waiting.append(place)
-                self._serve_waiting()
+                call.waiting.appendleft(place)  # helpers get others, from the back: it may break with each of them
             else:
                 self._settle(call, place, result)
             self._changed.notify_all()

@@ -1,6 +1,6 @@
 """What is leased to this worker: its inputs, its process, its result; and batches between workers.
 
-One task at a time, its own or that of another worker which it helps. Owned by the worker's loop.
+One task runs at a time, its own or that of another worker which it helps. Owned by the worker's loop.
 """
 
 import hashlib
@@ -17,10 +17,11 @@ from atoll_core.tasks.frames import (
     Computed,
     Ended,
     Failed,
+    Failure,
     Finished,
-    FromProcess,
     Give,
     Run,
+    Said,
     Take,
 )
 from atoll_core.wire.bus.interface import Query
@@ -62,11 +63,16 @@ TASK_TRANSITIONS: Final[dict[TaskState, dict[TaskStep, TaskState | None]]] = {
 
 @dataclass(slots=True)
 class _Leased:
-    """A task that is leased to this worker; `result` or `failed` once that has come."""
+    """A task that is leased to this worker; `result` or `failed` once that has come.
+
+    `inputs` are those that have come, until it runs; `life` says which process runs it.
+    """
 
     lease: Lease
     state: TaskState = "fetching"
     downloads: dict[str, Download] = field(default_factory=dict)
+    inputs: dict[str, bytes] = field(default_factory=dict)
+    life: int = 0
     result: bytes = b""
     failed: TaskFailed | None = None
     began: float = 0.0
@@ -82,10 +88,11 @@ class _Leased:
 
 @dataclass(slots=True)
 class _Helped:
-    """A task of another worker; `batch` is the one that is computed here now."""
+    """A task of another worker; `batch` is the one that is computed here now, by the process of that `life`."""
 
     help: Help
     batch: int | None = None
+    life: int = 0
 
 
 class TaskRunner:
@@ -138,23 +145,30 @@ class TaskRunner:
                 self._release(body.task)
 
     def _lease(self, lease: Lease) -> None:
-        """Begin a task; of one that is done already push again what came of it."""
+        """Begin a task; of one that is done already push again what came of it.
+
+        One that failed begins anew when the term is another: the coordinator has it tried again.
+        """
         known = self._leased.get(lease.task)
-        if known is not None:
+        if known is not None and (known.failed is None or known.failed.term == lease.term):
+            known.lease = lease
             self._push(known)
             return
         leased = self._leased[lease.task] = _Leased(lease)
         for given in lease.inputs:
-            if given.data is not None:
-                self._cache.add(given.digest, given.data)
-            elif given.digest not in self._cache:
+            data = given.data if given.data is not None else self._cache.get(given.digest)
+            if data is not None:
+                leased.inputs[given.digest] = data
+            else:
                 leased.downloads[given.digest] = Download(given.digest, given.size)
         self.fetch(lease.task)
-        self._run_if_fetched(leased)
+        self._run_next()
 
     def _help(self, wanted: Help) -> None:
-        """Help another worker with its task, until it is done or released; one task at a time."""
+        """Help another worker with its task, until it is done or released; one task at a time, its own first."""
         if self._helped is not None and self._helped.help.task == wanted.task:
+            return
+        if any(leased.failed is None and leased.state != "done" for leased in self._leased.values()):
             return
         self._helped = _Helped(wanted)
         self._pull_batch(None)
@@ -164,7 +178,8 @@ class TaskRunner:
         leased = self._leased.pop(task, None)
         if leased is not None and leased.state in ("waiting", "running"):
             self._process.stop()
-            self._answer_helpers()
+            self._answer_helpers(task)
+        self._run_next()
         if self._helped is not None and self._helped.help.task == task:
             self._stop_helping()
 
@@ -208,74 +223,80 @@ class TaskRunner:
             self.fetch(task)
             return
         self._cache.add(digest, data)
+        leased.inputs[digest] = data
         del leased.downloads[digest]
-        self._run_if_fetched(leased)
+        self._run_next()
 
-    def _run_if_fetched(self, leased: _Leased) -> None:
-        if leased.downloads or leased.state != "fetching":
+    def _run_next(self) -> None:
+        """Run the first task whose inputs are here, if none runs."""
+        if any(leased.state in ("waiting", "running") for leased in self._leased.values()):
             return
-        inputs = [self._cache.get(given.digest) for given in leased.lease.inputs]
-        if any(data is None for data in inputs):  # forgotten for want of room, while others came
-            for given, data in zip(leased.lease.inputs, inputs, strict=True):
-                if data is None:
-                    leased.downloads[given.digest] = Download(given.digest, given.size)
-            self.fetch(leased.lease.task)
+        ready = (one for one in self._leased.values() if one.state == "fetching" and not one.downloads)
+        leased = next(ready, None)
+        if leased is None:
             return
         leased.step("fetched")
         self._stop_helping()
         leased.began = self._clock()
-        lease, held = leased.lease, tuple(data for data in inputs if data is not None)
-        self._process.send(Run(lease.task, lease.function, held, lease.seconds, lease.threads))
+        lease, inputs = leased.lease, tuple(leased.inputs[given.digest] for given in leased.lease.inputs)
+        leased.inputs.clear()
+        leased.life = self._process.send(Run(lease.task, lease.function, inputs, lease.seconds, lease.threads))
 
     # ------------------------------------------------------------------------------------------- process
 
-    def process_said(self, message: FromProcess) -> bool:
+    def process_said(self, said: Said) -> bool:
         """Take in what the process says; return whether the coordinator is to be told at once."""
+        message = said.message
         match message:
-            case Begun():
-                return self._step(message.task, "begun")
-            case Finished():
-                return self._finish(message)
-            case Failed():
-                return self._fail(message.task, message.failure, message.sentence)
+            case Begun() | Finished() | Failed():
+                leased = self._leased.get(message.task)
+                if leased is not None and leased.life == said.life:  # else a process said it that was stopped since
+                    self._advance(leased, message)
+                    return True
             case Ended():
-                self._answer_helpers()
-                running = [task for task, leased in self._leased.items() if leased.state in ("waiting", "running")]
-                self._helped = None
-                return bool([self._fail(task, message.failure, message.why) for task in running])
+                return self._ended(said.life, message)
             case Give():
                 self._give(message)
             case Computed():
                 self._computed(message)
         return False
 
-    def _step(self, task: str, step: TaskStep) -> bool:
-        leased = self._leased.get(task)
-        if leased is not None:
-            leased.step(step)
-        return leased is not None
+    def _advance(self, leased: _Leased, message: Begun | Finished | Failed) -> None:
+        match message:
+            case Begun():
+                leased.step("begun")
+            case Finished():
+                self._finish(leased, message)
+            case Failed():
+                self._fail(leased, message.failure, message.sentence)
+                self._run_next()
 
-    def _finish(self, message: Finished) -> bool:
-        leased = self._leased.get(message.task)
-        if leased is None:
-            return False
+    def _ended(self, life: int, message: Ended) -> bool:
+        """Take in that a process has ended by itself, with what it did; return whether it had a task."""
+        if self._helped is not None and self._helped.batch is not None and self._helped.life == life:
+            self._stop_helping()
+        lost = [one for one in self._leased.values() if one.life == life and one.state in ("waiting", "running")]
+        for leased in lost:
+            self._fail(leased, message.failure, message.why)
+        self._run_next()
+        return bool(lost)
+
+    def _finish(self, leased: _Leased, message: Finished) -> None:
         leased.step("finished")
         leased.result, leased.seconds = message.result, self._clock() - leased.began
         self._push(leased)
-        self._answer_helpers()
+        self._answer_helpers(message.task)
+        self._run_next()
         following = NEXT.get(leased.lease.function)
-        if following is not None:
+        if following is not None and all(one.state in ("fetching", "done", "failed") for one in self._leased.values()):
             self._process.load_next(following)
-        return True
 
-    def _fail(self, task: str, failure: Literal["error", "memory", "crash", "time"], sentence: str) -> bool:
-        leased = self._leased.get(task)
-        if leased is None:
-            return False
+    def _fail(self, leased: _Leased, failure: Failure, sentence: str) -> None:
         leased.step("failed")
-        leased.failed = TaskFailed(task=task, failure=failure, sentence=sentence[:4000])
+        lease = leased.lease
+        leased.failed = TaskFailed(task=lease.task, term=lease.term, failure=failure, sentence=sentence[:4000])
         self._push(leased)
-        return True
+        self._answer_helpers(lease.task)
 
     def _push(self, leased: _Leased) -> None:
         """Send what came of a task, if it is there: the coordinator releases it when it has it all."""
@@ -300,8 +321,10 @@ class TaskRunner:
 
     def _batch_came(self, task: str, payload: bytes | None) -> None:
         """Take in a batch; without any, or without a task there, helping has ended."""
-        if self._helped is None or self._helped.help.task != task:
+        helped = self._helped
+        if helped is None or helped.help.task != task:
             return
+        self._helped = None  # also where what came cannot be read: the coordinator has it help again
         body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else NoTask()
         match body:
             case GivenBatch():
@@ -310,12 +333,11 @@ class TaskRunner:
                 context = self._contexts.get(body.digest)
                 if context is None:
                     raise RemoteProtocolError(f"a batch came with the context {body.digest}, which is not here")
-                self._helped.batch = body.number
-                self._process.send(Batch(body.number, body.function, body.digest, context, body.item))
+                self._helped, helped.batch = helped, body.number
+                helped.life = self._process.send(Batch(body.number, body.function, body.digest, context, body.item))
             case NotYet():
+                self._helped = helped
                 self._pull_batch(None)
-            case _:
-                self._helped = None
 
     def _computed(self, message: Computed) -> None:
         if self._helped is not None and self._helped.batch == message.number:
@@ -349,11 +371,11 @@ class TaskRunner:
         )
         self._reply(asked[1], PullAnswer(body=given))
 
-    def _answer_helpers(self) -> None:
-        """Tell helpers who wait that there is no task any more."""
-        for _, query in self._asked.values():
+    def _answer_helpers(self, task: str) -> None:
+        """Tell helpers who wait for batches of a task that there is no such task any more."""
+        for token in [token for token, (asked, _) in self._asked.items() if asked == task]:
+            _, query = self._asked.pop(token)
             self._reply(query, PullAnswer(body=NoTask()))
-        self._asked.clear()
 
     def close(self) -> None:
         """End the process."""

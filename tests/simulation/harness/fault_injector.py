@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from atoll_core.tasks.frames import Failure
 from tests.simulation.harness.fault_schedule import Fault
 from tests.simulation.harness.participants import USUAL_BACKGROUND_S, Participants
 from tests.simulation.harness.stub_islands import StubCompute
@@ -39,6 +40,7 @@ class FaultInjector:
         self._participants.network.plan = replace(self._participants.schedule.plan, drop=0.0, duplicate=0.0, late=0.0)
         self._participants.disk.slow_s, self._participants.background_s = 0.0, USUAL_BACKGROUND_S
         self._participants.disk.is_full = False
+        self._participants.fate.coming.clear()
         self._participants.disk.forget_death()
         for name in self._participants.network.participants:
             self._participants.network.resume(name)
@@ -176,6 +178,23 @@ class FaultInjector:
         self._set(fault, self._participants.disk, "slow_s", fault.strength, 0.0)
 
     def _strike_slow_background(self, fault: Fault) -> None:
+        self._set(fault, self._participants, "background_s", fault.strength, USUAL_BACKGROUND_S)
+
+    def _strike_crash_task(self, fault: Fault) -> None:
+        self._arm(fault, "crash")
+
+    def _strike_starve_task(self, fault: Fault) -> None:
+        self._arm(fault, "memory")
+
+    def _strike_break_task(self, fault: Fault) -> None:
+        self._arm(fault, "error")
+
+    def _strike_kill_in_task(self, fault: Fault) -> None:
+        self._arm(fault, None)
+
+    def _arm(self, fault: Fault, failure: Failure | None) -> None:
+        """Have the next task meet something; tasks take long for a while, so that other faults come in between."""
+        self._participants.fate.coming.append(failure)
         self._set(fault, self._participants, "background_s", fault.strength, USUAL_BACKGROUND_S)
 
     def _strike_full_disk(self, fault: Fault) -> None:

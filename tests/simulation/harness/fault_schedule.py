@@ -15,6 +15,7 @@ Kind = Literal[
     "kill", "hang", "stuck", "slow", "cut", "join", "leave", "close",
     "kill-coordinator", "die-before-commit", "die-after-commit", "hang-coordinator",
     "kill-router", "hang-router", "cut-coordinator",
+    "crash-task", "starve-task", "break-task", "kill-in-task",
     "storm", "slow-disk", "slow-background", "cut-client", "clock-jump", "full-disk", "old-store",
 ]  # fmt: skip
 
@@ -37,6 +38,10 @@ WHAT_IT_IS: Final[dict[Kind, str]] = {
     "storm": "for {span:.2f} s, {strength:.0%} of all messages are lost, as many doubled, as many late",
     "slow-disk": "for {span:.2f} s, every access to the store takes {strength:.3f} s",
     "slow-background": "for {span:.2f} s, preparing and refining take {strength:.2f} s",
+    "crash-task": "the process of the next task dies in the middle, of tasks that take {strength:.2f} s",
+    "starve-task": "the next task runs out of memory in the middle, of tasks that take {strength:.2f} s",
+    "break-task": "the next task breaks, of tasks that take {strength:.2f} s",
+    "kill-in-task": "the worker of the next task dies in its middle, of tasks that take {strength:.2f} s",
     "cut-client": "the client is cut off for {span:.2f} s",
     "full-disk": "for {span:.2f} s, nothing can be written to the store",
     "old-store": "the coordinator dies, and what it stored is found to be another version's {span:.2f} s later",
@@ -191,6 +196,7 @@ def schedule_of(seed: int) -> Schedule:
     horizon_s = length_s + draw.spread(2.0, 40.0)
     several = draw.pick((1, 2, 3, 3, 4, 5, 6, 8, 12))
     faults = [_fault(draw, workers, has_own_router, min(length_s, 30.0)) for _ in range(several)]
+    faults += _task_faults(Draw(seed, "tasks"), min(length_s, 30.0))
     kept = tuple(sorted((fault for fault in faults if fault.at_s < horizon_s), key=lambda fault: fault.at_s))
     guests = _guests(Draw(seed, "guests"), min(horizon_s, 30.0))
     return Schedule(seed, workers, slowness, has_own_router, is_hurried, plan, jobs, horizon_s, _named(kept), guests)
@@ -209,6 +215,15 @@ def _guests(draw: Draw, length_s: float) -> tuple[GuestPlan, ...]:
         )
         for number in range(count)
     )
+
+
+def _task_faults(draw: Draw, length_s: float) -> list[Fault]:
+    """Return what is to happen to tasks, which there are at the beginnings and ends of jobs only."""
+    several = draw.pick((0, 0, 1, 1, 2, 3))
+    return [
+        _in_task(draw, draw.real(0.0, length_s) * draw.pick((0.0, 1.0)), draw.pick(_TASK_KINDS), "")
+        for _ in range(several)
+    ]
 
 
 def _jobs(draw: Draw) -> tuple[JobPlan, ...]:
@@ -234,6 +249,7 @@ def _fault(draw: Draw, workers: int, has_own_router: bool, length_s: float) -> F
     return _MAKERS[kind](draw, at_s, kind, who)
 
 
+_TASK_KINDS: Final[list[Kind]] = ["crash-task", "starve-task", "break-task", "kill-in-task", "kill-in-task"]
 _WORKER_KINDS: Final[list[Kind]] = ["kill", "kill", "hang", "hang", "stuck", "slow", "cut", "cut", "join", "leave"]
 _WORKER_KINDS += ["join", "leave", "close"]
 _SERVICE_KINDS: Final[list[Kind]] = [
@@ -273,6 +289,10 @@ def _jump(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
     return Fault(at_s, kind, "", 0.0, draw.pick((-1.0, 1.0)) * draw.spread(1.0, 1e8))
 
 
+def _in_task(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
+    return Fault(at_s, kind, "", draw.spread(0.5, 20.0), draw.spread(0.01, 5.0))
+
+
 _MAKERS: Final[dict[Kind, _Maker]] = {
     "kill": _kill,
     "hang": _for_a_while(0.1, 40.0),
@@ -292,6 +312,10 @@ _MAKERS: Final[dict[Kind, _Maker]] = {
     "storm": _for_a_while(0.2, 20.0, 0.05, 0.5),
     "slow-disk": _for_a_while(0.5, 20.0, 0.005, 0.5),
     "slow-background": _for_a_while(0.5, 20.0, 0.1, 10.0),
+    "crash-task": _in_task,
+    "starve-task": _in_task,
+    "break-task": _in_task,
+    "kill-in-task": _in_task,
     "cut-client": _for_a_while(0.1, 30.0),
     "clock-jump": _jump,
     "full-disk": _for_a_while(0.1, 10.0),

@@ -200,14 +200,21 @@ class Participants(Programs):
         if self.is_over:
             self.see_to_workers()
 
-    def see_to_workers(self) -> None:
-        """See that somebody is there to compute."""
-        if not self.workers:
-            self.start_worker("rescue")
+    def die_in_task(self, name: str) -> None:
+        self.note(f"{name} dies in the middle of a task, and is started again")
+        super().die_in_task(name)
+        self.at(self.network.now + SUPERVISED_S, lambda: self.start_worker(name))
 
     def crash(self, name: str) -> None:
         del self.buses[name]
         super().crash(name)
+        if self.is_over:
+            self.see_to_workers()
+
+    def see_to_workers(self) -> None:
+        """See that somebody is there to compute."""
+        if not self.workers:
+            self.start_worker("rescue")
 
     def _take_down(self, bus: SimulatedBus, event: Event) -> None:
         self.history.update(f"{self.network.now:.9f} {bus.name} {type(event).__name__}\n".encode())

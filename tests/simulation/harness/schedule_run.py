@@ -78,7 +78,7 @@ class ScheduleRun:
             self.participants.story.append("".join(traceback.format_exception(error)))
         finally:
             self.participants.disk.close()
-        everybody, struck = self.participants, self._injector.struck
+        everybody, struck = self.participants, self._injector.struck + Counter(self.participants.fate.counts)
         seconds, history = everybody.network.now, everybody.history.hexdigest()
         return Outcome(everybody.schedule, everybody.wrong, everybody.story, struck, seconds, history)
 
@@ -111,7 +111,7 @@ class ScheduleRun:
         self._injector.end_faults()
         network = self.participants.network
         network.run(network.now + SETTLE_S, lambda: not self._is_busy() and not self._remains())
-        self.participants.wrong += self._remains()
+        self.participants.wrong += [*self._remains(), *self.participants.fate.wrong]
 
     def _welcome(self, plan: GuestPlan) -> None:
         self.participants.note(f"{plan.name} comes")
@@ -204,6 +204,8 @@ class ScheduleRun:
         service = self.participants.service
         if service is None:
             return [*leftovers, "there is no coordinator"]
+        if len(service.controller.tasks.table) or service.controller.tasks._blobs:
+            leftovers.append("the coordinator still has tasks or their inputs")
         if service.controller.jobs:
             leftovers.append(f"the coordinator still has jobs {list(service.controller.jobs)}")
         if self.participants.disk.rows("checkpoints") or self.participants.disk.rows("states"):
@@ -229,7 +231,8 @@ class ScheduleRun:
             "datasets": worker._datasets.jobs(),
             "configurations": list(compute._jobs),
             "islands": list(compute._islands),
-            "tasks": list(queue._open),
+            "tasks": list(worker._tasks.statuses()),
+            "epochs": list(queue._open),
             "charges": list(queue._charged),
             "hits": list(queue._hits),
         }

@@ -31,7 +31,7 @@ from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus
 from tests.simulation.harness.stub_islands import StubCompute
-from tests.simulation.harness.stub_tasks import USUAL_S, StubTasks
+from tests.simulation.harness.stub_tasks import USUAL_S, Fate, StubTasks
 
 LIMIT_S = 600.0
 WAIT_S: Final = 60.0
@@ -82,6 +82,7 @@ class Programs:
         self.preparer: Preparer = prepare
         self.refiner: Refiner = refine_once
         self.background_s = USUAL_S
+        self.fate = Fate()
         self.start_router()
 
     def at(self, time_s: float, act: Callable[[], object]) -> None:
@@ -117,7 +118,10 @@ class Programs:
         bus = self.network.bus(name)
         compute = self.compute(self.network, name, self.seed, slowness, **options)
         self.watch_worker(name, bus, compute)
-        tasks = self.tasks[name] = StubTasks(self.network, self.preparer, self.refiner, self.task_seconds)
+        tasks = self.tasks[name] = StubTasks(
+            self.network, self.preparer, self.refiner, self.task_seconds, self.fate,
+            lambda: self.die_in_task(name) if self.tasks.get(name) is tasks else None,
+        )  # fmt: skip
         worker = Worker(bus, compute, name, WAIT_S, lifetime_s, task_process=tasks)
 
         def step(event: Event) -> None:
@@ -148,6 +152,10 @@ class Programs:
         if not bus.closed:
             compute.close()
             bus.close()
+
+    def die_in_task(self, name: str) -> None:
+        """Let a worker die of what its task does."""
+        self.crash(name)
 
     def crash(self, name: str) -> None:
         """Let a worker die without a word."""

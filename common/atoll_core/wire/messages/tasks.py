@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from atoll_core.config import Frozen
-from atoll_core.wire.messages.limits import CHUNK_SIZE, Count, Digest, Id, Seconds, Sentence
+from atoll_core.wire.messages.limits import CHUNK_SIZE, Count, Digest, Id, Seconds, Sentence, Term
 
 TaskFunction = Literal["prepare", "refine"]
 TaskState = Literal["fetching", "waiting", "running", "done", "failed", "helping"]
@@ -37,11 +37,13 @@ class TaskInput(Frozen):
 class Lease(Frozen):
     """Run this task and push its result; said again, push the result again. `task` is the digest of all the rest.
 
-    `seconds`: how long it may take, None: any time. `threads`: how many it may use.
+    A higher `term` has it tried again where it failed before. `seconds`: how long it may take, None: any time.
+    `threads`: how many it may use.
     """
 
     kind: Literal["lease"] = "lease"
     task: Digest
+    term: Term
     job: Id
     function: TaskFunction
     inputs: Annotated[tuple[TaskInput, ...], Field(max_length=MAX_INPUTS)]
@@ -86,10 +88,14 @@ class TaskChunk(Frozen):
 
 
 class TaskFailed(Frozen):
-    """A task has no result: something of ours broke, memory ran out, its process died, or it took too long."""
+    """A task has no result: something of ours broke, memory ran out, its process died, or it took too long.
+
+    `term` is that of the lease: a failure that is said twice counts once.
+    """
 
     kind: Literal["failed"] = "failed"
     task: Digest
+    term: Term
     failure: Literal["error", "memory", "crash", "time"]
     sentence: Sentence
 

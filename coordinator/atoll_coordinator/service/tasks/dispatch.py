@@ -1,11 +1,12 @@
 """Which task goes to which worker, and who helps with which. Pure.
 
 A worker has one task at a time, its own or that of another, which it helps with. Tasks that wait go first, in the order
-they are given in; workers that have nothing to do help with what runs.
+they are given in; workers that have nothing to do help with what runs. A task with which memory ran out has a host of
+its own: one is kept free of other tasks for it, and of helpers.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 from atoll_coordinator.service.tasks.task_table import Task
@@ -40,27 +41,35 @@ class Plan:
     recalled: list[str] = field(default_factory=list)
 
 
-def plan(waiting: Sequence[Task], running: Sequence[Task], slots: Sequence[Slot], busy_hosts: Counter[str]) -> Plan:
+def plan(
+    waiting: Sequence[Task], running: Sequence[Task], slots: Sequence[Slot], busy_hosts: Counter[str],
+    closed_hosts: Collection[str] = (),
+) -> Plan:  # fmt: skip
     """Return what to lease, and who is to help.
 
     Args:
         waiting: tasks that nobody has, the next one first.
         running: tasks that run.
         slots: workers without a task of their own.
-        busy_hosts: how many tasks run on each host.
+        busy_hosts: how many tasks are on each host.
+        closed_hosts: those where a task is that must be alone.
     """
-    made, left = Plan(), list(slots)
+    made = Plan()
+    left = [slot for slot in slots if slot.host not in closed_hosts]
     busy = Counter(busy_hosts)
     for task in waiting:
         slot = _best(task, left, busy)
-        if slot is None:
-            continue
-        left.remove(slot)
-        if slot.helps is not None:
-            made.recalled.append(slot.worker)
-        idle = sum(other.host == slot.host and other.helps is None for other in left)
-        made.leases.append((task, slot.worker, 1 if task.is_alone else 1 + idle))
-        busy[slot.host] += 1
+        if slot is not None:
+            left.remove(slot)
+            made.recalled += [slot.worker] if slot.helps is not None else []
+            idle = sum(other.host == slot.host and other.helps is None for other in left)
+            made.leases.append((task, slot.worker, 1 if task.is_alone else 1 + idle))
+            busy[slot.host] += 1
+        if task.is_alone and left:
+            free = slot or min(left, key=lambda one: (busy[one.host], one.host))
+            host = free.host  # nothing else is given to it, so that it will be free
+            made.recalled += [one.worker for one in left if one.host == host and one.helps is not None]
+            left = [one for one in left if one.host != host]
     helped = sorted((task for task in running if task.function in HELPED and not task.is_alone), key=_need)
     idle_slots = [slot for slot in left if slot.helps is None]
     while idle_slots and helped:

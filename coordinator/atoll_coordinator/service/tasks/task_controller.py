@@ -6,7 +6,7 @@ workers still have of the same tasks.
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -58,6 +58,14 @@ class _Purpose:
     config: JobConfig
 
 
+@dataclass(slots=True)
+class _Blob:
+    """An input that is not in the store, and the jobs whose it is: jobs with the same data have the same."""
+
+    data: bytes
+    jobs: set[str]
+
+
 class TaskController:
     """The tasks of all jobs."""
 
@@ -83,7 +91,7 @@ class TaskController:
         self._rank = rank
         self._may_follow = may_follow
         self._purposes: dict[str, _Purpose] = {}
-        self._blobs: dict[str, tuple[str, bytes]] = {}
+        self._blobs: dict[str, _Blob] = {}
         self._prepared: dict[str, bytes] = {}
         self._near: dict[str, str] = {}
 
@@ -114,7 +122,9 @@ class TaskController:
             self._end(task)
         self._prepared.pop(job, None)
         self._near.pop(job, None)
-        self._blobs = {digest: held for digest, held in self._blobs.items() if held[0] != job}
+        for held in self._blobs.values():
+            held.jobs.discard(job)
+        self._blobs = {digest: held for digest, held in self._blobs.items() if held.jobs}
 
     def waiting_reason(self, job: str) -> str | None:
         """Return in words what the tasks of a job wait for; None: they do not."""
@@ -127,13 +137,13 @@ class TaskController:
     def chunk(self, digest: str, index: int) -> bytes | None:
         """Return a chunk of an input that is not in the store; None: it is not here either."""
         held = self._blobs.get(digest)
-        return held[1][index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE] if held is not None else None
+        return held.data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE] if held is not None else None
 
     def _input(self, job: str, data: bytes) -> TaskInput:
         digest, size = hashlib.sha256(data).hexdigest(), len(data)
         if size <= INLINE:
             return TaskInput(digest=digest, size=size, data=data)
-        self._blobs[digest] = (job, data)
+        self._blobs.setdefault(digest, _Blob(data, set())).jobs.add(job)
         return TaskInput(digest=digest, size=size)
 
     def _add(
@@ -154,17 +164,20 @@ class TaskController:
         if not waiting and not running:
             return
         waiting.sort(key=lambda task: (*self._rank(task.job), task.waiting_since))
-        made = plan(waiting, running, self._slots(), self._busy_hosts())
+        made = plan(waiting, running, self._slots(), self._hosts(self.table), self._hosts(self.table, is_alone=True))
         for worker in made.recalled:
             self._recall(worker)
         for task, worker, threads in made.leases:
-            self.table.lease(task, worker, now)
-            self._near[task.job] = worker
-            self._channel.send(worker, task.lease(threads))
+            self._lease(task, worker, now, threads)
         for task, worker in made.helps:
             task.helpers[worker] = now
             if task.worker is not None:
                 self._channel.send(worker, Help(task=task.id, job=task.job, worker=task.worker))
+
+    def _lease(self, task: Task, worker: str, now: float, threads: int = 1) -> None:
+        self.table.lease(task, worker, now, threads)
+        self._near[task.job] = worker
+        self._channel.send(worker, task.lease())
 
     def _slots(self) -> list[Slot]:
         owners = {task.worker for task in self.table}
@@ -181,8 +194,10 @@ class TaskController:
             if name not in owners
         ]  # fmt: skip
 
-    def _busy_hosts(self) -> Counter[str]:
-        members = (self._membership.member(task.worker) for task in self.table if task.worker is not None)
+    def _hosts(self, tasks: Iterable[Task], *, is_alone: bool = False) -> Counter[str]:
+        """Return how many tasks each host has; `is_alone`: of those that must be alone there."""
+        owners = (task.worker for task in tasks if task.worker is not None and (task.is_alone or not is_alone))
+        members = (self._membership.member(owner) for owner in owners)
         return Counter(member.hello.host for member in members if member is not None)
 
     def _recall(self, worker: str) -> None:
@@ -202,12 +217,11 @@ class TaskController:
     def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
         """Take in which tasks a worker has; correct what it should not have, or should and has not."""
         for held in status.tasks:
-            self._compare(worker, held, status.state == "leaving", now)
-        shown = {held.task for held in status.tasks}
-        self._correct(worker, shown, now)
+            self._compare(worker, held, status, now)
+        self._correct(worker, {held.task for held in status.tasks}, now)
         self.dispatch(now)
 
-    def _compare(self, worker: str, held: TaskStatus, is_leaving: bool, now: float) -> None:
+    def _compare(self, worker: str, held: TaskStatus, status: WorkerStatus, now: float) -> None:
         """Take in how far a worker is with a task; have it forget what is not its own."""
         task = self.table.get(held.task)
         if task is None:
@@ -216,23 +230,29 @@ class TaskController:
         elif held.state == "helping":
             if worker not in task.helpers:
                 self._channel.send(worker, Release(task=held.task))
-        elif task.worker is None and not is_leaving and self.table.on(worker) is None:
-            self.table.lease(task, worker, now)  # a coordinator that was here before has leased it
-            self._channel.send(worker, task.lease(1))
+        elif task.worker is None and self._can_adopt(worker, status):
+            self._recall(worker)
+            self._lease(task, worker, now)  # a coordinator that was here before has leased it
         elif task.worker != worker:
             self._channel.send(worker, Release(task=held.task))
         elif held.state == "running":
             if self.table.begin(task, now) and task.function == "prepare":
                 self.post(PreparationBegun(task.job))
         elif held.state in ("done", "failed"):
-            self._channel.send(worker, task.lease(1))  # its report was lost; it is sent again
+            self._say_again(task, worker, now)  # its report was lost, or the lease that has it tried again
+
+    def _can_adopt(self, worker: str, status: WorkerStatus) -> bool:
+        return status.state != "leaving" and self.table.on(worker) is None
+
+    def _say_again(self, task: Task, worker: str, now: float) -> None:
+        task.said_at = now
+        self._channel.send(worker, task.lease())
 
     def _correct(self, worker: str, shown: Collection[str], now: float) -> None:
         """Say again what a worker has missed."""
         for task in self.table:
-            if task.worker == worker and task.id not in shown and now - task.leased_at > SETTLED_S:
-                task.leased_at = now
-                self._channel.send(worker, task.lease(1))
+            if task.worker == worker and task.id not in shown and now - task.said_at > SETTLED_S:
+                self._say_again(task, worker, now)
             if task.id not in shown and now - task.helpers.get(worker, now) > SETTLED_S:
                 del task.helpers[worker]
 
@@ -251,7 +271,7 @@ class TaskController:
             self._channel.send(worker, Release(task=body.task))
             return
         match body:
-            case TaskFailed():
+            case TaskFailed() if body.term == task.term:  # else it is counted already
                 self._fail(task, body.failure, body.sentence, now)
             case TaskChunk():
                 if body.offset == 0:

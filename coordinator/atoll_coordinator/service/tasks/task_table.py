@@ -38,8 +38,9 @@ class Task:
     """One task. `worker` has it while it is leased or running; `helpers` are the workers that
     help with it, and since when.
 
-    `is_alone`: memory ran out with it, so that it is tried once more where nothing else runs. `waiting_since` and
-    `leased_at` are the bus's seconds.
+    `is_alone`: memory ran out with it, so that it is tried once more where nothing else runs. `term` counts its
+    leases, `threads` is how many it may use there. `waiting_since`, `leased_at` and `said_at`, when its worker was last
+    told, are the bus's seconds.
     """
 
     id: str
@@ -50,7 +51,10 @@ class Task:
     waiting_since: float
     state: State = "waiting"
     worker: str | None = None
+    term: int = 0
+    threads: int = 1
     leased_at: float = 0.0
+    said_at: float = 0.0
     began_at: float | None = None
     helpers: dict[str, float] = field(default_factory=dict)
     losses: int = 0
@@ -58,11 +62,11 @@ class Task:
     is_alone: bool = False
     result: bytearray = field(default_factory=bytearray)
 
-    def lease(self, threads: int) -> Lease:
+    def lease(self) -> Lease:
         """Return what the worker is told."""
         return Lease(
-            task=self.id, job=self.job, function=self.function, inputs=self.inputs, seconds=self.seconds,
-            threads=threads,
+            task=self.id, term=self.term, job=self.job, function=self.function, inputs=self.inputs,
+            seconds=self.seconds, threads=self.threads,
         )  # fmt: skip
 
     def step(self, step: Step) -> None:
@@ -94,11 +98,8 @@ class TaskTable:
         return [task for task in self._tasks.values() if task.job == job]
 
     def on(self, worker: str) -> Task | None:
-        """Return the task that a worker has, or helps with."""
-        for task in self._tasks.values():
-            if task.worker == worker or worker in task.helpers:
-                return task
-        return None
+        """Return the task that a worker has."""
+        return next((task for task in self._tasks.values() if task.worker == worker), None)
 
     def add(self, task: Task) -> None:
         """Add a task."""
@@ -106,10 +107,11 @@ class TaskTable:
             raise LocalProtocolError(f"task {task.id} is there already")
         self._tasks[task.id] = task
 
-    def lease(self, task: Task, worker: str, now: float) -> None:
-        """Give a task to a worker."""
+    def lease(self, task: Task, worker: str, now: float, threads: int = 1) -> None:
+        """Give a task to a worker, which may use so many threads."""
         task.step("lease")
-        task.worker, task.leased_at, task.began_at = worker, now, None
+        task.worker, task.leased_at, task.said_at, task.began_at = worker, now, now, None
+        task.term, task.threads = task.term + 1, threads
 
     def begin(self, task: Task, now: float) -> bool:
         """Take in that a task runs; return whether that is news."""
@@ -164,6 +166,7 @@ class TaskTable:
         helpers = [helper for task in self._tasks.values() for helper in task.helpers]
         assert len(set(owners)) == len(owners), "a worker has two tasks"
         assert len(set(helpers)) == len(helpers), "a worker helps with two tasks"
+        assert not set(owners) & set(helpers), "a worker helps while it has a task"
         for task in self._tasks.values():
             assert (task.worker is None) == (task.state == "waiting"), f"a task is {task.state} on {task.worker}"
 

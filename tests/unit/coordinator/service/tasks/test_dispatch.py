@@ -1,0 +1,101 @@
+"""Which task goes to which worker, and who helps with which."""
+
+from collections import Counter
+
+from atoll_coordinator.service.tasks.dispatch import Plan, Slot, plan
+from atoll_coordinator.service.tasks.task_table import Task
+from atoll_core.wire.messages.tasks import TaskFunction
+
+
+def task(name: str, function: TaskFunction = "prepare", job: str = "", **more: object) -> Task:
+    made = Task(name, job or name, function, (), None, 0.0)
+    for key, value in more.items():
+        setattr(made, key, value)
+    return made
+
+
+def running(name: str, function: TaskFunction = "refine", helpers: int = 0, since: float = 0.0) -> Task:
+    helping = {f"{name}{number}": 0.0 for number in range(helpers)}
+    return task(name, function, state="running", worker="owner-" + name, helpers=helping, waiting_since=since)
+
+
+def slot(worker: str, host: str = "lab", **more: object) -> Slot:
+    return Slot(worker, host, **more)  # type: ignore[arg-type]
+
+
+def leases(made: Plan) -> list[tuple[str, str, int]]:
+    return [(one.id, worker, threads) for one, worker, threads in made.leases]
+
+
+def helps(made: Plan) -> list[tuple[str, str]]:
+    return [(one.id, worker) for one, worker in made.helps]
+
+
+def test_tasks_go_out_in_their_order_as_long_as_there_are_workers() -> None:
+    made = plan([task("a"), task("b"), task("c")], [], [slot("w0", "h0"), slot("w1", "h1")], Counter())
+    assert leases(made) == [("a", "w0", 1), ("b", "w1", 1)]
+    assert (made.helps, made.recalled) == ([], [])
+
+
+def test_without_workers_or_tasks_nothing_is_planned() -> None:
+    assert plan([task("a")], [running("b")], [], Counter()) == Plan()
+    assert plan([], [], [slot("w0")], Counter()) == Plan()
+
+
+def test_a_task_goes_where_its_data_are_then_where_a_process_is_loaded_then_where_islands_are_few() -> None:
+    slots = [
+        slot("w0", islands=9), slot("w1", islands=2), slot("w2", islands=2, is_loaded=True),
+        slot("w3", islands=9, near=frozenset({"j"})),
+    ]  # fmt: skip
+    order = []
+    while slots:
+        ((_, worker, _),) = leases(plan([task("a", job="j")], [], slots, Counter()))
+        order.append(worker)
+        slots = [one for one in slots if one.worker != worker]
+    assert order == ["w3", "w2", "w1", "w0"]
+
+
+def test_a_task_may_use_the_cores_of_workers_of_its_host_that_have_nothing_to_do() -> None:
+    slots = [slot("w0", "a"), slot("w1", "a"), slot("w2", "a", helps="r"), slot("w3", "b")]
+    assert leases(plan([task("t")], [], slots, Counter())) == [("t", "w0", 2)]
+    two = leases(plan([task("t"), task("u")], [], slots, Counter()))
+    assert two == [("t", "w0", 2), ("u", "w1", 1)]
+
+
+def test_who_is_idle_helps_with_what_has_fewest_helpers_and_comes_in_batches() -> None:
+    tasks = [running("a", helpers=2), running("b", since=2.0), running("c", since=1.0), running("d", "prepare")]
+    made = plan([], tasks, [slot(f"w{number}") for number in range(4)], Counter())
+    assert helps(made) == [("c", "w0"), ("b", "w1"), ("a", "w2"), ("c", "w3")]
+
+
+def test_a_helper_is_recalled_only_for_a_task_that_nobody_else_can_take() -> None:
+    slots = [slot("w0", helps="r"), slot("w1", "b")]
+    made = plan([task("t")], [running("r")], slots, Counter())
+    assert (leases(made), made.recalled) == ([("t", "w1", 1)], [])
+    made = plan([task("t"), task("u")], [running("r")], slots, Counter())
+    assert (leases(made), made.recalled) == ([("t", "w1", 1), ("u", "w0", 1)], ["w0"])
+
+
+def test_who_helps_already_gets_no_second_task_to_help_with() -> None:
+    assert plan([], [running("r")], [slot("w0", helps="r")], Counter()).helps == []
+
+
+def test_what_must_be_alone_waits_for_a_host_without_tasks_and_that_host_is_kept_free_for_it() -> None:
+    alone = task("t", is_alone=True)
+    slots = [slot("w0", "a"), slot("w1", "b"), slot("w2", "b")]
+    busy = Counter({"a": 2, "b": 1})
+    made = plan([alone, task("u"), task("v")], [running("r")], slots, busy)
+    assert leases(made) == [("u", "w0", 1)]  # b has fewest tasks: nothing more is given to it
+    assert made.helps == []
+    made = plan([alone, task("u")], [], slots, Counter({"a": 2}))
+    assert leases(made) == [("t", "w1", 1), ("u", "w0", 1)]
+
+
+def test_what_must_be_alone_has_no_helpers_and_no_neighbours() -> None:
+    alone = task("t", "refine", is_alone=True)
+    slots = [slot("w0", "a"), slot("w1", "a", helps="r"), slot("w2", "a")]
+    made = plan([alone], [running("r")], slots, Counter())
+    assert (leases(made), made.recalled, made.helps) == ([("t", "w0", 1)], ["w1"], [])
+    alone.state = "running"
+    made = plan([task("u")], [alone, running("r")], [slot("w2", "a"), slot("w3", "b")], Counter({"a": 1}), {"a"})
+    assert (leases(made), made.helps) == ([("u", "w3", 1)], [])

@@ -1,0 +1,426 @@
+"""Tasks between coordinator and workers: what is leased, said again, taken in, released and posted."""
+
+import hashlib
+
+import pytest
+
+from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.outcomes import (
+    JobPrepared,
+    JobRefined,
+    PreparationBegun,
+    PreparationFailed,
+    RefiningFailed,
+)
+from atoll_coordinator.service.tasks.task_controller import INLINE, SETTLED_S, TaskController
+from atoll_coordinator.service.tasks.task_table import LIMIT_S, MAX_LOSSES
+from atoll_coordinator.service.workers.membership import Membership
+from atoll_coordinator.tasks.preparing import PreparationOutcome, prepare
+from atoll_coordinator.tasks.refining import Searched
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.config import JobConfig
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.messages.tasks import (
+    Help,
+    Lease,
+    Release,
+    TaskChunk,
+    TaskFailed,
+    TaskReport,
+    TaskState,
+    TaskStatus,
+)
+from atoll_core.wire.messages.views import WorkerState
+from atoll_core.wire.messages.workers import ControlBody, WorkerStatus
+from atoll_core.wire.values import encode_value
+from tests.simulation.harness.simulated_cluster import prepare as prepare_stub
+
+TABLE = "c" * 64
+CONFIG = JobConfig(seed=3)
+PREPARED = prepare(b"x,y", CONFIG.model_dump_json().encode(), prepare_stub)
+REFINED = b'{"warnings": ["made"]}'
+
+
+class Scene:
+    """A controller, what it sends and posts, and workers that a test speaks for."""
+
+    def __init__(self, *workers: str, ranks: dict[str, float] | None = None) -> None:
+        self.sent: list[tuple[str, ControlBody]] = []
+        self.posted: list[object] = []
+        self.now = 0.0
+        self._ended: dict[str, str] = {}
+        self.membership = Membership()
+        self.controller = TaskController(
+            self, self.membership, Store.open(None), self.posted.append, lambda job: ((ranks or {}).get(job, 0.0),)
+        )  # type: ignore[arg-type]
+        for worker in workers:
+            self.join(worker)
+
+    def send(self, worker: str, body: ControlBody) -> None:
+        self.sent.append((worker, body))
+
+    def join(self, worker: str, host: str = "lab", instance: str = "i") -> None:
+        hello = Hello(
+            role="worker", name=worker, instance=instance, host=host, protocol=PROTOCOL_VERSION, version=VERSION,
+            engine=ENGINE_REVISION,
+        )  # fmt: skip
+        assert self.membership.register(hello, self.now) is None
+        self.beat(worker)
+
+    def beat(self, worker: str, state: WorkerState = "ready", /, **tasks: TaskState) -> None:
+        """Let a worker say which tasks it has, by the job whose they are."""
+        held = tuple(TaskStatus(task=self.ids[job], job=job, state=what) for job, what in tasks.items())
+        status = WorkerStatus(instance="i", incarnation=1, state=state, progress=0, tasks=held)
+        self.membership.record_heartbeat(worker, status, self.now)
+        self.controller.add_heartbeat(worker, status, self.now)
+        self.controller.table.validate()
+
+    @property
+    def ids(self) -> dict[str, str]:
+        return {**self._ended, **{task.job: task.id for task in self.controller.table}}
+
+    def prepare(self, job: str = "j", config: JobConfig = CONFIG) -> None:
+        self.controller.prepare(job, TABLE, 3, config, self.now)
+        self._ended = {**self._ended, job: self.controller.table.of_job(job)[0].id}
+
+    def chunk(self, worker: str, job: str, result: bytes, offset: int = 0, data: bytes | None = None) -> None:
+        data = result[offset : offset + CHUNK_SIZE] if data is None else data
+        body = TaskChunk(
+            task=self.ids[job], digest=hashlib.sha256(result).hexdigest(), size=len(result), offset=offset, data=data
+        )
+        self.controller.add_report(worker, TaskReport(body=body), self.now)
+        self.controller.table.validate()
+
+    def fail(self, worker: str, job: str = "j", failure="error", term: int | None = None) -> None:
+        task = self.controller.table.get(self.ids[job])
+        body = TaskFailed(
+            task=self.ids[job], term=term or (task.term if task else 1), failure=failure, sentence="it broke"
+        )
+        self.controller.add_report(worker, TaskReport(body=body), self.now)
+        self.controller.table.validate()
+
+    def said(self, kind: type = object) -> list[tuple[str, ControlBody]]:
+        """Return, once, what was sent."""
+        said, self.sent = self.sent, []
+        return [(worker, body) for worker, body in said if isinstance(body, kind)]
+
+    def leased_to(self) -> list[str]:
+        return [worker for worker, _ in self.said(Lease)]
+
+
+def test_a_table_is_leased_begun_and_prepared() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    ((worker, lease),) = scene.said()
+    assert isinstance(lease, Lease)
+    assert (worker, lease.job, lease.function, lease.term, lease.seconds) == ("w0", "j", "prepare", 1, None)
+    assert (lease.inputs[0].digest, lease.inputs[0].size, lease.inputs[0].data) == (TABLE, 3, None)
+    assert lease.inputs[1].data == CONFIG.model_dump_json().encode()
+    scene.beat("w0", j="running")
+    scene.beat("w0", j="running")
+    assert scene.posted == [PreparationBegun("j")]
+    scene.chunk("w0", "j", PREPARED)
+    assert isinstance(scene.posted[1], JobPrepared)
+    assert hashlib.sha256(scene.posted[1].data).hexdigest() == scene.posted[1].prepared.blob
+    assert scene.said() == [("w0", Release(task=lease.task))]
+    assert len(scene.controller.table) == 0
+    assert scene.controller.prepared("j").config == scene.posted[1].prepared.config
+
+
+def test_refining_takes_what_preparing_gave_as_it_came() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    scene.chunk("w0", "j", PREPARED)
+    scene.said()
+    scene.controller.refine(Searched("j", ()), CONFIG, 7.5, scene.now)
+    ((_, lease),) = scene.said()
+    assert isinstance(lease, Lease)
+    assert (lease.function, lease.seconds) == ("refine", 7.5)
+    assert lease.inputs[0].data is not None
+    assert PREPARED.count(lease.inputs[0].data) == 1
+    scene.chunk("w0", "j", REFINED)
+    assert isinstance(scene.posted[-1], JobRefined)
+    assert scene.posted[-1].text == REFINED.decode()
+
+
+def test_data_that_cannot_be_prepared_are_a_sentence() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    scene.chunk("w0", "j", encode_value(PreparationOutcome(sentence="there are no rows")))
+    assert scene.posted == [PreparationFailed("j", "data", "there are no rows")]
+
+
+def test_a_lease_that_was_lost_is_said_again() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    ((_, lease),) = scene.said()
+    scene.now = SETTLED_S
+    scene.beat("w0")
+    assert scene.said() == []
+    scene.now = SETTLED_S + 0.1
+    scene.beat("w0")
+    scene.beat("w0")
+    assert scene.said() == [("w0", lease)]
+
+
+def test_a_lease_that_nobody_takes_ends_too() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    for _ in range(int(LIMIT_S / 10.0)):
+        scene.now += 10.0
+        scene.beat("w0")
+    scene.controller.tick(scene.now)
+    assert scene.posted == []
+    scene.controller.tick(scene.now + 1.0)
+    (failed,) = scene.posted
+    assert isinstance(failed, PreparationFailed)
+    assert "took longer than 3,600 s" in failed.sentence
+
+
+def test_a_result_that_was_lost_is_pushed_again() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    ((_, lease),) = scene.said()
+    scene.beat("w0", j="done")
+    assert scene.said() == [("w0", lease)]
+    scene.chunk("w0", "j", PREPARED)
+    scene.said()
+    scene.beat("w0", j="done")  # the release was lost
+    assert scene.said() == [("w0", Release(task=lease.task))]
+
+
+def test_a_coordinator_that_starts_again_takes_over_what_workers_have() -> None:
+    scene = Scene()
+    scene.prepare("j")
+    scene.prepare("k")
+    scene.membership.register(
+        Hello(role="worker", name="w0", instance="i", host="lab", protocol=PROTOCOL_VERSION, version=VERSION,
+              engine=ENGINE_REVISION), 0.0,
+    )  # fmt: skip
+    scene.beat("w0", k="running", j="fetching")
+    sent = scene.said()
+    assert [body.task for _, body in sent if isinstance(body, Lease)] == [scene.ids["k"]]
+    assert [body.task for _, body in sent if isinstance(body, Release)] == [scene.ids["j"]]  # one task a worker
+    scene.chunk("w0", "k", PREPARED)
+    assert isinstance(scene.posted[0], JobPrepared)
+    assert scene.leased_to() == ["w0"]
+
+
+def test_who_helps_and_has_a_task_from_before_stops_helping() -> None:
+    scene = refining("j", "w0", "w1")
+    scene.beat("w0", j="running")
+    assert [(worker, type(body)) for worker, body in scene.said()] == [("w1", Help)]
+    scene.membership.record_presence("w1", False, scene.now)  # nothing new is leased to it
+    scene.prepare("k")
+    scene.membership.record_presence("w1", True, scene.now)
+    scene.beat("w1", k="running", j="helping")
+    sent = [(worker, type(body), body.task) for worker, body in scene.said()]  # type: ignore[union-attr]
+    assert ("w1", Lease, scene.ids["k"]) in sent
+    assert ("w1", Release, scene.ids["j"]) in sent
+    assert scene.controller.table.get(scene.ids["j"]).helpers == {}
+
+
+def test_one_that_leaves_gets_nothing_and_takes_nothing_over() -> None:
+    scene = Scene("w0")
+    scene.beat("w0", "leaving")
+    scene.prepare()
+    assert scene.said() == []
+    scene.beat("w0", "leaving", j="running")
+    assert scene.said() == [("w0", Release(task=scene.ids["j"]))]
+
+
+def test_what_nobody_needs_is_released() -> None:
+    scene = Scene("w0", "w1")
+    scene.prepare()
+    (worker,) = scene.leased_to()
+    other = {"w0": "w1", "w1": "w0"}[worker]
+    scene.beat(other, j="running")
+    assert scene.said() == [(other, Release(task=scene.ids["j"]))]
+    scene._ended["gone"] = "d" * 64
+    scene.beat(other, gone="failed")
+    assert scene.said() == [(other, Release(task="d" * 64))]
+
+
+def test_a_result_comes_in_chunks_also_from_the_beginning_again() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    result = PREPARED
+    for offset in (0, 100):
+        scene.chunk("w0", "j", result, offset, result[offset : offset + 100])
+    for offset in (0, 50):  # the worker was told again to push it
+        scene.chunk("w0", "j", result, offset, result[offset : offset + 50])
+    with pytest.raises(RemoteProtocolError, match="bytes 50 to come"):
+        scene.chunk("w0", "j", result, 50, result[50:100])
+    with pytest.raises(RemoteProtocolError, match="out of order"):
+        scene.chunk("w0", "j", result, 100, result[100:] + b"x")
+    scene.chunk("w0", "j", result, 100, result[100:])
+    assert isinstance(scene.posted[0], JobPrepared)
+
+
+def test_a_damaged_result_is_asked_for_again() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    ((_, lease),) = scene.said()
+    with pytest.raises(RemoteProtocolError, match="damaged"):
+        scene.chunk("w0", "j", PREPARED, 0, PREPARED[:-1] + bytes([PREPARED[-1] ^ 1]))
+    scene.beat("w0", j="done")
+    assert scene.said() == [("w0", lease)]
+    scene.chunk("w0", "j", PREPARED)
+    assert isinstance(scene.posted[0], JobPrepared)
+
+
+def test_a_result_that_is_no_result_counts_as_a_mistake_of_the_task() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    for _ in range(2):
+        assert scene.posted == []
+        scene.chunk("w0", "j", b"\x00\x01 nonsense")
+    (failed,) = scene.posted
+    assert isinstance(failed, PreparationFailed)
+    assert failed.fault == "internal"
+    assert "cannot be read" in failed.sentence
+
+
+def test_a_worker_speaks_for_its_own_task_only() -> None:
+    scene = Scene("w0", "w1")
+    scene.prepare()
+    (worker,) = scene.leased_to()
+    other = {"w0": "w1", "w1": "w0"}[worker]
+    scene.chunk(other, "j", PREPARED)
+    scene.fail(other)
+    assert scene.posted == []
+    assert scene.said() == [(other, Release(task=scene.ids["j"]))] * 2
+    assert scene.controller.table.on(worker) is not None
+
+
+def test_a_failure_that_is_said_twice_counts_once() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    scene.said()
+    scene.fail("w0")
+    sent = scene.said()
+    assert [(type(body), getattr(body, "term", 0)) for _, body in sent] == [(Release, 0), (Lease, 2)]
+    scene.fail("w0", term=1)  # doubled by the network, or sent again before the new lease came
+    assert scene.posted == []
+    scene.beat("w0", j="failed")  # and the new lease was lost
+    assert scene.said() == [sent[1]]
+    scene.fail("w0", term=2)
+    (failed,) = scene.posted
+    assert isinstance(failed, PreparationFailed)
+    assert (failed.fault, "it broke, twice" in failed.sentence) == ("internal", True)
+
+
+def test_what_breaks_says_what_to_send() -> None:
+    scene = refining("j", "w0")
+    for _ in range(2):
+        scene.fail("w0", failure="error")
+    (refined,) = [item for item in scene.posted if isinstance(item, RefiningFailed)]
+    (warning,) = refined.refinement.warnings
+    assert refined.refinement.end == "not refined"
+    assert "Refining broke (it broke, twice); equations are as found" in warning
+    assert all(part in warning for part in (f"Atoll {VERSION}", "seed 3", "command", "to_csv"))
+    assert "a mistake of Atoll" in warning
+    scene = Scene("w0")
+    scene.prepare()
+    for _ in range(2):
+        scene.fail("w0", failure="crash")
+    (failed,) = scene.posted
+    assert "preparing the data broke (it broke, twice)" in failed.sentence
+    assert f"Atoll {VERSION}" in failed.sentence
+
+
+def test_where_memory_ran_out_it_is_tried_again_alone() -> None:
+    scene = Scene("w0", "w1")
+    scene.prepare("j")
+    scene.prepare("k")
+    assert sorted(scene.leased_to()) == ["w0", "w1"]
+    worker = scene.controller.table.get(scene.ids["j"]).worker
+    scene.fail(worker, "j", "memory")
+    scene.prepare("l")
+    assert scene.leased_to() == []  # nothing else begins on its host
+    other = scene.controller.table.get(scene.ids["k"]).worker
+    scene.chunk(other, "k", PREPARED)
+    assert [(one.job, one.worker is not None) for one in scene.controller.table] == [("j", True), ("l", False)]
+    scene.chunk(scene.controller.table.get(scene.ids["j"]).worker, "j", PREPARED)
+    assert scene.controller.table.get(scene.ids["l"]).worker is not None
+
+
+def test_a_lost_worker_costs_its_tasks_nothing_until_there_were_too_many() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    for number in range(MAX_LOSSES):
+        assert scene.leased_to() == ["w0"]
+        assert scene.posted == []
+        scene.now = float(number)
+        scene.controller.lose("w0", scene.now)
+    (failed,) = scene.posted
+    assert f"its worker was lost, {MAX_LOSSES} times" in failed.sentence
+
+
+def test_the_end_of_a_job_ends_what_runs_for_it_and_who_helps_with_that() -> None:
+    scene = refining("j", "w0", "w1", "w2")
+    scene.beat("w0", j="running")
+    assert {worker for worker, _ in scene.said(Help)} == {"w1", "w2"}
+    task = scene.ids["j"]
+    scene.controller.cancel("j")
+    assert scene.said() == [(worker, Release(task=task)) for worker in ("w0", "w1", "w2")]
+    scene.chunk("w0", "j", REFINED)
+    assert [item for item in scene.posted if isinstance(item, JobRefined)] == []
+    with pytest.raises(KeyError):
+        scene.controller.prepared("j")
+
+
+def test_a_help_that_was_lost_is_said_again() -> None:
+    scene = refining("j", "w0", "w1")
+    scene.beat("w0", j="running")
+    assert len(scene.said(Help)) == 1
+    scene.now += SETTLED_S + 0.1
+    scene.beat("w1")
+    assert [worker for worker, _ in scene.said(Help)] == ["w1"]
+    scene.now += SETTLED_S + 0.1
+    scene.beat("w1", j="helping")
+    assert scene.said() == []
+    scene.now += 0.1
+    scene.prepare("k")  # its help is needed elsewhere
+    assert [(worker, type(body)) for worker, body in scene.said()] == [("w1", Release), ("w1", Lease)]
+    scene.beat("w1", j="helping", k="fetching")
+    assert scene.said() == [("w1", Release(task=scene.ids["j"]))]
+
+
+def test_large_inputs_are_kept_as_long_as_one_of_the_jobs_needs_them() -> None:
+    scene = Scene("w0")
+    data = b"x" * (INLINE + 1)
+    given = [scene.controller._input(job, data) for job in ("a", "b")]
+    assert given[0] == given[1]
+    assert given[0].data is None
+    scene.controller.cancel("b")
+    assert scene.controller.chunk(given[0].digest, 0) == data
+    assert scene.controller.chunk(given[0].digest, 1) == b""
+    scene.controller.cancel("a")
+    assert scene.controller.chunk(given[0].digest, 0) is None
+
+
+def test_tasks_go_out_by_the_rank_of_their_jobs_and_say_for_what_they_wait() -> None:
+    scene = Scene(ranks={"late": 2.0, "early": 1.0})
+    scene.prepare("late")
+    scene.prepare("early")
+    assert "none has joined" in (scene.controller.waiting_reason("early") or "")
+    scene.join("w0")
+    assert [body.job for _, body in scene.said(Lease)] == ["early"]
+    assert "no other task" in (scene.controller.waiting_reason("late") or "")
+    assert scene.controller.waiting_reason("early") is None
+
+
+def refining(job: str, *workers: str) -> Scene:
+    """Return a scene in which the first worker has a job's refining."""
+    scene = Scene(workers[0])
+    scene.prepare(job)
+    scene.chunk(workers[0], job, PREPARED)
+    scene.controller.refine(Searched(job, ()), CONFIG, None, scene.now)
+    scene._ended = {**scene._ended, job: scene.controller.table.of_job(job)[0].id}
+    for worker in workers[1:]:
+        scene.join(worker)
+    scene.said()
+    return scene

@@ -1,0 +1,217 @@
+"""Tasks, who has them, and which of them are tried again."""
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from atoll_coordinator.service.tasks.task_table import (
+    LIMIT_S,
+    MAX_LOSSES,
+    TASK_TRANSITIONS,
+    Task,
+    TaskTable,
+    task_id,
+)
+from atoll_core.errors import LocalProtocolError
+from atoll_core.wire.messages.tasks import TaskInput
+
+INPUT = TaskInput(digest="a" * 64, size=1, data=b"a")
+
+
+def task(name: str = "a", job: str = "j") -> Task:
+    return Task(name * 64, job, "prepare", (INPUT,), None, 0.0)
+
+
+def table_with(*tasks: Task) -> TaskTable:
+    table = TaskTable()
+    for one in tasks:
+        table.add(one)
+    return table
+
+
+def test_a_task_is_named_by_all_that_decides_its_result() -> None:
+    other = INPUT.model_copy(update={"digest": "b" * 64})
+    names = {
+        task_id("j", "prepare", (INPUT,), None), task_id("k", "prepare", (INPUT,), None),
+        task_id("j", "refine", (INPUT,), None), task_id("j", "prepare", (other,), None),
+        task_id("j", "prepare", (INPUT, other), None), task_id("j", "prepare", (INPUT,), 1.0),
+    }  # fmt: skip
+    assert len(names) == 6
+    assert task_id("j", "prepare", (INPUT,), None) in names
+
+
+def test_steps_are_those_of_the_table() -> None:
+    for state, row in TASK_TRANSITIONS.items():
+        for step in ("lease", "begin", "lose", "retry", "end"):
+            one = task()
+            one.state = state
+            if step in row:
+                one.step(step)
+                assert one.state == row[step]
+            else:
+                with pytest.raises(LocalProtocolError, match=f"{state} has no {step}"):
+                    one.step(step)
+
+
+def test_a_task_is_there_once_and_no_more_when_it_has_ended() -> None:
+    one = task()
+    table = table_with(one)
+    with pytest.raises(LocalProtocolError, match="there already"):
+        table.add(task())
+    assert (table.get(one.id), table.of_job("j"), table.of_job("k"), len(table)) == (one, [one], [], 1)
+    table.end(one)
+    assert (table.get(one.id), len(table)) == (None, 0)
+
+
+def test_a_lease_names_its_term_which_rises_each_time() -> None:
+    one = task()
+    table = table_with(one)
+    table.lease(one, "w0", 1.0, threads=3)
+    assert (one.lease().term, one.lease().threads, table.on("w0")) == (1, 3, one)
+    assert table.begin(one, 2.0)
+    assert not table.begin(one, 3.0)
+    assert one.began_at == 2.0
+    table.lose("w0", 4.0)
+    assert (one.state, one.waiting_since, table.on("w0")) == ("waiting", 4.0, None)
+    table.lease(one, "w0", 5.0)
+    assert (one.lease().term, one.began_at) == (2, None)
+
+
+def test_a_task_whose_worker_is_lost_waits_again_until_it_has_cost_too_many() -> None:
+    one, other = task("a"), task("b")
+    table = table_with(one, other)
+    for number in range(1, MAX_LOSSES):
+        table.lease(one, "w", 0.0)
+        one.helpers["x"], one.result[:] = 0.0, b"half"
+        assert table.lose("w", float(number)) == [(one, None)]
+        assert (one.state, one.helpers, one.result) == ("waiting", {}, b"")
+    table.lease(one, "w", 0.0)
+    (lost,) = table.lose("w", 9.0)
+    assert lost == (one, f"its worker was lost, {MAX_LOSSES} times")
+    assert list(table) == [other]
+
+
+def test_a_helper_that_is_lost_costs_the_task_nothing() -> None:
+    one = task()
+    table = table_with(one)
+    table.lease(one, "w", 0.0)
+    one.helpers["h"] = 0.0
+    assert table.lose("h", 1.0) == []
+    assert (one.helpers, one.losses, one.worker) == ({}, 0, "w")
+
+
+@pytest.mark.parametrize("failure", ["error", "crash", "memory"])
+def test_what_fails_is_tried_once_more_and_where_memory_ran_out_alone(failure) -> None:
+    one = task()
+    table = table_with(one)
+    table.lease(one, "w", 0.0)
+    assert table.fail(one, failure, "it broke", 1.0) is None
+    assert (one.state, one.is_alone) == ("waiting", failure == "memory")
+    table.lease(one, "w", 2.0)
+    assert table.fail(one, failure, "it broke", 3.0) == "it broke, twice"
+    assert len(table) == 0
+
+
+def test_two_failures_of_different_kinds_are_two() -> None:
+    one = task()
+    table = table_with(one)
+    table.lease(one, "w", 0.0)
+    assert table.fail(one, "memory", "memory ran out", 1.0) is None
+    table.lease(one, "w", 2.0)
+    assert table.fail(one, "error", "it broke", 3.0) == "it broke"
+
+
+def test_what_takes_too_long_is_never_tried_again() -> None:
+    one = task()
+    table = table_with(one)
+    assert table.overdue(2 * LIMIT_S) == []  # nobody has it
+    table.lease(one, "w", 0.0)
+    assert table.overdue(LIMIT_S) == []
+    assert table.overdue(LIMIT_S + 1.0) == [one]
+    assert table.fail(one, "time", "too long", 1.0) == "too long"
+    assert len(table) == 0
+
+
+def test_a_table_that_is_wrong_says_so() -> None:
+    one, other = task("a"), task("b")
+    table = table_with(one, other)
+    table.lease(one, "w", 0.0)
+    table.lease(other, "w", 0.0)
+    with pytest.raises(AssertionError, match="has two tasks"):
+        table.validate()
+    other.worker = "v"
+    table.validate()
+    one.helpers["v"] = 0.0
+    with pytest.raises(AssertionError, match="helps while it has a task"):
+        table.validate()
+    one.helpers, other.worker = {}, None
+    with pytest.raises(AssertionError, match="leased on None"):
+        table.validate()
+
+
+class Histories(RuleBasedStateMachine):
+    """Tasks are leased, begun, lost, failed and ended as it comes; a model counts what each has gone through."""
+
+    workers = st.sampled_from(["w0", "w1", "w2"])
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.table = TaskTable()
+        self.added = 0
+        self.now = 0.0
+
+    def some(self, state: str) -> list[Task]:
+        return [one for one in self.table if one.state == state]
+
+    @rule()
+    def add(self) -> None:
+        self.added += 1
+        self.table.add(Task(f"{self.added:064x}", "j", "prepare", (), None, self.now))
+
+    @precondition(lambda self: self.some("waiting"))
+    @rule(worker=workers)
+    def lease(self, worker: str) -> None:
+        if self.table.on(worker) is None:
+            one = self.some("waiting")[0]
+            before = one.term
+            self.table.lease(one, worker, self.now)
+            assert one.term == before + 1
+
+    @precondition(lambda self: self.some("leased") or self.some("running"))
+    @rule()
+    def begin(self) -> None:
+        one = (self.some("leased") or self.some("running"))[0]
+        assert self.table.begin(one, self.now) is (one.began_at == self.now)
+
+    @rule(worker=workers)
+    def lose(self, worker: str) -> None:
+        self.now += 1.0
+        held = self.table.on(worker)
+        lost = self.table.lose(worker, self.now)
+        assert [one for one, _ in lost] == [one for one in [held] if one is not None]
+        assert all((one.losses == MAX_LOSSES) is (why is not None) for one, why in lost)
+
+    @precondition(lambda self: self.some("leased") or self.some("running"))
+    @rule(failure=st.sampled_from(["error", "memory", "crash", "time"]))
+    def fail(self, failure) -> None:
+        self.now += 1.0
+        one = (self.some("running") or self.some("leased"))[0]
+        failed_before = len(one.failures)
+        why = self.table.fail(one, failure, "a sentence", self.now)
+        assert (why is None) is (failed_before == 0 and failure != "time")
+        assert (self.table.get(one.id) is one) is (why is None)
+
+    @precondition(lambda self: len(self.table))
+    @rule()
+    def end(self) -> None:
+        self.table.end(next(iter(self.table)))
+
+    @invariant()
+    def is_valid(self) -> None:
+        self.table.validate()
+        assert all(one.losses < MAX_LOSSES and len(one.failures) < 2 for one in self.table)
+
+
+TestHistories = Histories.TestCase
+TestHistories.settings = settings(max_examples=40, stateful_step_count=30, deadline=None)
