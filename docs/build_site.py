@@ -34,6 +34,7 @@ CONTENTS: Final = {
     "How to": (
         "how-to/notebooks",
         "how-to/several-machines",
+        "how-to/dask-ray",
         "how-to/noisy-data",
         "how-to/solver-data",
         "how-to/chaos",
@@ -85,6 +86,8 @@ _API: Final = (
     ("class", "atoll.model.parameters.Parameter"),
     ("class", "atoll.model.simulation.Simulation"),
     ("class", "atoll.analysis.analysis.Analysis"),
+    ("function", "atoll.workers.start.start_on"),
+    ("class", "atoll.workers.handle.Handle"),
 )
 _SETTINGS: Final = """\
 project = "Atoll"

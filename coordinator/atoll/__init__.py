@@ -3,7 +3,7 @@
 ``api`` finds equations (`discover`, `submit`, `Discoverer`, `Regressor`) through ``client``; ``model`` is what users
 hold of a model that was found, ``analysis`` what its dynamics are, ``experiments`` what data it needs, ``export`` what
 other programs read of it, ``display`` its notations and pictures, ``report`` the page that shows it, ``text`` what
-terminals show; ``cli`` is the command line.
+terminals show; ``workers`` starts workers on clusters of Dask and Ray; ``cli`` is the command line.
 
 It stands above `atoll_coordinator`, which stands above `atoll_core`. Nothing is loaded before it is first used.
 """

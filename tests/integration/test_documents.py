@@ -55,6 +55,8 @@ NOT_RUN = {
     r"coordinator router ": "tests/unit/library/cli/verbs/test_router.py runs it",
     r".* --paths ": "needs the result of a process: tests/unit/library/cli/verbs/test_simulate.py",
     r".* --group NAME": "needs a result with groups: tests/unit/library/report/test_page.py",
+    # Python
+    r"import atoll\nimport atoll\.workers": "needs a cluster of Dask or Ray: tests/integration/test_cluster_workers.py",
     # outputs
     r"limit cycles as c3 varies": "minutes of another system: tests/unit/library/analysis/test_cycle_continuation.py",
     r"identifiability \(95 %": "of data that the page does not have: tests/unit/library/experiments",
@@ -64,7 +66,7 @@ NOT_RUN = {
     r"warning: Trajectories were simulated in pieces": "a search of chaotic data: benchmarks/RESULTS.md",
     r"site A: workers": "a drawing",
 }
-"""Why a command or a printed text is not tried here, by how it begins."""
+"""Why a command, Python or a printed text is not tried here, by how it begins."""
 
 DOCUMENTS = documents.texts()
 BLOCKS = {name: documents.blocks(name, text) for name, text in DOCUMENTS.items()}
@@ -102,6 +104,7 @@ def test_every_block_names_its_language() -> None:
 def test_every_reason_is_needed_and_names_what_is_there() -> None:
     texts = [command.text for blocks in BLOCKS.values() for block in blocks for command in commands(block)]
     texts += [block.output[0] for blocks in BLOCKS.values() for block in blocks if block.language == "text"]
+    texts += [block.text for blocks in BLOCKS.values() for block in blocks if block.language == "python"]
     assert [pattern for pattern in NOT_RUN if not any(re.match(pattern, text) for text in texts)] == []
     named = [name for reason in NOT_RUN.values() for name in re.findall(r"tests/[\w/.]+|benchmarks/[\w/.]+", reason)]
     assert [name for name in named if not (ROOT / name).exists()] == []
@@ -209,7 +212,7 @@ class Reader:
                 self._run(block, command)
         if block.language in ("text", "console") and not is_excused(block.output[0]):
             assert [line for line in block.output if line not in self._printed] == [], (block, self._printed)
-        if block.language in ("csv", "mermaid", "python", "toml"):
+        if block.language in ("csv", "mermaid", "python", "toml") and not is_excused(block.text):
             getattr(self, f"_{block.language}")(block)
 
     def _run(self, block: Block, command: Command) -> None:

@@ -102,7 +102,13 @@ def supervisor_command(endpoint: str, number: int) -> Sequence[str]:
     return [*worker_command(endpoint, "w", number), "--supervise"]
 
 
-def worker_command(endpoint: str, name: str, number: int = 1) -> Sequence[str]:
-    """Return the command of so many worker processes, which end when this process does."""
-    options = ["--connect", endpoint, "--processes", str(number), "--name", name, "--wait", "30", "--grace", "0"]
+def worker_command(
+    endpoint: str, name: str | None, number: int = 1, *, wait_s: float = 30.0, grace_s: float = 0.0
+) -> Sequence[str]:
+    """Return the command of so many worker processes, which end when this process does.
+
+    Without a `name` theirs are those of host and process; see ``island-worker --help`` for the other options.
+    """
+    options = ["--connect", endpoint, "--processes", str(number), *(["--name", name] if name is not None else [])]
+    options += ["--wait", f"{wait_s:g}", "--grace", f"{grace_s:g}"]
     return [sys.executable, "-m", "atoll_island_worker", *options, "--parent", str(os.getpid())]

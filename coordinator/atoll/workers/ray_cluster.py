@@ -1,0 +1,136 @@
+"""Island workers on a Ray cluster: one actor for each node, which starts the program there.
+
+Actors belong to the caller and end with it. Ray starts one again whose process was killed; nodes that come later get
+one within seconds, from a thread that looks at the list of nodes.
+"""
+
+import contextlib
+import threading
+from collections.abc import Mapping
+from types import ModuleType
+from typing import Any, Final
+
+import ray
+from ray.exceptions import ActorDiedError, RayError
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+from atoll.workers.handle import Handle, MachineWorkers
+from atoll.workers.program import Program, ProgramOptions, drain_limit_s
+from atoll_core.errors import AtollError, UnreachableError, UsageError
+
+LOOK_S: Final = 2.0
+"""Between two looks at the list of nodes: a machine takes longer to boot, and a look costs milliseconds."""
+
+ANSWER_LIMIT_S: Final = 10.0
+"""How long an actor may take to say how its program is; one that has no place yet says nothing."""
+
+
+class IslandWorkers:
+    """An actor: keeps the program on its node. What is sent there is the name of this class, strings and numbers."""
+
+    def __init__(self, options: ProgramOptions, processes: int) -> None:
+        self._program = Program(options, processes)
+
+    def state(self) -> tuple[int, int | None]:
+        """Return the number of processes and the program's exit code."""
+        return self._program.processes, self._program.exit_code()
+
+    def drain(self) -> None:
+        """Have the islands handed over."""
+        self._program.drain()
+
+
+class RayHandle(Handle):
+    """The actors of one call, by node."""
+
+    def __init__(self, options: ProgramOptions, processes: int | None, *, owns: bool) -> None:
+        """Start an actor on every node; `owns`: whether the connection to Ray is closed with this."""
+        self._options = options
+        self._processes = processes
+        self._owns = owns
+        self._actors: dict[str, Any] = {}
+        self._is_over = threading.Event()
+        self._follow_nodes()
+        self._watch = threading.Thread(target=self._keep_following, name="following the nodes of Ray", daemon=True)
+        self._watch.start()
+
+    def machines(self) -> Mapping[str, MachineWorkers]:
+        """Return the programs by the ids of the nodes, of those whose actor answers."""
+        return {node: answer for node, answer in self._answers().items() if isinstance(answer, MachineWorkers)}
+
+    def check(self) -> None:
+        """Raise AtollError also where an actor could not be started."""
+        for node, answer in self._answers().items():
+            if isinstance(answer, ActorDiedError):
+                reason = str(answer).strip().splitlines()[-1].strip()
+                raise AtollError(
+                    f"the island workers of the Ray node {node} could not be started ({reason}); it needs the same "
+                    "version of Atoll as is here"
+                )
+        super().check()
+
+    def _answers(self) -> Mapping[str, "MachineWorkers | RayError"]:
+        """Return what the actors say within the limit, by the ids of the nodes."""
+        asked = {node: actor.state.remote() for node, actor in [*self._actors.items()]}
+        if asked:
+            ray.wait([*asked.values()], num_returns=len(asked), timeout=ANSWER_LIMIT_S)
+        return {node: _answer(reference) for node, reference in asked.items()}
+
+    def close(self) -> None:
+        """End the programs, then the actors, also those that still wait for a place."""
+        if self._is_over.is_set():
+            return
+        self._is_over.set()
+        self._watch.join(ANSWER_LIMIT_S)
+        ending = [self._actors[node].drain.remote() for node in self.machines()]
+        if ending:
+            ray.wait(ending, num_returns=len(ending), timeout=ANSWER_LIMIT_S + drain_limit_s(self._options))
+        for actor in self._actors.values():
+            ray.kill(actor)
+        self._actors.clear()
+        if self._owns:
+            ray.shutdown()
+
+    def _keep_following(self) -> None:
+        while not self._is_over.wait(LOOK_S):
+            with contextlib.suppress(RayError, ConnectionError):  # Ray may be away for a while; it is asked again
+                self._follow_nodes()
+
+    def _follow_nodes(self) -> None:
+        """Give nodes that are new an actor, and forget those that have gone."""
+        alive = {node["NodeID"]: int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]}
+        for node in [*self._actors]:
+            if node not in alive:
+                del self._actors[node]
+        for node, cores in alive.items():
+            if node not in self._actors and cores:
+                self._actors[node] = self._started(node, min(self._processes or cores, cores))
+
+    def _started(self, node: str, cores: int) -> Any:
+        place = NodeAffinitySchedulingStrategy(node_id=node, soft=False)
+        actor = ray.remote(IslandWorkers).options(
+            num_cpus=cores, scheduling_strategy=place, max_restarts=-1, max_task_retries=0
+        )
+        return actor.remote(self._options, self._processes or cores)
+
+
+def _answer(reference: Any) -> "MachineWorkers | RayError":
+    try:
+        return MachineWorkers(*ray.get(reference, timeout=0))
+    except RayError as error:
+        return error
+
+
+def start(client: ModuleType | str, options: ProgramOptions, processes: int | None) -> RayHandle:
+    """Have every node of a Ray cluster start the program."""
+    owns = isinstance(client, str) and not ray.is_initialized()
+    if isinstance(client, str) and owns:
+        try:
+            ray.init(address=client, log_to_driver=False)
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            raise UnreachableError(
+                f"no Ray cluster answers at {client} ({type(error).__name__}); check the address and that it runs"
+            ) from error
+    if not ray.is_initialized():
+        raise UsageError("ray is not connected to a cluster; call ray.init() before, or give the cluster's address")
+    return RayHandle(options, processes, owns=owns)
