@@ -35,7 +35,7 @@ JOB: Final = "followed"
 EACH: Final = 50
 """Followers of one process."""
 
-READY_LIMIT_S: Final = 120.0
+READY_LIMIT_S: Final = 300.0
 
 
 @dataclass(frozen=True)

@@ -506,6 +506,7 @@ class JobController:
         self.begun[job_id] = waiting
         self.queue.begin(job_id)
         self.tasks.prepare(waiting.id, waiting.table, len(table), waiting.config, now)
+        self.changed(waiting.id)
 
     def _open_archipelagos(self) -> list[Archipelago]:
         return [archipelago for job in self.begun.values() for archipelago in job.open_archipelagos]

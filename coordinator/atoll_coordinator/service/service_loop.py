@@ -12,6 +12,7 @@ from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.monitoring.followers import Followers
+from atoll_coordinator.service.monitoring.metrics import LAG_S, UPDATE_S, LiveJob, Metrics
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
@@ -49,7 +50,7 @@ from atoll_core.wire.messages.epochs import (
 )
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.tasks import TaskReport
-from atoll_core.wire.messages.views import CoordinatorView, Counters, Workforce
+from atoll_core.wire.messages.views import CoordinatorView, Counters, EventKind, Workforce
 from atoll_core.wire.messages.workers import Shutdown, WorkerStatus
 from atoll_core.wire.rejects import Rejects
 from atoll_core.wire.security.role_bindings import RoleBindings
@@ -60,6 +61,7 @@ TICK_S: Final = 0.5
 _TICK: Final = "tick"
 _ABSENCE: Final = "absence"
 _CHANGES: Final = "changes"
+_PROBE: Final = "probe"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +74,15 @@ class _Turn:
     """Posted while questions of clients wait: it is one's turn."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Probe:
+    """Posted by a timer: how late is the loop?"""
+
+
 class Service:
     """One coordinator on one bus, over one store. Owned by the bus's owner thread."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  # the outside world
         self,
         bus: Bus,
         store: Store,
@@ -84,6 +91,7 @@ class Service:
         dismisses_workers: bool = False,
         dependencies: Dependencies | None = None,
         role_bindings: RoleBindings | None = None,
+        metrics: Metrics | None = None,
     ) -> None:
         """Set up a coordinator.
 
@@ -94,6 +102,7 @@ class Service:
             dismisses_workers: whether workers are shut down when this ends; otherwise they wait for its return.
             dependencies: the time of day and so on; the real ones unless given.
             role_bindings: names and roles, where certificates prove names; None: every name may be anybody.
+            metrics: where what is measured goes; None: nothing is.
         """
         self.rejects: Final = Rejects(_LOG)
         self._bus = MeteredBus(bus)
@@ -103,6 +112,7 @@ class Service:
         self._dismisses_workers = dismisses_workers
         dependencies = dependencies or Dependencies()
         self._questions: QuestionQueue[Query] = QuestionQueue()
+        self._owners: dict[str, str | None] = {}
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
         writer = CheckpointWriter(dependencies.writer, store, self._bus.post)
@@ -115,7 +125,9 @@ class Service:
             store.incarnation, self.controller.jobs, self.controller.shown, self.controller.events, self._workforce,
             lambda client, payload: self._bus.put(topics.changes(store.cluster, client), payload),
         )  # fmt: skip
-        self.controller.changed = self.controller.events.told = self._followers.touch
+        self.controller.changed, self.controller.events.told = self._note_change, self._note_event
+        self._metrics = metrics
+        self._probe_due = self._metrics_due = bus.now()
         clients = ClientRequests(
             self.controller, store, authorization, self._deletion, bus.now, self.view, self._followers
         )
@@ -139,6 +151,8 @@ class Service:
             self._bus.serve(expression)
         self._bus.post(_TimeCheck())  # jobs that were taken over are prepared at once
         self._bus.call_later(TICK_S, _TICK)
+        if self._metrics is not None:
+            self._probe_later()
         self.controller.events.record_start(cluster, self._store.incarnation)
 
     def run(self, stop: threading.Event) -> None:
@@ -162,6 +176,7 @@ class Service:
         What a peer did wrong is counted, logged once and changes nothing. What breaks here is ours: it is counted,
         logged once, and ends the job that it concerns; who asked is answered.
         """
+        began = time.perf_counter()
         with self.controller.breakages.tolerated("counting an event"):
             self._bus.count_received(event)
         with self.controller.breakages.tolerated(f"handling an event ({type(event).__name__})"):
@@ -173,6 +188,41 @@ class Service:
                 self.rejects.count(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
         with self.controller.breakages.tolerated("telling followers"):
             self._tell_followers()
+        if self._metrics is not None:
+            self._metrics.observe_step(time.perf_counter() - began)
+
+    def _note_change(self, job_id: str) -> None:
+        self._followers.touch(job_id)
+        if self._metrics is not None:
+            job = self.controller.jobs.get(job_id)
+            state, submitted_at = (job.state, job.submitted_at) if job is not None else (None, 0.0)
+            self._metrics.note_state(job_id, state, submitted_at, self._bus.now())
+
+    def _note_event(self, kind: EventKind, job_id: str | None) -> None:
+        self._followers.touch(job_id)
+        if self._metrics is not None:
+            self._metrics.note_event(kind)
+
+    def _probe_later(self) -> None:
+        """Have the loop's lag measured: a probe goes through the queue of events like all else."""
+        self._probe_due = self._bus.now() + LAG_S
+        self._bus.call_later(LAG_S, _PROBE)
+
+    def _update_metrics(self, now: float) -> None:
+        if self._metrics is None or now < self._metrics_due:
+            return
+        self._metrics_due = now + UPDATE_S
+        members = self.controller.workers.membership.views(now)
+        self._metrics.set_process(self.view(), self._store.size_bytes(), len(self._followers), self._questions.refused)
+        self._metrics.set_workers(member.state for member in members)
+        self._metrics.set_jobs(LiveJob(job.state, self._owner(job.id)) for job in self.controller.jobs.values())
+        self._owners = {job: owner for job, owner in self._owners.items() if job in self.controller.jobs}
+
+    def _owner(self, job: str) -> str | None:
+        """Return who submitted a live job, which the store is asked once."""
+        if job not in self._owners:
+            self._owners[job] = self._store.submitter(job)
+        return self._owners[job]
 
     def _tell_followers(self) -> None:
         """Tell what has changed and is due; come back for what is due later."""
@@ -214,6 +264,8 @@ class Service:
             self._bus.post(_TimeCheck())
         elif event.name == _ABSENCE:
             self._bus.post(_TimeCheck())
+        elif event.name == _PROBE:
+            self._bus.post(_Probe())
 
     @_on.register
     def _on_posted(self, event: Posted) -> None:
@@ -224,6 +276,9 @@ class Service:
                 self._check_time(now)
             case _Turn():
                 self._take_turn()
+            case _Probe() if self._metrics is not None:
+                self._metrics.observe_lag(now - self._probe_due)
+                self._probe_later()
             case PreparationBegun():
                 self.controller.begin_preparing(item.job, now)
             case JobPrepared():
@@ -254,6 +309,8 @@ class Service:
         with self.controller.breakages.tolerated("looking after followers"):
             self._followers.expire(now)
             self._followers.look(now)
+        with self.controller.breakages.tolerated("setting metrics"):
+            self._update_metrics(now)
         with self.controller.breakages.tolerated("deleting uploads that were given up"):
             self._uploads.expire()
         with self.controller.breakages.tolerated("deleting what is not kept"):

@@ -63,6 +63,14 @@ def _job_options(heading: str) -> Add:
     return add
 
 
+def _host_and_port(text: str) -> tuple[str, int]:
+    """Return host and port of ``127.0.0.1:9464``, or of ``:9464`` on this machine alone."""
+    host, colon, port = text.strip().rpartition(":")
+    if not (colon and re.fullmatch("[0-9]{1,5}", port) and 0 < int(port) < 65536):
+        raise argparse.ArgumentTypeError(f"HOST:PORT such as 127.0.0.1:9464 was expected, but {text!r} was given")
+    return host.strip("[]") or "127.0.0.1", int(port)
+
+
 def _keep(text: str) -> tuple[int | None, int | None]:
     """Return seconds and bytes of ``90d,8G``, None for what is left out; raises ArgumentTypeError."""
     if text == "all":
@@ -155,6 +163,10 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         _switch(
             "--standby",
             "wait while another coordinator serves the same --state, and take over when it has died or hangs",
+        ),
+        _value(
+            "--metrics", "HOST:PORT", "answer Prometheus there over HTTP, such as 127.0.0.1:9464 (default: nowhere)",
+            type=_host_and_port,
         ),
         *_SERVICE,
         _value(

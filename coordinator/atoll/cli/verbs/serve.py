@@ -33,6 +33,7 @@ def serve(options: argparse.Namespace) -> int:
     wanted, role_bindings = read_options(options, options.router)
     if options.standby:
         refuse_network(Path(options.state))
+    from atoll_coordinator.service.monitoring.metrics import served
     from atoll_coordinator.service.service_loop import Service
     from atoll_coordinator.service.store.retention import Retention
     from atoll_coordinator.service.tasks.dependencies import Dependencies
@@ -43,9 +44,9 @@ def serve(options: argparse.Namespace) -> int:
         if store is None:
             note("coordinator: stopped on standby; another one serves")
             return DONE
-        with store, _joined(options, wanted, role_bindings) as bus:
+        with served(options.metrics) as metrics, store, _joined(options, wanted, role_bindings) as bus:
             dependencies = Dependencies(retention=Retention(*options.keep))
-            service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings)
+            service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings, metrics=metrics)
             service.start()
             here = Destination(parse_address(bus.endpoint), wanted.credentials)
             with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):

@@ -41,8 +41,8 @@ class EventLog:
         self._clock = clock
         self._pending: list[EventRecord] = []
         self._refusals: set[tuple[str, str]] = set()
-        self.told: Callable[[str | None], object] = lambda job: None
-        """Called with the job of each event, when it has been recorded."""
+        self.told: Callable[[EventKind, str | None], object] = lambda kind, job: None
+        """Called with the kind and the job of each event, when it has been recorded."""
 
     def record(self, kind: EventKind, text: str, job: str | None = None, **values: Value) -> None:
         """Record an event: a sentence and fields, such as `variable`, `island`, `epoch`, `term` or `worker`."""
@@ -50,7 +50,7 @@ class EventLog:
         level = logging.WARNING if kind in _WARNINGS else logging.INFO
         _LOG.log(level, kind, extra=fields(job=job, **given, text=text))
         self._pending.append(EventRecord(job, self._clock(), kind, json.dumps({"text": text, **given})))
-        self.told(job)
+        self.told(kind, job)
 
     def flush(self) -> None:
         """Write the events that are not in the store yet."""

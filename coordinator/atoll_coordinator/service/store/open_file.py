@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from atoll_coordinator.service.store.lock import Lock
-from atoll_coordinator.service.store.schema import connect, connect_to_read, translated
+from atoll_coordinator.service.store.schema import FILE_NAME, connect, connect_to_read, translated
 from atoll_core.errors import StoreError
 from atoll_core.wire.messages.views import StoreView
 
@@ -119,6 +119,13 @@ class OpenFile:
         """Return how many transactions there were since the store was opened, and how long they took."""
         with self._timing_lock:
             return self._timing
+
+    def size_bytes(self) -> int:
+        """Return how many bytes the store's file has; 0 in memory."""
+        try:
+            return (self._directory / FILE_NAME).stat().st_size if self._directory is not None else 0
+        except OSError:
+            return 0
 
     def room(self) -> Room | None:
         """Return what room there is: on its disk, and in its file, whose free pages are used again.

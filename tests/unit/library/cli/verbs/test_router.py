@@ -73,7 +73,14 @@ def test_a_second_coordinator_behind_one_router_is_refused(
             serve.refuse_another(bus, central.endpoint)
     place = str(tmp_path / "two")
     options = Namespace(
-        router=central.endpoint, listen=None, state=place, roster=None, connect_file=None, wait=1.0, **LOGS
+        metrics=None,
+        router=central.endpoint,
+        listen=None,
+        state=place,
+        roster=None,
+        connect_file=None,
+        wait=1.0,
+        **LOGS,
     )
     with pytest.raises(UsageError, match="is there already behind the router"):
         serve.serve(options)
@@ -81,7 +88,14 @@ def test_a_second_coordinator_behind_one_router_is_refused(
 
 def test_a_coordinator_whose_router_is_not_there_says_so_after_the_wait(tmp_path: Path) -> None:
     options = Namespace(
-        router="tcp/127.0.0.1:9", listen=None, state=str(tmp_path), roster=None, connect_file=None, wait=0.2, **LOGS
+        metrics=None,
+        router="tcp/127.0.0.1:9",
+        listen=None,
+        state=str(tmp_path),
+        roster=None,
+        connect_file=None,
+        wait=0.2,
+        **LOGS,
     )
     with pytest.raises(UnreachableError, match=r"tcp/127\.0\.0\.1:9 within 0\.2 s"):
         serve.serve(options)

@@ -41,6 +41,7 @@ def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
     place = tmp_path / "file"
     place.write_text("")
     options = Namespace(
+        metrics=None,
         listen="tcp/127.0.0.1:0",
         router=None,
         state=str(place),
