@@ -1,10 +1,10 @@
 """How refining scales: batches of real jobs timed here, and what 1 to 256 workers would make of them.
 
 ``python -m benchmarks.refining_scale FOLDER/*.pickle`` refines kept pools (``benchmarks.corpus --keep-pools FOLDER``)
-as if others took batches, computes each batch in this process, and notes its processor seconds and those between
-batches. Then the trace is played on simulated workers, batches given out in order: one core does what lies between
-batches, each batch takes `OVERHEAD_S` more, and `LATENCY_S` on the way there and back. Speed-up and efficiency are
-those of the sum of all seconds over the workers' span; what the span consists of is named.
+as if many took batches, computes each batch in this process, and notes its processor seconds and those between batches.
+Then the trace is played on simulated workers, batches given out in order: one core does what lies between batches, each
+batch takes `OVERHEAD_S` more, and `LATENCY_S` on the way there and back. Speed-up and efficiency are those of the sum
+of all seconds over the workers' span; what the span consists of is named.
 """
 
 import heapq
@@ -69,7 +69,7 @@ Trace = tuple[Serial | Mapped | Fork, ...]
 class Recorder:
     """Batches that are computed here, one after another, and what they take."""
 
-    workers: int = 1
+    workers: int = max(WORKERS)
     threads: int = 1
     parts: list[Serial | Mapped | Fork] = field(default_factory=list)
     begun: float = field(default_factory=time.thread_time)

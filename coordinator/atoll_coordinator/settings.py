@@ -147,11 +147,11 @@ class EffortSettings:
 
 @dataclass(frozen=True)
 class SpreadSettings:
-    """How work falls into batches that others may take. A batch is to take about a fiftieth of a second of one core or
-    more, ten times what giving it away takes (about 2 ms), and where there is much to do a tenth."""
+    """How work falls into batches that others may take."""
 
-    batch: int = 1_000_000
-    """Work of a batch of fits, as `MultipleShooting.work` counts: 20 ms, at 50 million a second."""
+    batch: int = 2_500_000
+    """Work of a batch of fits at most, about, as `MultipleShooting.work` counts: a tenth of a second, fifty times what
+    giving it away takes. Where there are many workers batches are smaller."""
     constants: int = 4
     """Constants of an equation, about: a fit carries so many numbers along for each of its states."""
     steps: int = 8

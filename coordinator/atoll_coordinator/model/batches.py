@@ -2,7 +2,7 @@
 
 A `BatchFunction` is computed by threads of this process, from values as they are, or in batches by whoever takes them
 (`Batches`), from bytes: the same values come of it, to the bit, wherever and in which order batches are computed, and
-however often. How items fall into batches depends on the items alone, never on who is there to compute them.
+however often. Items are the fixed parts: what comes of one depends on it and the context alone, not on its batch.
 """
 
 import threading
@@ -26,6 +26,8 @@ FUNCTIONS: Final[dict[str, Callable[[bytes, bytes], bytes]]] = {}
 CANCELLED: Final = b""
 """What stands for a batch that was not computed since its time was over; no batch is computed to nothing."""
 
+_BATCHES_OF_A_WORKER: Final = 2
+"""In a call, so that one that takes longer than the others keeps nobody waiting for long."""
 _CONTEXTS: Final = 8
 """Contexts that are kept as they were built: the comparisons of all states of a system, and that of the whole."""
 _CALLERS: Final = 16
@@ -175,30 +177,33 @@ class Spread:
         yield from map(function, items) if self._executor is None else self._executor.map(function, items)
 
     def map(
-        self, function: BatchFunction[Context, Item, Made], context: Context, items: Sequence[Item], size: int = 1,
-        parts: Callable[[], Any] | None = None,
+        self, function: BatchFunction[Context, Item, Made], context: Callable[[], Context], items: Sequence[Item],
+        size: int = 1, parts: Callable[[], Any] | None = None,
     ) -> list[Made | None]:  # fmt: skip
-        """Return what a function makes of items, elsewhere in batches of `size`, here one after another or by threads.
+        """Return what a function makes of items, elsewhere in batches, here one after another or by threads.
 
         Args:
             function: is given each item.
-            context: as the function takes it here.
+            context: gives it as the function takes it here.
             items: one at least goes elsewhere where others take batches.
-            size: items of a batch.
+            size: most items of a batch.
             parts: gives what travels of the context; itself unless given.
 
         Returns:
             None of items that were not computed elsewhere before the time was over.
         """
-        if not self.is_shared:
-            return list(self.here(lambda item: function.here(context, item), items))
-        return self.share(function, encode_value(parts() if parts else context, function.context), items, size)
+        if not self.is_shared or not items:
+            built = context()
+            return list(self.here(lambda item: function.here(built, item), items))
+        return self.share(function, encode_value((parts or context)(), function.context), items, size)
 
     def share(
         self, function: BatchFunction[Context, Item, Made], context: bytes, items: Sequence[Item], size: int
     ) -> list[Made | None]:
-        """Return what `map` does, computed by whoever takes batches."""
-        assert self._batches is not None
+        """Return what `map` does, computed by whoever takes batches, of whom there are some."""
+        if self._batches is None or not items:
+            return []
+        size = self.batch_size(len(items), size)
         groups = [items[first : first + size] for first in range(0, len(items), size)]
         batches = [function.encoded(group) for group in groups]
         made = self._batches.map(function.name, context, batches, self._deadline.left)
@@ -207,6 +212,14 @@ class Spread:
             self._deadline.has_cut_short |= one == CANCELLED
             results += [None] * len(group) if one == CANCELLED else function.decoded(one)
         return results
+
+    def batch_size(self, count: int, most: int) -> int:
+        """Return into batches of how many items so many fall: two for each worker, of at most so many items.
+
+        What comes of an item does not depend on those beside it, so that the number of workers changes no bit.
+        """
+        workers = self._batches.workers if self._batches is not None else 1
+        return max(1, min(most, -(-count // (_BATCHES_OF_A_WORKER * max(workers, 1)))))
 
     def branches(self, calls: Sequence[Callable[[], Made]]) -> list[Made]:
         """Return what each call gives: at the same time where others take their batches, else one after another."""

@@ -6,9 +6,8 @@ They are ranked by the variable's trajectories alone, the other states as smooth
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
-
-import numpy as np
 
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.batches import BatchFunction
@@ -21,6 +20,7 @@ from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
 from atoll_core.expression.builder import Expression
 from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.restrictions import Restrictions
 from atoll_core.expression.writing.shortest import collected, shortened, shortest
 
 
@@ -94,17 +94,50 @@ def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dic
     }
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """What constants of candidates are fitted to first."""
+
+    problem: Problem
+    restrictions: Restrictions
+
+    def least_squares(self) -> LeastSquares:
+        """Return what fits them."""
+        return LeastSquares(self.problem, restrictions=self.restrictions)
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """A candidate, and the most steps of its first fit."""
+
+    program: Program
+    steps: int
+
+
+def _started(least_squares: LeastSquares, start: _Start) -> tuple[Program, ...]:
+    """Return the program with its constants fitted; nothing where it has no finite value somewhere."""
+    fitted = least_squares.fit(start.program, steps=start.steps)
+    return (fitted.program,) if math.isfinite(fitted.mse) else ()
+
+
+_STARTS_OF_A_BATCH: Final = 16
+"""Candidates whose constants are fitted to rows: each takes a millisecond or two."""
+_STARTS: Final[BatchFunction[LeastSquares, _Start, tuple[Program, ...]]] = BatchFunction(
+    "starts", _Rows, _Start, tuple[Program, ...], _started, _Rows.least_squares
+)
+
+
 def _written(comparison: ModelComparison, programs: Sequence[Program], *, is_shortest: bool) -> Iterator[Program]:
     """Yield programs in a short writing, or in the shortest; as they are where time is over before."""
     if len(programs) < 2:  # nobody need be asked
         yield from map(shortest if is_shortest else shortened, programs)
         return
-    made = comparison.spread.map(_WRITINGS, is_shortest, programs, _WRITINGS_OF_A_BATCH[is_shortest])
+    made = comparison.spread.map(_WRITINGS, lambda: is_shortest, programs, _WRITINGS_OF_A_BATCH[is_shortest])
     yield from (program if brief is None else brief for program, brief in zip(programs, made, strict=True))
 
 
 _WRITINGS_OF_A_BATCH: Final = (32, 4)
-"""Programs that are written anew: a short writing takes about a millisecond, the shortest ten."""
+"""Most programs that are written anew: a short writing takes about a millisecond, the shortest ten, some a hundred."""
 _WRITINGS: Final[BatchFunction[bool, Program, Program]] = BatchFunction(
     "writings", bool, Program, Program,
     lambda is_shortest, program: shortest(program) if is_shortest else shortened(program),
@@ -141,8 +174,10 @@ class RankedCandidates:
         self._known |= new.keys()
         least_squares = LeastSquares(self._problem, restrictions=comparison.restrictions(0))
         is_fitted = comparison.groups is None and not comparison.estimator.deadline.is_over  # else group by group
-        fitted = [least_squares.fit(program, steps=effort.steps if is_fitted else 0) for program in new.values()]
-        started = [one.program for one in fitted if np.isfinite(one.mse)]
+        starts = [_Start(program, effort.steps if is_fitted else 0) for program in new.values()]
+        rows = partial(_Rows, self._problem, comparison.restrictions(0))
+        made = comparison.spread.map(_STARTS, lambda: least_squares, starts, _STARTS_OF_A_BATCH, rows)
+        started = [program for programs in made for program in programs or ()]
         steps, (short, longer, _) = effort.brief_steps, SETTINGS.shooting.lengths
         models = comparison.fit_all([(program,) for program in started], steps, (short,))
         models, until = models[: effort.kept], comparison.estimator.work + effort.work

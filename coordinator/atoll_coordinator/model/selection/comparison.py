@@ -181,7 +181,7 @@ class ModelComparison:
 
     def _fitted_elsewhere(self, order: FitOrder, systems: Sequence[Programs]) -> list[FitOutcome | None]:
         """Return what comes of systems, fitted by whoever takes them; None of what time has cut short."""
-        size = self._batch_size(order)
+        size = self.spread.batch_size(len(systems), self._most_of_a_batch(order))
         batches = [FitBatch(order, tuple(systems[first : first + size])) for first in range(0, len(systems), size)]
         outcomes: list[FitOutcome | None] = []
         fitted = self.spread.share(FITS, self.encoded, batches, 1)
@@ -233,8 +233,8 @@ class ModelComparison:
             None if in_whole else order.lengths[-1], fit.is_stiff, model.misfit, model.nats,
         )  # fmt: skip
 
-    def _batch_size(self, order: FitOrder) -> int:
-        """Return how many fits take about as long as a batch should, by the rows and numbers that they carry along."""
+    def _most_of_a_batch(self, order: FitOrder) -> int:
+        """Return how many fits take about as long as a batch may, by the rows and numbers that they carry along."""
         measurements = self.estimator.measurements
         numbers = len(measurements.scales) * (1 + SETTINGS.spread.constants * len(measurements.scales))
         work = measurements.rows * numbers * min(order.steps, SETTINGS.spread.steps) * max(len(order.lengths), 1)

@@ -59,7 +59,7 @@ class Validation:
         measurements = comparison.estimator.measurements
         squares, whitened, total = np.zeros((3, len(measurements.observed)))
         folds = [Fold(model.programs, fit.starts, fit.errors, left_out) for left_out in self._folds]
-        found = comparison.spread.map(FOLDS, comparison, folds, parts=lambda: comparison.parts)
+        found = comparison.spread.map(FOLDS, lambda: comparison, folds, parts=lambda: comparison.parts)
         for left_out, errors in zip(self._folds, found, strict=True):
             if comparison.estimator.deadline.is_over or errors is None:
                 return None

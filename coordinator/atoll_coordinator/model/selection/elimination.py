@@ -79,7 +79,7 @@ def eliminate_all(
         return
     tried = [tuple(terms) for terms in libraries]
     parts = partial(EliminationParts, comparison.parts, problem)
-    for made in comparison.spread.map(_ELIMINATIONS, (comparison, problem), tried, parts=parts):
+    for made in comparison.spread.map(_ELIMINATIONS, lambda: (comparison, problem), tried, parts=parts):
         if made is not None and comparison.estimator.work < until:
             comparison.estimator.count(made.work)
             for program, summary in zip(made.programs, made.summaries, strict=True):

@@ -94,4 +94,4 @@ def _pursued(task: ModellingTask, name: str, most: float, needed: Collection[int
 
 def _sums(task: ModellingTask, problem: Problem, sought: Pursuit) -> tuple[Program, ...]:
     """Return the sums that leave least of a target; none where time is over before they are found."""
-    return task.spread.map(PURSUED, problem, [sought])[0] or ()
+    return task.spread.map(PURSUED, lambda: problem, [sought])[0] or ()

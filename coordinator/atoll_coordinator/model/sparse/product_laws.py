@@ -294,12 +294,12 @@ def _with_noise(
     begun = dict.fromkeys((*(tuple(terms) for terms, _ in tried), *list(own)[: SETTINGS.effort.beam]))
     parts = _Windows(measured, target, half, tuple(largest))
     searches = [_Search(terms, is_tested) for terms in begun]
-    candidates = spread.map(_SUMS, Regression(form, largest), searches, parts=lambda: parts)
+    candidates = spread.map(_SUMS, partial(Regression, form, largest), searches, parts=lambda: parts)
     laws = sorted((law for laws in candidates for law in laws or () if len(law.program) <= MAX_NODES), key=_nats)
     if not laws:
         return
     functions = [program for program, terms in zip(written, summed, strict=True) if terms is None]
-    nats = spread.map(_RIVALS, form, functions, _RIVALS_OF_A_BATCH, parts=lambda: parts)
+    nats = spread.map(_RIVALS, lambda: form, functions, _RIVALS_OF_A_BATCH, parts=lambda: parts)
     rival = min((one for one in nats if one is not None), default=math.inf)
     structures: set[bytes] = set()
     for law in laws:

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from atoll_coordinator.model.batches import FUNCTIONS, BatchFunction, LocalBatches, Spread, spreading
+from atoll_coordinator.model.deadline import Deadline
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from tests.batches import ScatteredBatches
 
@@ -42,8 +43,9 @@ def test_a_context_is_built_once_for_many_batches() -> None:
 @pytest.mark.parametrize("size", [1, 4, 100])
 def test_work_is_the_same_wherever_it_is_spread(workers: int, size: int) -> None:
     batches = ScatteredBatches(workers)
-    assert Spread(batches).map(SQUARE, 2, ITEMS, size) == [item**2 for item in ITEMS]
-    assert bool(batches.calls) == (workers > 0 and size < len(ITEMS))
+    assert Spread(batches).map(SQUARE, lambda: 2, ITEMS, size) == [item**2 for item in ITEMS]
+    assert bool(batches.calls) == (workers > 0)
+    assert Spread(ScatteredBatches(workers)).map(SQUARE, lambda: 2, [], size) == []
 
 
 def test_threads_of_this_process_compute_batches_and_values_alike() -> None:
@@ -51,9 +53,9 @@ def test_threads_of_this_process_compute_batches_and_values_alike() -> None:
         local = LocalBatches(executor)
         made = local.map("test: power", b"\x03", [SQUARE.encoded([item]) for item in ITEMS])
         assert [SQUARE.decoded(one)[0] for one in made] == [item**3 for item in ITEMS]
-    with spreading(None, 2) as spread:
+    with spreading(None, 2, Deadline()) as spread:
         assert not spread.is_shared
-        assert spread.map(SQUARE, 3, ITEMS) == [item**3 for item in ITEMS]
+        assert spread.map(SQUARE, lambda: 3, ITEMS) == [item**3 for item in ITEMS]
 
 
 def test_branches_go_on_at_the_same_time_only_where_others_take_their_batches() -> None:

@@ -258,7 +258,7 @@ def test_threads_are_as_many_as_the_cores_that_may_be_used(monkeypatch):
     class Begun(Exception):
         pass
 
-    def spreading(batches, threads):
+    def spreading(batches, threads, deadline):
         raise Begun(threads)
 
     monkeypatch.setenv("SLURM_CPUS_PER_TASK", "1")

@@ -2,14 +2,16 @@
 
 import itertools
 import math
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.batches import Batches
 from atoll_coordinator.model.deadline import CHOICE_SHARE, Deadline
 from atoll_coordinator.model.inference import conclusion
 from atoll_coordinator.model.inference.conclusion import _no_elaborations, _shortened, _show, _standard_deviation
@@ -27,6 +29,8 @@ from atoll_core.expression.program import constant_places
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.search.pareto import FrontEntry
+from atoll_core.wire.values import encode_value
+from tests.batches import ScatteredBatches
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import (
     DECAY,
@@ -59,10 +63,10 @@ def _little_work(monkeypatch):
     monkeypatch.setattr(joint_search, "SETTINGS", settings("effort", work=2_000_000))
 
 
-def refined(known, starts, pool, *, times=TIMES, noise=0.0, seed=0, config=None):
+def refined(known, starts, pool, *, times=TIMES, noise=0.0, seed=0, config=None, batches=None):
     config = config or JobConfig(space=ARITHMETIC)
     preparation = prepare(table(known, starts, times, noise, seed), config)
-    return refine_all(preparation, config, pools(preparation, **pool))
+    return refine_all(preparation, config, pools(preparation, **pool), batches=batches)
 
 
 def is_same(known, refinement, **truths):
@@ -105,6 +109,33 @@ def noisy():
 
 def test_noisy_equations_come_out_in_form_with_estimates(noisy):
     assert is_near(LOTKA, noisy, x="3*x - 2*x*y - x**2", y="2*y - x*y - y**2")
+
+
+@pytest.fixture(scope="module")
+def processes():
+    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
+        yield executor
+
+
+def scattered(batches: Batches | None = None) -> bytes:
+    times = 0.1 * np.arange(30.0)
+    return encode_value(refined(LOTKA, LOTKA_STARTS, LOTKA_POOL, noise=0.02, times=times, batches=batches))
+
+
+@pytest.fixture(scope="module")
+def computed_here() -> bytes:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(joint_search, "SETTINGS", settings("effort", work=2_000_000))
+        return scattered()
+
+
+@pytest.mark.parametrize("workers", [2, 7, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 3))])
+def test_wherever_and_in_which_order_batches_are_computed_changes_no_bit(workers, computed_here, processes):
+    """By other processes, and by threads of this one; out of order, and some twice."""
+    batches = ScatteredBatches(workers, processes if workers == 2 else None)
+    assert scattered(batches) == computed_here
+    functions = {function for function, _ in batches.calls}
+    assert {"fits", "folds", "sums of products", "writings", "eliminations"} <= functions
 
 
 def test_the_threads_of_a_refinement_have_ended_with_it(monkeypatch):

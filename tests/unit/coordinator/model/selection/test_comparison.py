@@ -221,7 +221,8 @@ def test_neither_workers_nor_their_order_change_a_bit_or_the_work_that_is_counte
 
 
 def test_what_time_has_cut_short_is_left_out():
-    late = lotka(spread=Spread(ScatteredBatches(2, is_over=True)), deadline=Deadline(1000.0))
+    deadline = Deadline(1000.0)
+    late = lotka(spread=Spread(ScatteredBatches(2, is_over=True), deadline=deadline), deadline=deadline)
     assert late.fit_all([(program, OTHER) for program in RIVALS]) == []
     assert late.estimator.deadline.has_cut_short
     assert late.estimator.work == 0

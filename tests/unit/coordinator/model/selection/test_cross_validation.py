@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.selection.cross_validation import Validation
+from atoll_coordinator.model.selection.cross_validation import FOLDS, Validation, squared_errors
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.shooting.made import DECAY, SWING, compare, measurements, recording
@@ -70,13 +70,12 @@ def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
     comparison = compare(SWING, measurements(SWING, starts, TIMES[:8], noise=NOISE, seed=122), 1e-4)
     seen = []
     validation = Validation(comparison)
-    own = validation._squared_errors
 
-    def left(fitted, left_out):
-        seen.append(left_out)
-        return own(fitted, left_out)
+    def left(fitting, fold):
+        seen.append(fold.left_out)
+        return squared_errors(fitting, fold)
 
-    monkeypatch.setattr(validation, "_squared_errors", left)
+    monkeypatch.setattr(FOLDS, "_compute", left)
     validation.of(model(comparison, "y", "-1.9*x - 0.2*y"))
     assert len(seen) == SETTINGS.effort.beam
     assert sorted(owner for fold in seen for owner in fold) == list(range(25))
@@ -85,7 +84,7 @@ def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
 def test_what_cannot_be_simulated_foretells_nothing(monkeypatch):
     rows = swinging()
     validation = Validation(rows)
-    monkeypatch.setattr(validation, "_squared_errors", lambda *_: None)
+    monkeypatch.setattr(FOLDS, "_compute", lambda *_: ())
     fitted = validation.of(model(rows, "y", "-1.9*x - 0.2*y"))
     assert fitted.misfit == np.inf
     assert fitted.r2 == (-np.inf, -np.inf)
@@ -97,18 +96,17 @@ def test_nothing_is_foretold_after_the_time_is_over(monkeypatch, fold):
     fitted = model(rows, "y", "-1.9*x - 0.2*y")
     monkeypatch.setattr(rows.estimator, "deadline", Deadline(1.0, lambda: now[0]))
     validation = Validation(rows)
-    own = validation._squared_errors
 
-    def left(model, left_out):
-        seen.append(left_out)
-        now[0] = 2.0 if len(seen) == fold else 0.0
-        return own(model, left_out)
+    def left(fitting, fitted_fold):
+        made = squared_errors(fitting, fitted_fold)
+        seen.append(made)
+        now[0] = 2.0 if len(seen) == fold else now[0]
+        return made
 
-    monkeypatch.setattr(validation, "_squared_errors", left)
+    monkeypatch.setattr(FOLDS, "_compute", left)
     now[0] = 0.0 if fold else 2.0
     assert validation.of(fitted) is None
-    assert len(seen) == fold
-    assert validation._shooter(rows.estimator.measurements).deadline is rows.estimator.deadline
+    assert len([made for made in seen if made]) == fold
 
 
 def test_missing_values_do_not_count():

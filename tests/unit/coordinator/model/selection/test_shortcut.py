@@ -110,7 +110,7 @@ def forms(programs):
 
 
 def test_one_wrong_law_gives_way_to_another_candidate_and_leaves_the_others_as_they_are(monkeypatch):
-    monkeypatch.setattr(proposals, "pursue", lambda *_: [])
+    monkeypatch.setattr(proposals, "_sums", lambda *_: ())
     preparation, laws = ring_with_a_wrong_law()
     candidates = {name: CandidateSet() for name in RING}
     candidates["x2"] = CandidateSet((Member(from_infix("x0*x1 - 0.9*x2", RING), 0.1, 0.01),))
