@@ -17,25 +17,26 @@ from tests.simulation.harness.simulated_cluster import World, prepare
 config = partial(short_job, islands=3, max_epochs=12, stagnation=1000)
 
 
+def prepare_with_values(table: bytes, config: JobConfig) -> Preparation:
+    """Prepare a job whose first target has values, which its dataset holds as it comes from the task."""
+    prepared = prepare(table, config)
+    object.__setattr__(prepared.dataset.targets[0], "values", np.arange(20.0))
+    return prepared
+
+
 class Watched:
     """A world that knows what its jobs are made of, without holding it."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("tests.simulation.harness.stub_islands.HIT_EPOCHS", 10**9)
         self.parts: list[weakref.ref[Any]] = []
-        self.world = World(workers=2, prepare=self._prepare, slowness=5.0)
-
-    def _prepare(self, table: bytes, config: JobConfig) -> Preparation:
-        values = np.arange(20.0)
-        self.parts.append(weakref.ref(values))
-        prepared = prepare(table, config)
-        target = prepared.dataset.targets[0]
-        object.__setattr__(target, "values", values)
-        return prepared
+        self.world = World(workers=2, prepare=prepare_with_values, slowness=5.0)
 
     def look(self, job: str) -> None:
         """Take notice of a job and its archipelagos."""
         live = self.world.service.controller.jobs[job]
+        assert live.prepared is not None
+        self.parts.append(weakref.ref(live.prepared.dataset.targets[0].values))
         self.parts += [weakref.ref(live), *(weakref.ref(archipelago) for archipelago in live.archipelagos.values())]
         self.parts += [weakref.ref(archipelago.collector) for archipelago in live.archipelagos.values()]
 

@@ -223,6 +223,8 @@ class _Running:
         except RuntimeError as error:
             self._outgoing.put(None)
             self._process.kill()
+            self._process.wait(END_LIMIT_S)
+            self._process.close()
             raise AtollError(f"no thread could be started for it: {error}") from error
 
     @property

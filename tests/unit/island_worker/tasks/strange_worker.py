@@ -1,0 +1,56 @@
+"""A worker in a few lines, for tests that kill it: has one task run, and prints what comes of it.
+
+``python -m tests.unit.island_worker.tasks.strange_worker interpreter|server FUNCTION INPUT...``. With a server the
+worker is forked from this process after the server, as `atoll_island_worker.launch` does it, and prints its number
+first.
+"""
+
+import logging
+import os
+import queue
+import signal
+import sys
+
+from atoll_core.tasks.frames import Ended, Failed, Finished, Run, Said
+from atoll_island_worker.processes.fork_server import Forked
+from atoll_island_worker.tasks import task_process
+from atoll_island_worker.tasks.task_server import TaskServer
+from tests.unit.island_worker.tasks import strange_tasks
+
+KNOWING = task_process._PROGRAM.replace("from atoll", f"import {strange_tasks.__name__}\nfrom atoll", 1)
+"""The program of a task process that knows the strange functions."""
+
+
+def work(server: TaskServer | None, function: str, inputs: tuple[bytes, ...]) -> int:
+    """Run a task; print what comes of it."""
+    said: queue.SimpleQueue[object] = queue.SimpleQueue()
+    logging.basicConfig(level=logging.INFO)
+    process = task_process.TaskProcess(server)
+    process.attach(said.put)
+    process.send(Run("t", function, inputs))
+    while True:
+        item = said.get(timeout=100.0)
+        assert isinstance(item, Said)
+        if isinstance(item.message, Finished | Failed | Ended):
+            sys.stdout.write(f"{item.message}\n")
+            process.stop()
+            return 0
+
+
+def main(kind: str, function: str, *inputs: str) -> int:
+    """Run from the command line."""
+    signal.signal(signal.SIGINT, lambda number, frame: None)
+    task_process._PROGRAM = KNOWING
+    given = tuple(map(os.fsencode, inputs))
+    if kind == "interpreter":
+        return work(None, function, given)
+    server = TaskServer()
+    worker = Forked(lambda: work(server, function, given))
+    sys.stdout.write(f"{worker.pid}\n")
+    sys.stdout.flush()
+    _, status = os.waitpid(worker.pid, 0)
+    return abs(os.waitstatus_to_exitcode(status))
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
