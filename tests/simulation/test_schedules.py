@@ -150,6 +150,19 @@ def test_every_kind_of_fault_strikes_and_is_undone(kind: Kind) -> None:
     assert outcome.struck == Counter([kind])
 
 
+@pytest.mark.parametrize(
+    ("kind", "met"),
+    [("crash-task", "crash"), ("starve-task", "memory"), ("break-task", "error"), ("kill-in-task", "lost")],
+)
+def test_a_task_that_meets_something_is_done_all_the_same(kind: Kind, met: str) -> None:
+    """That of preparing, of which a second failure would be the job's; and helpers of refining get batches."""
+    run = ScheduleRun(disturbed(Fault(0.0, kind, "", 15.0, 1.0)))
+    outcome = run.play()
+    assert not outcome.wrong, told(outcome)
+    assert run.participants.fate.counts == {met: 1}
+    assert sum(tasks.helped for tasks in run.participants.tasks.values()) > 1
+
+
 @pytest.mark.parametrize("kind", ["die-before-commit", "die-after-commit"])
 @pytest.mark.parametrize("commit", range(1, 12))
 def test_the_coordinator_may_die_at_any_commit(kind: Kind, commit: int) -> None:

@@ -11,6 +11,7 @@ from atoll_core.config import Frozen
 from atoll_core.wire.messages import clients as client_messages
 from atoll_core.wire.messages import epochs as epoch_messages
 from atoll_core.wire.messages import handshake as greetings
+from atoll_core.wire.messages import tasks as task_messages
 from atoll_core.wire.messages import workers as messages
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,16 +22,18 @@ TABLES = re.findall(r"<!-- table: ([\w.]+) -->\n((?:\|.*\n)+)", TEXT)
 def printed(path: str) -> str:
     """Return a transition table as the document prints it."""
     module, name = path.rsplit(".", 1)
-    table: dict[str, dict[str, str]] = getattr(import_module(module), name)
+    table: dict[str, dict[str, str | None]] = getattr(import_module(module), name)
     steps = list(dict.fromkeys(step for row in table.values() for step in row))
-    rows = [[state, *(row.get(step, "·") for step in steps)] for state, row in table.items()]
+    rows = [
+        [state, *((row[step] or "*gone*") if step in row else "·" for step in steps)] for state, row in table.items()
+    ]
     lines = [["state", *steps], *rows]
     text = ["| " + " | ".join(line) + " |\n" for line in lines]
     return "".join([text[0], "|" + "---|" * (len(steps) + 1) + "\n", *text[1:]])
 
 
-def test_all_four_machines_are_there() -> None:
-    assert len(TABLES) == 4
+def test_all_six_machines_are_there() -> None:
+    assert len(TABLES) == 6
 
 
 @pytest.mark.parametrize(("path", "table"), TABLES)
@@ -39,9 +42,8 @@ def test_a_table_in_the_document_is_the_one_in_the_code(path: str, table: str) -
 
 
 def test_every_kind_of_message_is_named() -> None:
-    every = [
-        value for module in (greetings, messages, epoch_messages, client_messages) for value in vars(module).values()
-    ]
+    modules = (greetings, messages, epoch_messages, task_messages, client_messages)
+    every = [value for module in modules for value in vars(module).values()]
     models = [value for value in every if isinstance(value, type) and issubclass(value, Frozen)]
     named = [get_args(model.model_fields["kind"].annotation) for model in models if "kind" in model.model_fields]
     kinds = {kind for kinds in named for kind in kinds}  # a base of several messages names none

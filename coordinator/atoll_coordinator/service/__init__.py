@@ -1,15 +1,17 @@
 """The coordinator at work: jobs, workers, results.
 
 ``service_loop`` is the only loop; it hands what the bus brings to ``job_controller`` and ``requests``. Below them,
-``workers`` has who computes what, ``background`` the slow work, ``monitoring`` what people are shown, ``jobs`` a job,
-``search`` an archipelago, ``scheduling`` whose turn it is, and ``store`` what lasts. Imports go down this list only.
+``tasks`` has what is leased to workers, ``workers`` who computes what, ``monitoring`` what people are shown, ``jobs`` a
+job, ``search`` an archipelago, ``scheduling`` whose turn it is, and ``store`` what lasts. Imports go down this list
+only.
 
-A job: `requests.clients` -> `job_controller.submit` -> `scheduling.job_queue` -> `background.runner` (prepare) ->
-`job_controller.start_search` -> `workers.scheduling` -> `search.collector` (cut) -> `background.runner` (refine) ->
-`job_controller.finish_job` -> `store`.
+A job: `requests.clients` -> `job_controller.submit` -> `scheduling.job_queue` -> `tasks.task_controller` (prepare) ->
+`job_controller.start_search` -> `workers.scheduling` -> `search.collector` (cut) -> `tasks.task_controller`
+(refine) -> `job_controller.finish_job` -> `store`.
+A task: `tasks.task_controller` -> `tasks.dispatch` -> a lease -> a worker's result -> `tasks.outcomes`.
 A report: `service_loop` -> `job_controller.add_report` -> `jobs.job` -> `search.archipelago` -> `search.collector`.
 A worker's death: `workers.worker_controller` -> `workers.membership` (expire) -> `workers.lease_backoff`,
 `workers.crash_loops` -> `workers.quarantine`, `workers.scheduling` -> a placement under a new term.
 A commit: heartbeat with snapshots -> `search.pull_budget` (pulls) -> `search.checkpoint_gathering` ->
-`background.runner` (write) -> `job_controller.commit_checkpoint` -> `workers.channel`.
+`tasks.writer` -> `job_controller.commit_checkpoint` -> `workers.channel`.
 """

@@ -78,7 +78,7 @@ class ScheduleRun:
             self.participants.story.append("".join(traceback.format_exception(error)))
         finally:
             self.participants.disk.close()
-        everybody, struck = self.participants, self._injector.struck + Counter(self.participants.fate.counts)
+        everybody, struck = self.participants, self._injector.struck
         seconds, history = everybody.network.now, everybody.history.hexdigest()
         return Outcome(everybody.schedule, everybody.wrong, everybody.story, struck, seconds, history)
 

@@ -57,7 +57,7 @@ class Fate:
             return False
         self.met.add(task)
         coming = self.coming.pop(0)
-        self.counts[f"task met {coming or 'the death of its worker'}"] += 1
+        self.counts[coming or "lost"] += 1
         return coming
 
 
