@@ -124,7 +124,7 @@ PROCESSES: dict[str, Begin] = {
     "`island-worker` of several processes": workers,
     "`island-worker` of one process, and each process of several": worker,
 }
-LONG = {run, submit, standby}
+LONG = {run, submit, standby, router, worker}
 CASES = [
     pytest.param(name, number, id=f"{begin.__name__}-{number.name}", marks=[pytest.mark.slow] * is_slow)
     for name, begin in PROCESSES.items()
