@@ -52,6 +52,8 @@ NOT_RUN = {
     r"make-authority |cd ": "tests/unit/test_make_authority.py runs it",
     r".* tls/": "needs these certificates: tests/integration/test_security.py and test_python_api.py",
     r"coordinator serve |island-worker": "runs while all pages are followed",
+    r"coordinator adapt ": "needs Slurm: make deploy-rehearsal STEPS=adapt",
+    r"coordinator (backup|restore) ": "needs a store: tests/integration/test_standby.py runs them",
     r"coordinator router ": "tests/unit/library/cli/verbs/test_router.py runs it",
     r".* --paths ": "needs the result of a process: tests/unit/library/cli/verbs/test_simulate.py",
     r".* --group NAME": "needs a result with groups: tests/unit/library/report/test_page.py",
