@@ -4,13 +4,36 @@ Everybody logs through the standard library: ``_LOG.info("placed", extra=fields(
 lines configure.
 """
 
+import contextlib
 import json
 import logging
 import sys
+from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
 from datetime import UTC, datetime
+from types import MappingProxyType
 from typing import Final
 
 _KEY: Final = "atoll_fields"
+_SEEN: Final = "atoll_has_context"
+
+
+_context: ContextVar[Mapping[str, object]] = ContextVar("what log lines are about", default=MappingProxyType({}))
+
+
+@contextlib.contextmanager
+def about(**values: object) -> Iterator[None]:
+    """Let every line that is logged in this block have these fields, such as `job` or `task`; those that are None not.
+
+    A line's own fields go before them, and inner blocks before outer ones. It holds for the thread, or the task of
+    asyncio, that it was begun in.
+    """
+    given = {name: value for name, value in values.items() if value is not None}
+    token = _context.set({**_context.get(), **given})
+    try:
+        yield
+    finally:
+        _context.reset(token)
 
 
 def fields(**values: object) -> dict[str, object]:
@@ -60,12 +83,22 @@ def configure(
     """Send the log to `handler`, or to stderr, one line an event from `level` on; `context` stands in every line."""
     handler = handler or logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines(context) if form == "json" else TextLines(context))
+    handler.addFilter(with_context)
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
+
+
+def with_context(record: logging.LogRecord) -> bool:
+    """Give a line, once, the fields of what it is about: by then it may be written by another thread."""
+    if not getattr(record, _SEEN, False):
+        setattr(record, _KEY, {**_context.get(), **getattr(record, _KEY, {})})
+        setattr(record, _SEEN, True)
+    return True
 
 
 def fields_of(record: logging.LogRecord) -> dict[str, object]:
     """Return the fields of a line."""
-    values: dict[str, object] = getattr(record, _KEY, {})
+    with_context(record)
+    values: dict[str, object] = getattr(record, _KEY)
     return values
 
 

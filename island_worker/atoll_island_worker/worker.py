@@ -31,6 +31,7 @@ from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThr
 from atoll_island_worker.connection.connection import GRACE, GRACE_S, GREET, LIFETIME, CoordinatorConnection
 from atoll_island_worker.connection.requests import FETCH, FETCH_INPUTS, Request, Requests
 from atoll_island_worker.datasets import Datasets
+from atoll_island_worker.job_logs import JobLogs
 from atoll_island_worker.session import actions, events
 from atoll_island_worker.session.worker_session import Session
 from atoll_island_worker.tasks.task_process import Starter, TaskProcess
@@ -57,10 +58,12 @@ class Worker:
         lifetime_s: float | None = None,
         grace_s: float = GRACE_S,
         task_process: TaskProcess | None = None,
+        logs: JobLogs | None = None,
     ) -> None:
         """Set up a worker whose `compute` warms up elsewhere; for the times see `CoordinatorConnection`.
 
-        `task_process` runs tasks; one that starts an interpreter of its own unless given.
+        `task_process` runs tasks; one that starts an interpreter of its own unless given. `logs` has the log lines that
+        the coordinator is told.
         """
         self.name: Final = name
         self.session = Session(name)
@@ -75,6 +78,7 @@ class Worker:
         self._connection = CoordinatorConnection(self._bus, self._requests, name, wait_s, lifetime_s, grace_s)
         self._is_drain_requested = False
         self._detail = "loading kernels"
+        self._logs = logs
 
     @property
     def exit_code(self) -> int | None:
@@ -144,12 +148,31 @@ class Worker:
                 self._connection.fail(AtollError(item.sentence))
             case events.JobReady() | events.LoadFailed():
                 if self._datasets.finish_loading(item.job):
+                    self._tell(item)
                     self._handle(item)
             case Said():
                 if self._tasks.process_said(item):
                     self._send_heartbeat()
             case events.Snapshot() | events.Computed() | events.Rejected() | events.Broken() | events.Abandoned():
+                self._tell(item)
                 self._handle(item)
+
+    def _tell(self, item: object) -> None:
+        """Log what people may want to know of a job."""
+        match item:
+            case events.JobReady():
+                _LOG.info("data are loaded", extra=fields(job=item.job))
+            case events.LoadFailed():
+                _LOG.error("data cannot be read", extra=fields(job=item.job, reason=item.sentence))
+            case events.Broken():
+                key = item.key
+                where = {"variable": key.variable, "island": key.island, "epoch": key.epoch, "term": key.term}
+                _LOG.error("an island broke", extra=fields(job=key.job, **where, reason=item.sentence))
+            case messages.Placement():
+                islands = len(item.islands_of(self.name))
+                if islands:
+                    where = fields(job=item.job, variable=item.variable, term=item.term, islands=islands)
+                    _LOG.info("islands are placed here", extra=where)
 
     @_on.register
     def _on_timer(self, event: Timer) -> None:
@@ -248,6 +271,7 @@ class Worker:
             case messages.Placements():
                 for placement in body.placements:
                     self._connection.incarnation_heard(placement.incarnation)
+                    self._tell(placement)
                     self._handle(placement)
             case messages.Commit() | messages.Close():
                 self._handle(body)
@@ -337,6 +361,9 @@ class Worker:
             counters=counters,
         )
         self._requests.send_status(status)
+        log = self._logs.take() if self._logs is not None else None
+        if log is not None:
+            self._requests.send_log(log)
 
     def _handle(self, event: events.SessionEvent) -> None:
         """Give the session an event, and do what it wants."""
@@ -391,7 +418,9 @@ def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of th
     compute.warm_up()
     try:
         with open_client(connect, wait_s=wait_s) as bus:
-            worker = Worker(bus, compute, name, wait_s, lifetime_s, grace_s, TaskProcess(tasks))
+            logs = JobLogs(time.monotonic)
+            logging.getLogger().addHandler(logs)
+            worker = Worker(bus, compute, name, wait_s, lifetime_s, grace_s, TaskProcess(tasks), logs)
             with on_signal(worker.leave):
                 code = worker.run()
             if worker.error is not None:

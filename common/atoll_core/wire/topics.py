@@ -15,6 +15,7 @@ so that one access rule per name fences them all. Column names never enter a key
     atoll/{cluster}/worker/{worker}/status     put by the worker: heartbeat
     atoll/{cluster}/worker/{worker}/report     put by the worker: finished epochs
     atoll/{cluster}/worker/{worker}/result     put by the worker: what came of tasks
+    atoll/{cluster}/worker/{worker}/log        put by the worker: lines of its log
     atoll/{cluster}/worker/{worker}/pull       served by the worker: what it sent and still keeps
     atoll/{cluster}/worker/{worker}/to/{peer}  put by the worker: migrants for islands of `peer`
     atoll/{cluster}/client/{client}/ask        served by the coordinator: requests of the command line
@@ -34,7 +35,7 @@ ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 DIGEST: Final = re.compile(r"[0-9a-f]{64}")
 MAX_CHUNKS: Final = 1 << 16
 
-WorkerPart = Literal["alive", "status", "report", "result", "pull"]
+WorkerPart = Literal["alive", "status", "report", "result", "pull", "log"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -183,9 +183,14 @@ class Client:
         """Return how much work waits."""
         return self._ask(messages.GetQueueDepth(), messages.QueueDepth, "the depth of the queue")
 
-    def events(self, job: str | None, after: int = 0, limit: int = 200) -> tuple[EventView, ...]:
-        """Return what happened to `job`, or at all (None), after that event; the last events when `after` is 0."""
-        body = messages.GetEvents(job=job, after=after, limit=limit)
+    def events(
+        self, job: str | None, after: int = 0, limit: int = 200, *, of_workers: bool = False
+    ) -> tuple[EventView, ...]:
+        """Return what happened to `job`, or at all (None), after that event; the last events when `after` is 0.
+
+        `of_workers`: only lines of workers' logs.
+        """
+        body = messages.GetEvents(job=job, after=after, limit=limit, of_workers=of_workers)
         return self._ask(body, messages.EventList, "the log of events").events
 
     def follow(self, job: str | None, after: int | None, sequence: int) -> messages.Following:

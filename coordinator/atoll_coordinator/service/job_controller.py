@@ -43,6 +43,7 @@ from atoll_coordinator.tasks.preparing import Prepared
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
+from atoll_core.logs import about
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Submit
 from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
@@ -395,7 +396,8 @@ class JobController:
         that fails is no matter of one job, and passes as well.
         """
         try:
-            yield
+            with about(job=job_id or None):
+                yield
         except StoreError:
             raise
         except Exception as error:

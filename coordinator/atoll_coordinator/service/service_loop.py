@@ -32,6 +32,7 @@ from atoll_coordinator.service.tasks.outcomes import (
 from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S
+from atoll_coordinator.service.workers.worker_logs import WorkerLogs
 from atoll_core import VERSION
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.logs import fields
@@ -51,7 +52,7 @@ from atoll_core.wire.messages.epochs import (
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.views import CoordinatorView, Counters, EventKind, Workforce
-from atoll_core.wire.messages.workers import Shutdown, WorkerStatus
+from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
 from atoll_core.wire.rejects import Rejects
 from atoll_core.wire.security.role_bindings import RoleBindings
 
@@ -120,6 +121,7 @@ class Service:
             store, self._workers, writer, self._bus.post, dependencies.clock, expected_workers
         )
         authorization = Authorization(role_bindings, store)
+        self._worker_logs = WorkerLogs(self.controller.events)
         self._deletion = JobDeletion(self.controller, store, dependencies.retention)
         self._followers = Followers(
             store.incarnation, self.controller.jobs, self.controller.shown, self.controller.events, self._workforce,
@@ -144,6 +146,7 @@ class Service:
         self._bus.subscribe(topics.all_workers(cluster, "status"))
         self._bus.subscribe(topics.all_workers(cluster, "report"))
         self._bus.subscribe(topics.all_workers(cluster, "result"))
+        self._bus.subscribe(topics.all_workers(cluster, "log"))
         self._bus.watch(topics.all_workers(cluster, "alive"))
         for expression in (topics.all_jobs(cluster), topics.all_blobs(cluster), topics.all_clients(cluster)):
             self._bus.serve(expression)
@@ -214,6 +217,7 @@ class Service:
         self._metrics_due = now + UPDATE_S
         members = self.controller.workers.membership.views(now)
         self._metrics.set_process(self.view(), self._store.size_bytes(), len(self._followers), self._questions.refused)
+        self._metrics.set_dropped_lines(self._worker_logs.dropped)
         self._metrics.set_workers(member.state for member in members)
         self._metrics.set_jobs(LiveJob(job.state, self._owner(job.id)) for job in self.controller.jobs.values())
         self._owners = {job: owner for job, owner in self._owners.items() if job in self.controller.jobs}
@@ -339,6 +343,8 @@ class Service:
             case topics.WorkerKey(part="status"):
                 status = decode(event.payload, WorkerStatus, MAX_MESSAGE)
                 self.controller.add_heartbeat(key.worker, status, self._bus.now())
+            case topics.WorkerKey(part="log"):
+                self._add_lines(key.worker, decode(event.payload, WorkerLog, MAX_MESSAGE))
             case topics.WorkerKey(part="report"):
                 report = decode(event.payload, EpochReport, MAX_MESSAGE)
                 self._add_report(key.worker, report)
@@ -359,6 +365,14 @@ class Service:
                 body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
                 for report in body.reports if isinstance(body, Reports) else ():
                     self._add_report(worker, report)
+
+    def _add_lines(self, worker: str, message: WorkerLog) -> None:
+        """Attach what a worker logs to the jobs that it tells of, live ones and those that have just ended."""
+        if self.controller.workers.membership.member(worker) is None:
+            raise RemoteProtocolError(f"lines of a log came of the worker {worker}, which has not greeted")
+        jobs = {line.job for line in message.lines if line.job is not None}
+        known = {job for job in jobs if job in self.controller.jobs or self._store.job(job) is not None}
+        self._worker_logs.take(worker, message, known, self._bus.now())
 
     def _add_report(self, worker: str, report: EpochReport) -> None:
         """Hand on a report: it is sent once, or pulled for ever, so that its job ends where that breaks."""

@@ -8,7 +8,7 @@ from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.epochs import Mail, Pull, PullAnswer, PullStates
 from atoll_core.wire.messages.tasks import PullBatch, TaskChunk, TaskFailed, TaskReport
-from atoll_core.wire.messages.workers import WorkerStatus
+from atoll_core.wire.messages.workers import WorkerLog, WorkerStatus
 from atoll_island_worker.session.actions import (
     AskPeer,
     FetchPlacements,
@@ -93,6 +93,10 @@ class Requests:
     def send_status(self, status: WorkerStatus) -> None:
         """Send a heartbeat."""
         self._bus.put(topics.worker(self.cluster, self._name, "status"), encode(status))
+
+    def send_log(self, log: WorkerLog) -> None:
+        """Send lines of our log."""
+        self._bus.put(topics.worker(self.cluster, self._name, "log"), encode(log))
 
     def send(self, action: Outgoing) -> None:
         """Send, answer or ask what the session wants."""

@@ -3,10 +3,11 @@
 import json
 import logging
 import sys
+import threading
 
 import pytest
 
-from atoll_core.logs import JsonLines, TextLines, configure, fields
+from atoll_core.logs import JsonLines, TextLines, about, configure, fields, fields_of, with_context
 
 
 def record(message: str = "placed", **values: object) -> logging.LogRecord:
@@ -35,6 +36,36 @@ def test_a_json_line_is_one_object_with_the_same_contents() -> None:
         "worker": "w0", "job": "a", "term": 3, "text": "θ\n", "time": "1970-01-01T00:00:00.000Z", "level": "warning",
         "logger": "coordinator", "event": "placed",
     }  # fmt: skip
+
+
+def test_lines_have_the_job_and_the_task_that_they_are_about() -> None:
+    with about(job="a", task="refining"), about(task="t1", worker=None):
+        inner = record(term=3)
+        with_context(inner)
+    with about(job="another"):  # as when another thread writes it
+        assert json.loads(JsonLines({}).format(inner)).items() >= {"job": "a", "task": "t1", "term": 3}.items()
+    assert "worker" not in fields_of(inner)
+    assert fields_of(record(term=3)) == {"term": 3}
+
+
+def test_a_lines_own_fields_go_before_its_context() -> None:
+    with about(job="a"):
+        assert fields_of(record(job="b"))["job"] == "b"
+
+
+def test_threads_are_about_their_own_jobs() -> None:
+    seen: list[dict[str, object]] = []
+
+    def work() -> None:
+        with about(job="b"):
+            seen.append(fields_of(record()))
+
+    with about(job="a"):
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+        seen.append(fields_of(record()))
+    assert seen == [{"job": "b"}, {"job": "a"}]
 
 
 def test_a_field_cannot_pose_as_the_event() -> None:

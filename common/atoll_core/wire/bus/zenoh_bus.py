@@ -66,7 +66,7 @@ Settings = Mapping[str, object]
 
 _SIZE_LIMITS: Final = {
     64 * 1024: (HELLO, f"{HELLO}/*"),
-    1024 * 1024: (f"{ROOT}/*/worker/*/status",),
+    1024 * 1024: (f"{ROOT}/*/worker/*/status", f"{ROOT}/*/worker/*/log"),
     MAX_MESSAGE: (
         f"{ROOT}/*/worker/*/report",
         f"{ROOT}/*/worker/*/to/*",

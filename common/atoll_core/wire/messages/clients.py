@@ -112,13 +112,14 @@ class Delete(Frozen):
 class GetEvents(Frozen):
     """Tell what happened to a job, or at all (`job` None), after the event of number `after`: `limit` of it at most.
 
-    With `after` 0 these are the last ones.
+    With `after` 0 these are the last ones. `of_workers`: only lines of workers' logs.
     """
 
     kind: Literal["get-events"] = "get-events"
     job: Id | None = None
     after: Count = 0
     limit: Annotated[int, Field(ge=1, le=1000)] = 200
+    of_workers: bool = False
 
 
 class Follow(Frozen):

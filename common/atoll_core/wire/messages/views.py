@@ -13,8 +13,13 @@ WorkerState = Literal["compiling", "ready", "computing", "waiting", "leaving", "
 EventKind = Literal[
     "submitted", "prepared", "placed", "unplaced", "isolated", "pardoned", "commit", "cut", "refining",
     "done", "failed", "cancelled", "stalled", "moving", "worker-joined", "worker-lost", "worker-back",
-    "refused", "started", "deleted", "broken",
+    "refused", "started", "deleted", "broken", "log",
 ]  # fmt: skip
+
+WARNINGS: frozenset[EventKind] = frozenset(
+    {"failed", "stalled", "isolated", "unplaced", "worker-lost", "refused", "broken"}
+)
+"""Events that somebody may have to do something about."""
 
 
 class Traffic(Frozen):

@@ -8,7 +8,7 @@ and Answer (clients) in `atoll_core.wire.messages.clients`. docs/protocol.md lis
 Epochs count from 0, islands from 0; a *term* belongs to one (job, variable) and rises with each of its placements.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -221,3 +221,30 @@ class WorkerStatus(Frozen):
     is_loaded: bool = False
     computed: Annotated[tuple[Computed, ...], Field(max_length=10_000)] = ()
     counters: Counters = Counters()
+
+
+# ---------------------------------------------------------------------------------------------- log
+
+MAX_LINES: Final = 100
+"""Lines in one message."""
+
+
+class LogLine(Frozen):
+    """One line of a worker's log: a warning, or what it says of a job; `time` is ISO, by the worker's clock."""
+
+    time: Annotated[str, Field(max_length=40)]
+    level: Literal["info", "warning", "error"]
+    text: Annotated[str, Field(max_length=1000)]
+    job: Id | None = None
+    variable: Variable | None = None
+    island: IslandIndex | None = None
+    epoch: Count | None = None
+    term: Count | None = None
+
+
+class WorkerLog(Frozen):
+    """Lines of a worker's log since the last such message; `dropped` were too many."""
+
+    kind: Literal["log"] = "log"
+    lines: Annotated[tuple[LogLine, ...], Field(max_length=MAX_LINES)]
+    dropped: Count = 0

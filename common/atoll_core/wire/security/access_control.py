@@ -11,6 +11,9 @@ from atoll_core.wire.topics import HELLO, ROOT
 
 Flow = Literal["ingress", "egress"]
 
+_PUT: Final = ("status", "report", "result", "log", "to/*")
+"""What a worker puts under its own names."""
+
 _ANYBODY: Final = "(anybody)"
 _SPEAKING: Final = ("put",)
 _SERVING: Final = ("declare_queryable", "reply")
@@ -75,11 +78,7 @@ def _of_worker(name: str) -> tuple[Permission, ...]:
     pulls = _own(name, "worker/{}/pull")
     asked = _keys("job/**", "blob/**", "worker/*/pull") + _hello(name)
     return (
-        Permission(
-            "ingress",
-            _SPEAKING,
-            _own(name, "worker/{}/status", "worker/{}/report", "worker/{}/result", "worker/{}/to/*"),
-        ),
+        Permission("ingress", _SPEAKING, _own(name, *(f"worker/{{}}/{part}" for part in _PUT))),
         Permission("ingress", _PRESENCE, _own(name, "worker/{}/alive")),
         Permission("ingress", _SERVING, pulls),
         Permission("egress", ("query",), pulls),

@@ -263,6 +263,11 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
     "logs": ("tell what happened to a job", (
         *_of_coordinator("id or its beginning (default: what happened at all)"),
         _switch("--follow", "go on until the job has ended"),
+        _switch("--workers", "only what workers have logged"),
+        _value(
+            "--level", "LEVEL", "only what is of this level or above: info, warning, error (default: %(default)s)",
+            choices=("info", "warning", "error"), default="info",
+        ),
         _value("--lines", "N", "at most the N last events (default: 200)", type=whole_number(1, 1000), default=200),
     )),
     "simulate": ("simulate the model of a saved result from any initial state; CSV with bands", (

@@ -6,7 +6,7 @@ killed loses the last half second of them and nothing else.
 
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from atoll_coordinator.service.jobs.job import Job
@@ -17,7 +17,7 @@ from atoll_coordinator.service.store.store import Store
 from atoll_core.logs import fields
 from atoll_core.wire.messages.clients import Submit
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.messages.views import EventKind, EventView
+from atoll_core.wire.messages.views import WARNINGS, EventKind, EventView
 from atoll_core.wire.messages.workers import Placement
 
 _LOG = logging.getLogger("coordinator")
@@ -25,7 +25,6 @@ _LOG = logging.getLogger("coordinator")
 MAX_REFUSALS: Final = 1000
 """Refusals of workers that are recorded, each once, so that a flood of them does not fill the log."""
 
-_WARNINGS: Final = frozenset({"failed", "stalled", "isolated", "unplaced", "worker-lost", "refused", "broken"})
 _COLUMNS: Final = ("variable", "island", "epoch", "term", "worker")
 _MAX_NAMES: Final = 8
 
@@ -47,10 +46,15 @@ class EventLog:
     def record(self, kind: EventKind, text: str, job: str | None = None, **values: Value) -> None:
         """Record an event: a sentence and fields, such as `variable`, `island`, `epoch`, `term` or `worker`."""
         given = {name: value for name, value in values.items() if value is not None}
-        level = logging.WARNING if kind in _WARNINGS else logging.INFO
+        level = logging.WARNING if kind in WARNINGS else logging.INFO
         _LOG.log(level, kind, extra=fields(job=job, **given, text=text))
         self._pending.append(EventRecord(job, self._clock(), kind, json.dumps({"text": text, **given})))
         self.told(kind, job)
+
+    def add_line(self, job: str | None, contents: Mapping[str, Any], time: str | None = None) -> None:
+        """Record a line of a worker's log, which has been logged there; `time` is ISO, None: now."""
+        self._pending.append(EventRecord(job, time or self._clock(), "log", json.dumps(dict(contents))))
+        self.told("log", job)
 
     def flush(self) -> None:
         """Write the events that are not in the store yet."""
@@ -58,13 +62,13 @@ class EventLog:
             pending, self._pending = self._pending, []
             self._store.add_events(pending)
 
-    def read(self, job: str | None, after: int, limit: int) -> tuple[EventView, ...]:
+    def read(self, job: str | None, after: int, limit: int, *, of_workers: bool = False) -> tuple[EventView, ...]:
         """Return the events of a job, or all, after the one of that number; see `Store.events`.
 
         What another version has recorded in words that this one does not know is left out.
         """
         self.flush()
-        views = (view_of(record) for record in self._store.events(job, after, limit))
+        views = (view_of(record) for record in self._store.events(job, after, limit, of_workers=of_workers))
         return tuple(view for view in views if view is not None)
 
     # ---------------------------------------------------------------------------------------------- jobs

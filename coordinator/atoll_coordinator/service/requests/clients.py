@@ -151,7 +151,10 @@ class ClientRequests:
         """Return what happened; as much of it as one answer bears."""
         if question.job is not None and self._controller.shown.view(question.job, self._now()) is None:
             return _unknown(question.job)
-        return EventList(events=self._controller.events.read(question.job, question.after, question.limit))
+        events = self._controller.events
+        return EventList(
+            events=events.read(question.job, question.after, question.limit, of_workers=question.of_workers)
+        )
 
     def _page(self, question: Jobs) -> JobList:
         """Return a page of jobs, newest last, that an answer bears."""

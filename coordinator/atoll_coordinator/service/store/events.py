@@ -9,7 +9,9 @@ MAX_EVENTS: Final = 2000
 """Events kept of each job, and of no job in particular; older ones are forgotten."""
 
 LEAST_COMMITS: Final = 500
-"""Of these events so many may be commits before anything rarer is forgotten for them."""
+"""Of these events so many may be commits and lines of logs before anything rarer is forgotten for them."""
+
+_COMMON: Final = "kind IN ('commit', 'log')"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,23 +37,30 @@ def add(sql: sqlite3.Connection, events: Sequence[EventRecord]) -> None:
 
 
 def _thin(sql: sqlite3.Connection, job: str | None) -> None:
-    """Forget the oldest events of a job beyond `MAX_EVENTS`: first commits, as long as there are `LEAST_COMMITS`."""
+    """Forget the oldest events of a job beyond `MAX_EVENTS`: first commits and lines of logs, as long as there are
+    `LEAST_COMMITS` of them."""
     (excess,) = sql.execute("SELECT count(*) - ? FROM events WHERE job IS ?", (MAX_EVENTS, job)).fetchone()
     if excess <= 0:
         return
     oldest = "SELECT number FROM events WHERE job IS ? AND {} ORDER BY number LIMIT ?"
-    (commits,) = sql.execute("SELECT count(*) FROM events WHERE job IS ? AND kind = 'commit'", (job,)).fetchone()
+    (commits,) = sql.execute(f"SELECT count(*) FROM events WHERE job IS ? AND {_COMMON}", (job,)).fetchone()
     spare = min(excess, max(0, commits - LEAST_COMMITS))
-    for condition, number in (("kind = 'commit'", spare), ("kind != 'commit'", excess - spare)):
+    for condition, number in ((_COMMON, spare), (f"NOT {_COMMON}", excess - spare)):
         sql.execute(f"DELETE FROM events WHERE number IN ({oldest.format(condition)})", (job, number))
 
 
-def read(sql: sqlite3.Connection, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:
-    """Return events of `job`, or of all (None), in order: the `limit` next ones after `after`, or the last ones (0)."""
+def read(
+    sql: sqlite3.Connection, job: str | None, after: int, limit: int, of_workers: bool = False
+) -> tuple[EventRecord, ...]:
+    """Return events of `job`, or of all (None), in order: the `limit` next ones after `after`, or the last ones (0).
+
+    `of_workers`: only lines of workers' logs.
+    """
     order = "ASC" if after else "DESC"
     of_job, values = ("job = ? AND ", (job,)) if job is not None else ("", ())  # an OR would read all of them
+    of_kind = "kind = 'log' AND " if of_workers else ""
     rows = sql.execute(
-        f"SELECT job, time, kind, contents, number FROM events WHERE {of_job}number > ? "
+        f"SELECT job, time, kind, contents, number FROM events WHERE {of_job}{of_kind}number > ? "
         f"ORDER BY number {order} LIMIT ?",
         (*values, after, limit),
     ).fetchall()

@@ -220,13 +220,15 @@ class Store(OpenFile):
         with self._transaction() as sql:
             event_table.add(sql, tuple(events))
 
-    def events(self, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:
+    def events(
+        self, job: str | None, after: int, limit: int, *, of_workers: bool = False
+    ) -> tuple[EventRecord, ...]:  # fmt: skip
         """Return what happened to a job, or at all (None), after the event of that number; `limit` of it at most.
 
         With `after` 0 these are the last ones, otherwise those that come next.
         """
         with self._reading() as sql:
-            return event_table.read(sql, job, after, limit)
+            return event_table.read(sql, job, after, limit, of_workers)
 
     # checkpoints
 

@@ -10,7 +10,7 @@ from tests.simulation.bus.matching import matches
 
 IDS = st.from_regex(topics.ID, fullmatch=True)
 DIGESTS = st.from_regex(topics.DIGEST, fullmatch=True)
-PARTS = st.sampled_from(["alive", "status", "report", "pull"])
+PARTS = st.sampled_from(["alive", "status", "report", "pull", "log"])
 
 
 @pytest.mark.slow

@@ -32,9 +32,12 @@ class FakeClient:
     def resolve(self, prefix: str) -> str:
         return "alpha"
 
-    def events(self, job: str | None, after: int = 0, limit: int = 200) -> tuple[EventView, ...]:
+    def events(
+        self, job: str | None, after: int = 0, limit: int = 200, *, of_workers: bool = False
+    ) -> tuple[EventView, ...]:  # fmt: skip
         self.asked.append((job, after, limit))
-        return tuple(event for event in self.log if event.number > after)[:limit]
+        asked = [event for event in self.log if event.number > after and (event.event == "log" or not of_workers)]
+        return tuple(asked)[:limit]
 
     def follow(self, job: str, after: int | None, sequence: int) -> Following:
         self.looks += 1
@@ -89,6 +92,26 @@ def test_the_log_of_a_job_is_lines_or_a_list(client: FakeClient, capsys: pytest.
     assert main(["logs", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == [PLACED.model_dump(mode="json")]
     assert client.asked[-1] == (None, 0, 200)
+
+
+def test_lines_of_workers_and_warnings_can_be_asked_for(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
+    said = {"time": "2026-01-01T10:11:12.123+00:00", "event": "log", "job": "alpha", "worker": "w0"}
+    for number, level in ((20, "info"), (21, "warning")):
+        client.log.append(
+            EventView.model_validate({**said, "number": number, "text": level, "details": {"level": level}})
+        )
+    stalled = EventView(number=22, time="2026-01-01T10:11:13.000+00:00", event="stalled", text="waits", job="alpha")
+    client.log.append(stalled)
+
+    def shown(*words: str) -> list[str]:
+        assert main(["logs", "al", *words]) == 0
+        out = capsys.readouterr().out
+        return [row.split("  ")[-2].strip() if "  " in row else row for row in out.splitlines()]
+
+    assert shown() == ["4 islands on w0", "info", "warning", "waits"]
+    assert shown("--workers") == ["info", "warning"]
+    assert shown("--level", "warning") == ["warning", "waits"]
+    assert shown("--workers", "--level", "error") == ["nothing is noted of job alpha"]
 
 
 def test_an_empty_log_says_so(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
