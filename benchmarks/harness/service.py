@@ -166,7 +166,7 @@ class Machines:
 
     `folder` takes state and logs. With `has_networks` each worker gets a network that can be cut. `guests` are further
     workers, which are not started with the others. With `programs`, a folder of another revision's, those are started;
-    `coordinator` is another text of the coordinator's program.
+    `coordinator` is another text of the coordinator's program, `serve_options` are further words of its command line.
     """
 
     folder: Path
@@ -176,6 +176,7 @@ class Machines:
     guests: tuple[str, ...] = ()
     programs: Path | None = None
     coordinator: str = TIED_COORDINATOR
+    serve_options: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self.workers = tuple(f"w{number}" for number in range(self.number))
@@ -297,7 +298,7 @@ class Machines:
         if name == ROUTER:
             return [*tied, "router", "--listen", listen]
         place = ["--router", self.address] if self.has_own_router else ["--listen", listen]
-        return [*tied, "serve", *place, "--state", str(self.folder / "state")]
+        return [*tied, "serve", *place, "--state", str(self.folder / "state"), *self.serve_options]
 
     def _signal(self, name: str, number: int) -> None:
         with suppress(ProcessLookupError):

@@ -3,6 +3,7 @@
 - ``cli``, ``launch``: the command line; one worker in this process, or several under ``processes``.
 - ``worker``: the loop. Events of the bus go to ``session``, its actions to the bus and the compute thread; heartbeats.
 - ``connection``: handshake, absence, drain, and the requests to the coordinator and other workers.
+- ``job_logs``: lines of the log on their way to the coordinator.
 - ``datasets``: what is fetched for a job before its islands can be computed.
 - ``session``: what is computed, sent and answered next (pure). ``compute``: the thread that computes.
 - ``evolution``: the search itself; knows nobody.
