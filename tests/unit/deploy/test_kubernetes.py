@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import pytest
 import yaml
-from atoll_coordinator.service.jobs.queue import MAX_RUNNING
+from atoll_coordinator.service.scheduling.limits import MAX_RUNNING
 
 from atoll.cli.options import parser as arguments
 from atoll_core.config import JobConfig
