@@ -6,13 +6,15 @@
 import logging
 import threading
 import time
+from collections import Counter as Tally
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.monitoring.followers import Followers
-from atoll_coordinator.service.monitoring.metrics import LAG_S, UPDATE_S, LiveJob, Metrics
+from atoll_coordinator.service.monitoring.metrics import LAG_S, UPDATE_S, Metrics
+from atoll_coordinator.service.monitoring.queue_depth import queue_depth
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
@@ -51,7 +53,7 @@ from atoll_core.wire.messages.epochs import (
 )
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.tasks import TaskReport
-from atoll_core.wire.messages.views import CoordinatorView, Counters, EventKind, Workforce
+from atoll_core.wire.messages.views import CoordinatorView, Counters, EventKind, JobState, Workforce
 from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
 from atoll_core.wire.rejects import Rejects
 from atoll_core.wire.security.role_bindings import RoleBindings
@@ -113,7 +115,6 @@ class Service:
         self._dismisses_workers = dismisses_workers
         dependencies = dependencies or Dependencies()
         self._questions: QuestionQueue[Query] = QuestionQueue()
-        self._owners: dict[str, str | None] = {}
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
         writer = CheckpointWriter(dependencies.writer, store, self._bus.post)
@@ -219,14 +220,14 @@ class Service:
         self._metrics.set_process(self.view(), self._store.size_bytes(), len(self._followers), self._questions.refused)
         self._metrics.set_dropped_lines(self._worker_logs.dropped)
         self._metrics.set_workers(member.state for member in members)
-        self._metrics.set_jobs(LiveJob(job.state, self._owner(job.id)) for job in self.controller.jobs.values())
-        self._owners = {job: owner for job, owner in self._owners.items() if job in self.controller.jobs}
-
-    def _owner(self, job: str) -> str | None:
-        """Return who submitted a live job, which the store is asked once."""
-        if job not in self._owners:
-            self._owners[job] = self._store.submitter(job)
-        return self._owners[job]
+        begun, queue = self.controller.begun.values(), self.controller.queue
+        counts: Tally[tuple[str | None, JobState]] = Tally((job.submitter, job.state) for job in begun)
+        counts.update({(user, "queued"): number for user, number in queue.queued_by_user().items()})
+        self._metrics.set_jobs(counts)
+        depth = queue_depth(begun, queue.queued, queue.limits.total.running)
+        tasks = tuple(self.controller.tasks.table)
+        states = Tally((task.function, task.state) for task in tasks)
+        self._metrics.set_tasks(depth.tasks_ready, states, sum(len(task.helpers) for task in tasks))
 
     def _tell_followers(self) -> None:
         """Tell what has changed and is due; come back for what is due later."""

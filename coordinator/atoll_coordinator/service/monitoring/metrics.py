@@ -8,7 +8,6 @@ import contextlib
 import threading
 from collections import Counter as Tally
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from atoll_core.errors import UsageError
@@ -36,14 +35,6 @@ _TASKS: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0, 1
 
 _TIMED: Final = ("preparing", "refining")
 """States of a job that are one task."""
-
-
-@dataclass(frozen=True, slots=True)
-class LiveJob:
-    """A job that has not ended; `user` is None where nobody proved it."""
-
-    state: JobState
-    user: str | None
 
 
 class Metrics:
@@ -76,6 +67,9 @@ class Metrics:
         self._users = self._gauge(
             "user_jobs", "Jobs that have not ended, by who submitted them and state", "user", "state"
         )
+        self._ready = self._gauge("tasks_ready", "Islands and tasks that could be computed at once")
+        self._tasks = self._gauge("tasks", "Tasks that have not ended, by function and state", "function", "state")
+        self._helpers = self._gauge("helpers", "Workers that help with the tasks of others")
         self._workers = self._gauge("workers", "Workers, by state", "state")
         self._lines = self._counter("worker_log_lines_dropped", "Log lines of workers that were too many")
         self._states: dict[str, tuple[JobState, float]] = {}
@@ -142,9 +136,9 @@ class Metrics:
         """Set how many log lines of workers were dropped so far."""
         self._raise(self._lines, total)
 
-    def set_jobs(self, jobs: Iterable[LiveJob]) -> None:
-        """Set how many jobs there are, in all and by user."""
-        by_user = Tally((job.user or NOBODY, job.state) for job in jobs)
+    def set_jobs(self, counts: Mapping[tuple[str | None, JobState], int]) -> None:
+        """Set how many jobs there are, in all and by user; None: nobody proved whose they are."""
+        by_user = Tally({(user or NOBODY, state): number for (user, state), number in counts.items()})
         known = {user for user, _ in sorted(by_user, key=lambda pair: -by_user[pair])[:MAX_USERS]}
         by_state: Tally[str] = Tally()
         told: Tally[tuple[str, ...]] = Tally()
@@ -153,6 +147,12 @@ class Metrics:
             told[user if user in known else OTHERS, state] += number
         _set(self._jobs, {(state,): number for state, number in by_state.items()})
         _set(self._users, told)
+
+    def set_tasks(self, ready: int, counts: Mapping[tuple[str, ...], int], helpers: int) -> None:
+        """Set how many islands and tasks could be computed at once, tasks by function and state, and their helpers."""
+        self._ready.set(ready)
+        _set(self._tasks, counts)
+        self._helpers.set(helpers)
 
     def set_workers(self, states: Iterable[WorkerState]) -> None:
         """Set how many workers there are."""

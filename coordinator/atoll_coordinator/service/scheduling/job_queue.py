@@ -210,6 +210,10 @@ class JobQueue:
         """How many jobs wait, paused ones included."""
         return len(self._entries) - sum(len(user.begun) for user in self._users.values())
 
+    def queued_by_user(self) -> dict[str | None, int]:
+        """Return how many jobs of each user wait, paused ones included."""
+        return {principal: self.queued_of(principal) for principal in self._users}
+
     def queued_of(self, principal: str | None) -> int:
         """Return how many jobs of a user wait, paused ones included."""
         user = self._users.get(principal)

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from atoll_coordinator.service.monitoring import metrics as module
-from atoll_coordinator.service.monitoring.metrics import MAX_USERS, OTHERS, LiveJob, Metrics, served
+from atoll_coordinator.service.monitoring.metrics import MAX_USERS, OTHERS, Metrics, served
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import UsageError
@@ -57,14 +57,14 @@ def test_totals_that_are_counted_elsewhere_rise_by_what_has_come() -> None:
 
 def test_users_are_told_apart_but_not_without_end() -> None:
     metrics = Metrics()
-    many = [LiveJob("queued", f"user{number}") for number in range(MAX_USERS + 5)]
-    metrics.set_jobs([*many, LiveJob("running", None), LiveJob("running", "ann"), LiveJob("running", "ann")])
+    many = {(f"user{number}", "queued"): 1 for number in range(MAX_USERS + 5)}
+    metrics.set_jobs({**many, (None, "running"): 1, ("ann", "running"): 2})
     assert value(metrics, "jobs", state="running") == 3.0
     assert value(metrics, "user_jobs", user="ann", state="running") == 2.0
     users = re.findall(r'atoll_user_jobs{state="\w+",user="(\w+)"}', metrics.exposition())
     assert len(set(users)) <= MAX_USERS + 1
     assert OTHERS in users
-    metrics.set_jobs([])
+    metrics.set_jobs({})
     assert value(metrics, "jobs", state="running") is None
 
 
@@ -94,7 +94,8 @@ def test_every_metric_of_the_board_is_in_the_exposition() -> None:
     metrics = Metrics()
     metrics.observe_task("preparing", 1.0)
     metrics.note_event("done")
-    metrics.set_jobs([LiveJob("running", "ann")])
+    metrics.set_jobs({("ann", "running"): 1})
+    metrics.set_tasks(3, {("refine", "running"): 1}, 2)
     metrics.set_workers(["ready"])
     metrics.set_process(view(traffic=(Traffic(kind="report", messages_in=1, bytes_in=1),)), 1, 0, 0)
     exposed = set(re.findall(r"^(atoll_\w+)", metrics.exposition(), re.MULTILINE))
