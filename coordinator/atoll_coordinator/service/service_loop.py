@@ -226,7 +226,7 @@ class Service:
         self._metrics.set_jobs(counts)
         depth = queue_depth(begun, queue.queued, queue.limits.total.running)
         tasks = tuple(self.controller.tasks.table)
-        states = Tally((task.function, task.state) for task in tasks)
+        states: Tally[tuple[str, ...]] = Tally((task.function, task.state) for task in tasks)
         self._metrics.set_tasks(depth.tasks_ready, states, sum(len(task.helpers) for task in tasks))
 
     def _tell_followers(self) -> None:
