@@ -7,7 +7,9 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from atoll_coordinator.model.batches import FUNCTIONS as BATCHES
 from atoll_coordinator.tasks.functions import FUNCTIONS, Function
+from atoll_coordinator.tasks.team import Team
 from atoll_core.logs import fields
 
 _loaded = b""
@@ -81,6 +83,23 @@ def starve() -> bytes:
     raise MemoryError("no room for a table")
 
 
+def made_slowly(context: bytes, item: bytes) -> bytes:
+    """Compute a batch, and say where."""
+    time.sleep(0.02)
+    return context + item + b" by %d," % os.getpid()
+
+
+def shared(inputs: Sequence[bytes], seconds: float | None, team: Team) -> bytes:
+    """Have batches computed by whoever takes them, as soon as there are two who ask."""
+    end = time.monotonic() + 60.0
+    while not team.workers and time.monotonic() < end:
+        time.sleep(0.01)
+    return b"".join(team.map("strange: made slowly", inputs[0], [b"%d" % number for number in range(60)]))
+
+
+BATCHES["strange: made slowly"] = made_slowly
+
+
 def loaded() -> bytes:
     """Return what was loaded before."""
     return _loaded
@@ -89,6 +108,7 @@ def loaded() -> bytes:
 def _load() -> None:
     global _loaded
     _loaded = b"loaded"
+    logging.getLogger("of.a.task").warning("it is loaded")
 
 
 def _function(function: Callable[..., bytes], load: Callable[[], None] = lambda: None) -> Function:
@@ -100,5 +120,6 @@ def _function(function: Callable[..., bytes], load: Callable[[], None] = lambda:
 
 for _made in (pid, echo, die, leave, leave_in_order, sleep, spin, log, fail, starve):
     FUNCTIONS[_made.__name__] = _function(_made)  # type: ignore[index]
+FUNCTIONS["shared"] = Function(lambda: None, lambda: None, shared)  # type: ignore[index]
 FUNCTIONS["loaded"] = _function(loaded)  # type: ignore[index]
 FUNCTIONS["to load"] = _function(loaded, _load)  # type: ignore[index]

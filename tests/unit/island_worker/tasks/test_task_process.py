@@ -14,7 +14,21 @@ import pytest
 
 from atoll_core.errors import AtollError
 from atoll_core.logs import JsonLines, TextLines
-from atoll_core.tasks.frames import Ask, Begun, Ended, Failed, Finished, FromProcess, Give, Load, Run, Said
+from atoll_core.tasks.frames import (
+    Ask,
+    Batch,
+    Begun,
+    Computed,
+    Ended,
+    Failed,
+    Finished,
+    FromProcess,
+    Give,
+    Load,
+    Run,
+    Said,
+    Take,
+)
 from atoll_core.tasks.installation import OTHER_VERSION
 from atoll_island_worker.tasks import task_process as module
 from atoll_island_worker.tasks.task_process import IDLE_S, Interpreters, TaskProcess, cause_of
@@ -164,11 +178,12 @@ def test_a_process_that_takes_nothing_in_keeps_nobody_waiting(worker: Worker) ->
     assert worker.result("echo", b"x") == b"x"
 
 
-def test_what_most_likely_follows_is_loaded_meanwhile(worker: Worker) -> None:
+def test_what_most_likely_follows_is_loaded_meanwhile(worker: Worker, caplog: pytest.LogCaptureFixture) -> None:
     worker.process.load_next("to load")  # without a process there is nothing to load it
     assert not worker.process.is_started
     assert worker.result("loaded") == b""
     worker.process.load_next("to load")
+    until(lambda: "it is loaded" in caplog.text)
     assert worker.result("loaded") == b"loaded"
     assert worker.process.send(Load("unheard-of")) == 1
     assert isinstance(worker.hear(), Ended)
@@ -184,6 +199,41 @@ def test_a_question_for_batches_is_answered_once_the_task_has_ended(worker: Work
     heard = [worker.hear(), worker.hear()]
     assert Give(2, None) in heard
     assert any(isinstance(one, Finished) for one in heard)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_killed", [False, True])
+def test_another_s_process_computes_batches_of_a_task_and_may_die_with_one(worker: Worker, is_killed: bool) -> None:
+    """Two workers as their runners have it: questions, batches and results go to and fro between their processes."""
+    helper = Worker()
+    helper.process.send(Run("h", "pid", ()))
+    while not isinstance(first := helper.hear(), Finished):
+        pass
+    helper.process.send(Batch(0, "strange: made slowly", "", b"", b""))  # loads what it needs
+    assert isinstance(helper.hear(), Computed)
+    worker.begin("shared", b"a context: ")
+    assert worker.hear() == Begun("t")
+    worker.process.send(Ask(0))
+    given = 0
+    while not isinstance(said := worker.hear(), Finished):
+        assert isinstance(said, Give)
+        if said.batch is None:
+            continue
+        given += 1
+        if is_killed and given == 3:
+            os.kill(int(first.result), signal.SIGKILL)
+        helper.process.send(said.batch)
+        answer = helper.hear()
+        if isinstance(answer, Computed):
+            worker.process.send(Take(answer.number, answer.result))
+            worker.process.send(Ask(given))
+        else:
+            assert isinstance(answer, Ended)
+    helper.process.stop()
+    made = said.result.split(b",")[:-1]
+    assert [one.partition(b" by ")[0] for one in made] == [b"a context: %d" % number for number in range(60)]
+    by_helper = sum(one.endswith(b" by " + first.result) for one in made)
+    assert 1 < by_helper <= given - is_killed
 
 
 def test_a_process_without_work_ends(worker: Worker) -> None:
