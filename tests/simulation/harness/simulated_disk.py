@@ -18,7 +18,7 @@ READS: Final = frozenset({
     "job", "jobs", "open_jobs", "views", "job_page", "count_jobs", "submitter", "is_deleted", "result", "cuts",
     "checkpoints", "state", "whole_checkpoints", "events", "has_blob", "get_blob", "get_chunk", "missing_chunks",
     "blob_bytes", "deaths", "oldest_ended_job", "used_bytes", "unused_blobs", "timing", "check", "close", "room",
-    "beat",
+    "beat", "size_bytes",
 })  # fmt: skip
 """What needs no room: it answers on a full disk as well, and no coordinator dies of it."""
 
