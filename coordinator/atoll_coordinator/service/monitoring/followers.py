@@ -67,9 +67,6 @@ class Followers:
     def __len__(self) -> int:
         return sum(len(topic.leases) for topic in self._topics.values())
 
-    def __bool__(self) -> bool:
-        return True
-
     def follow(self, client: str, question: Follow, now: float) -> Following | None:
         """Let a client follow, for another lease; return what it does not have yet. None: there is no such job.
 
