@@ -14,13 +14,14 @@ Failure = Literal["error", "memory", "crash", "time"]
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """To the process: run this task. `threads` is how many threads it may use, `seconds` how long it may take."""
+    """To the process: run this task of `job`. It may use so many `threads`, and take so many `seconds`."""
 
     task: str
     function: str
     inputs: tuple[bytes, ...]
     seconds: float | None = None
     threads: int = 1
+    job: str = ""
 
 
 @dataclass(frozen=True, slots=True)

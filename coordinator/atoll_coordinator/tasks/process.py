@@ -10,6 +10,7 @@ import os
 import queue
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -40,6 +41,8 @@ _STDOUT: Final = 1
 _STDERR: Final = 2
 _MORE_LIKELY: Final = "500"
 _POLL_S: Final = 0.25
+_SHOWN: Final = 12
+"""Digits of a task's name in a line of the log."""
 _LOG = logging.getLogger(__name__)
 
 
@@ -111,18 +114,23 @@ class TaskProcess:
     def _run(self, run: Run) -> None:
         from atoll_coordinator.tasks.functions import FUNCTIONS
 
+        about = {"job": run.job or None, "task": run.task[:_SHOWN], "function": run.function}
         try:
             function = FUNCTIONS[run.function]  # type: ignore[index]
             (function.load if run.seconds is None else function.ready)()
             self._send(Begun(run.task))
             self._team.begin(run.threads)
+            _LOG.info("a task begins", extra=fields(**about, threads=run.threads))
+            began = time.monotonic()
             result = function.call(run.inputs, run.seconds, self._team)
         except MemoryError as error:
             self._send(Failed(run.task, "memory", f"memory ran out: {error}"))
         except Exception as error:
-            _LOG.exception("a task broke", extra=fields(task=run.task, function=run.function))
+            _LOG.exception("a task broke", extra=fields(**about))
             self._send(Failed(run.task, "error", " ".join(f"{type(error).__name__}: {error}".split())[:2000]))
         else:
+            spent = {"seconds": round(time.monotonic() - began, 3), "size": len(result)}
+            _LOG.info("a task is done", extra=fields(**about, **spent, **self._team.counts))
             self._send(Finished(run.task, result, memory_bytes()))
         finally:
             self._team.end()

@@ -55,6 +55,7 @@ class Team:
     def __init__(self, send: Callable[[FromProcess], None], clock: Callable[[], float] = time.monotonic) -> None:
         """`send` hands messages to the worker, from any thread."""
         self.threads = 1
+        self._here = self._elsewhere = 0
         self._send = send
         self._clock = clock
         self._changed = threading.Condition()
@@ -76,6 +77,12 @@ class Team:
     def begin(self, threads: int) -> None:
         """Begin a task that may use so many threads."""
         self.threads = threads
+        self._here = self._elsewhere = 0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many batches of the task were computed here, and how many by helpers."""
+        return {"batches_here": self._here, "batches_elsewhere": self._elsewhere}
 
     def end(self) -> None:
         """End a task: helpers have nothing to wait for."""
@@ -129,7 +136,8 @@ class Team:
         result = _computed(call.function, call.context, call.items[place])
         with self._changed:
             call.longest_s = max(call.longest_s, self._clock() - began)
-            self._settle(call, place, result)
+            if self._settle(call, place, result):
+                self._here += 1
 
     # ----------------------------------------------------------------------------------- the reading thread
 
@@ -151,7 +159,7 @@ class Team:
                 del call.given[place]
                 call.waiting.appendleft(place)  # helpers get others, from the back: it may break with each of them
             else:
-                self._settle(call, place, result)
+                self._elsewhere += self._settle(call, place, result)
             self._changed.notify_all()
 
     def expire(self) -> None:
@@ -161,9 +169,12 @@ class Team:
             while self._asked and now - self._asked[0][1] >= HOLD_S:
                 self._give(None)
 
-    def _settle(self, call: _Call, place: int, result: bytes) -> None:
+    def _settle(self, call: _Call, place: int, result: bytes) -> bool:
+        """Take in a result; return whether it is the first one."""
+        is_first = place not in call.results
         call.results.setdefault(place, result)
         call.given.pop(place, None)
+        return is_first
 
     def _serve_waiting(self) -> None:
         while self._asked:

@@ -240,7 +240,9 @@ class TaskRunner:
         leased.began = self._clock()
         lease, inputs = leased.lease, tuple(leased.inputs[given.digest] for given in leased.lease.inputs)
         leased.inputs.clear()
-        leased.life = self._process.send(Run(lease.task, lease.function, inputs, lease.seconds, lease.threads))
+        leased.life = self._process.send(
+            Run(lease.task, lease.function, inputs, lease.seconds, lease.threads, lease.job)
+        )
 
     # ------------------------------------------------------------------------------------------- process
 

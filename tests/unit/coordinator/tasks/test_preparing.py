@@ -1,13 +1,17 @@
 """What preparing hands on to refining, from bytes to bytes."""
 
+import json
+
 import pytest
 
 from atoll_coordinator.model import pipeline
-from atoll_coordinator.model.refinement import Law, Pool, Pools, Refinement
+from atoll_coordinator.model.refinement import Law, Pool, Refinement
+from atoll_coordinator.model.result.result import KNOWN, VariableOutcome
 from atoll_coordinator.model.selection.shortcut import with_laws
 from atoll_coordinator.model.sparse import product_laws
+from atoll_coordinator.result.result import timed
 from atoll_coordinator.tasks.preparing import PreparationOutcome, prepare
-from atoll_coordinator.tasks.refining import refine
+from atoll_coordinator.tasks.refining import Searched, refine
 from atoll_core.config import JobConfig
 from atoll_core.errors import DataError, RemoteProtocolError, UsageError
 from atoll_core.wire.values import decode_value, encode_value
@@ -28,7 +32,7 @@ def test_laws_among_many_variables_are_sought_once_in_a_job_and_are_the_same_aft
     sought, tasks, find = [], [], product_laws.find_rate_laws
     monkeypatch.setattr(product_laws, "find_rate_laws", lambda rows, *space: sought.append(rows) or find(rows, *space))
     monkeypatch.setattr(pipeline, "select_model", lambda task: tasks.append(with_laws(task)))
-    job, pools = outcome(), encode_value({name: Pool(()) for name in RING}, Pools)
+    job, pools = outcome(), Searched("j", tuple(VariableOutcome(name, (), 1) for name in RING)).to_bytes()
     refine(job.encoded, pools, None, pipeline.refine_all)
     assert len(sought) == len(RING)
     assert [bool(tasks[0].laws[name]) for name in RING] == [True] * 5 + [False]
@@ -68,7 +72,13 @@ def test_refining_gets_the_time_that_is_left_and_what_was_prepared() -> None:
         got.extend([preparation.dataset.variables, config, pools, deadline.left, laws])
         return Refinement(warnings=("made",))
 
-    made = refine(job.encoded, encode_value({"x": Pool(())}, Pools), 50.0, refiner)
-    assert decode_value(made, Refinement).warnings == ("made",)
+    made = refine(
+        job.encoded,
+        Searched("j", (VariableOutcome("x", (), 1), VariableOutcome("y", (), 1, why=KNOWN))).to_bytes(),
+        50.0,
+        refiner,
+    )
+    assert json.loads(timed(made.decode(), 3.5))["warnings"] == ["made"]
+    assert json.loads(timed(made.decode(), 3.5))["seconds"] == 3.5
     assert got[:3] == [("x", "y"), job.prepared.config, {"x": Pool(())}]
     assert 0.0 < got[3] <= 50.0

@@ -149,7 +149,7 @@ def test_every_state_can_be_released() -> None:
 def test_a_lease_with_its_inputs_runs_and_its_result_is_pushed_and_kept(scene: Scene) -> None:
     assert scene.runner.is_idle
     scene.runner.told(lease())
-    assert scene.process.told(Run) == [Run(A, "prepare", (SMALL,), None, 2)]
+    assert scene.process.told(Run) == [Run(A, "prepare", (SMALL,), None, 2, "j")]
     assert (scene.states(), scene.runner.is_idle) == ({A: "waiting"}, False)
     assert scene.say(Begun(A))
     assert scene.states() == {A: "running"}
