@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import re
 import signal
 import subprocess
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.programs import LIMIT_S, ROOT, all_gone, children, done, is_gone, serving, started, until
+from tests.programs import LIMIT_S, ROOT, all_gone, children, done, serving, started, until
 
 DATA = str(ROOT / "examples" / "lynx_hare.csv")
 ENDLESS = (
@@ -137,7 +136,7 @@ def test_every_row_of_the_table_is_tried_or_known_here() -> None:
     elsewhere = {
         "`coordinator backup`, `coordinator restore`",
         "any other command of `coordinator`",
-        "child of `coordinator` that prepares or refines",
+        "task process of an `island-worker`, and the process that forks these",  # unit/island_worker/tasks
     }
     assert set(ROWS) == set(PROCESSES) | elsewhere
 
@@ -165,22 +164,3 @@ def test_a_signal_ends_each_process_with_the_code_of_the_table(
         (job,) = json.loads(done(tmp_path, "coordinator", "status", "--json", "--connect", address).stdout)
         assert job["state"] in ("queued", "preparing", "running"), "the job goes on"
         assert done(tmp_path, "coordinator", "cancel", job["job"], "--connect", address).returncode == 0
-
-
-def test_children_of_a_coordinator_ignore_signals_and_end_with_it(tmp_path: Path) -> None:
-    numbers = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-    with serve(tmp_path, "") as process:
-        (child,) = children(process.pid)
-        until(lambda: all(ignored(child) >> (number - 1) & 1 for number in numbers))
-        for number in numbers:
-            os.kill(child, number)
-        assert not is_gone(child)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(LIMIT_S) == 0
-        until(lambda: is_gone(child))
-
-
-def ignored(pid: int) -> int:
-    """Return the mask of the signals that a process ignores."""
-    (line,) = [line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("SigIgn")]
-    return int(line.split()[1], 16)
