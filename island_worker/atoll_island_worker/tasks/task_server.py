@@ -67,6 +67,7 @@ class _ForkedTask:
         self._codes = codes
         self._code: int | None = None
         self._pidfd: int | None = None
+        self._is_killed = False
         self._closing = threading.Lock()
 
     def set_pid(self, pid: int) -> None:
@@ -79,9 +80,15 @@ class _ForkedTask:
         with self._closing, contextlib.suppress(OSError):
             if self._pidfd is not None:
                 signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
+                self._is_killed = True
 
     def wait(self, timeout: float) -> int | None:
-        """Return its exit code once it has ended, None where the server does not say it in time."""
+        """Return its exit code once it has ended, None where the server does not say it in time.
+
+        Of one that was killed here it is not waited for: the server may be loading, for more than a second.
+        """
+        if self._is_killed:
+            timeout = 0.0
         with contextlib.suppress(OSError, EOFError):
             if self._code is None and self._codes.poll(timeout):
                 self._code = int(self._codes.recv_bytes())
