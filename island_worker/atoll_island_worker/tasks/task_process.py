@@ -91,10 +91,6 @@ class Starter(Protocol):
         """Start a process whose end of a pipe is given; raises AtollError when the system starts no more."""
         ...
 
-    def load(self, function: str) -> bool:
-        """Have processes that are started later loaded for tasks of this function; False: that cannot be."""
-        ...
-
 
 class Interpreters(Starter):
     """Starts a new interpreter for each process, which takes a second or two to load what a task needs."""
@@ -102,10 +98,6 @@ class Interpreters(Starter):
     def start(self, connection: "Connection[object, object]") -> Process:
         """See `start_process`."""
         return start_process(connection)
-
-    def load(self, function: str) -> bool:
-        """Return False: each loads for itself."""
-        return False
 
 
 def start_process(connection: "Connection[object, object]") -> Process:
@@ -163,10 +155,8 @@ class TaskProcess:
         return self._life
 
     def load_next(self, function: str) -> None:
-        """Have the next task of this function find loaded what it needs. Nothing may run now."""
-        if self._starter.load(function):
-            self.stop()  # the next one is forked with it
-        elif self.is_started:
+        """Have a process that is there load what tasks of this function need."""
+        if self.is_started:
             self.send(Load(function))
 
     def stop(self) -> None:

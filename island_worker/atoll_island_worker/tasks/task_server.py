@@ -23,8 +23,10 @@ from atoll_island_worker.processes.fork_server import Forked
 from atoll_island_worker.processes.parent import request_parent_death_signal
 from atoll_island_worker.tasks.task_process import Process, Starter, start_process
 
-_FORK: Final = "fork"
-_LOAD: Final = "load"
+IDLE_S: Final = 2.0
+"""After so long without a request, once there was one, what refining needs is loaded as well: whoever refines first
+has loaded it by then, and those that help later find it loaded."""
+
 _MOST: Final = 256
 
 
@@ -43,20 +45,11 @@ class TaskServer(Starter):
         codes, theirs = Pipe(duplex=False)
         with theirs:
             try:
-                message = f"{_FORK} {level}".encode()
-                socket.send_fds(self._ours, [message], [connection.fileno(), theirs.fileno()])
+                socket.send_fds(self._ours, [str(level).encode()], [connection.fileno(), theirs.fileno()])
             except OSError:
                 codes.close()
                 return start_process(connection)
         return _ForkedTask(codes)
-
-    def load(self, function: str) -> bool:
-        """Have the server load what tasks of this function need, so that later forks have it."""
-        try:
-            self._ours.send(f"{_LOAD} {function}".encode())
-        except OSError:
-            return False
-        return True
 
 
 class _ForkedTask:
@@ -110,6 +103,7 @@ class _Server:
     def __init__(self, requests: socket.socket) -> None:
         self._requests = requests
         self._forks: dict[int, tuple[int, Connection[object, object]]] = {}
+        self._is_loaded = self._was_asked = False
         self._poll = select.poll()
         self._poll.register(requests, select.POLLIN)
 
@@ -121,7 +115,11 @@ class _Server:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else numpy's library starts threads
         _load("prepare")
         while True:
-            for descriptor, _ in self._poll.poll():
+            events = self._poll.poll(None if self._is_loaded or not self._was_asked else 1000.0 * IDLE_S)
+            if not events:
+                _load("refine")
+                self._is_loaded = True
+            for descriptor, _ in events:
                 if descriptor in self._forks:
                     self._see_off(descriptor)
                 elif not self._handle():
@@ -130,11 +128,9 @@ class _Server:
     def _handle(self) -> bool:
         """Do what a worker asks; return False when there is none any more."""
         message, descriptors, _, _ = socket.recv_fds(self._requests, _MOST, 2)
-        what, _, argument = message.decode().partition(" ")
-        if what == _LOAD:
-            _load(argument)
-        elif len(descriptors) == 2:
-            self._fork(descriptors[0], descriptors[1], int(argument))
+        if len(descriptors) == 2:
+            self._was_asked = True
+            self._fork(descriptors[0], descriptors[1], int(message))
         return bool(message)
 
     def _fork(self, descriptor: int, codes: int, level: int) -> None:
