@@ -6,7 +6,7 @@ A signal that whoever started us has ignored stays so (``nohup``), but for Ctrl-
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import FrameType
 from typing import TYPE_CHECKING, Final, NoReturn
 
@@ -90,6 +90,14 @@ def stopping(stop: "threading.Event") -> AbstractContextManager[None]:
         stop.set()
 
     return handling(dict.fromkeys((signal.SIGINT, *termination_signals()), ask))
+
+
+def reloading(reload: "threading.Event") -> AbstractContextManager[None]:
+    """Return a context in which a hang-up sets `reload` and ends nothing, unless whoever started us has it ignored."""
+    number = getattr(signal, "SIGHUP", None)
+    if number is None or signal.getsignal(number) == signal.SIG_IGN:
+        return nullcontext()
+    return handling({number: lambda *_: reload.set()})
 
 
 def exiting() -> AbstractContextManager[None]:

@@ -54,6 +54,8 @@ NOT_RUN = {
     r"coordinator serve |island-worker": "runs while all pages are followed",
     r"coordinator adapt ": "needs Slurm: make deploy-rehearsal STEPS=adapt",
     r"coordinator (backup|restore) ": "needs a store: tests/integration/test_standby.py runs them",
+    r"coordinator (pause|resume|priority|share|retry)\b": "tests/simulation/test_sharing.py",
+    r"coordinator (queue|cordon|drain|uncordon)\b": "tests/simulation/test_sharing.py",
     r"coordinator router ": "tests/unit/library/cli/verbs/test_router.py runs it",
     r".* --paths ": "needs the result of a process: tests/unit/library/cli/verbs/test_simulate.py",
     r".* --group NAME": "needs a result with groups: tests/unit/library/report/test_page.py",

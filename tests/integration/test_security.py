@@ -267,8 +267,8 @@ def test_roles_that_do_not_fit_hear_why(lab: Lab, role_bindings: RoleBindings) -
         with pytest.raises(RefusedError, match=r"roster has no name for 'ghost-\w+'"), connected(ghost):
             pass
         assert worker_error(lab, router, "ann") == (
-            "the certificate of 'ann' has the role submitter, which may submit jobs and look at them, but not compute "
-            "islands; use another certificate"
+            "the certificate of 'ann' has the role submitter, which may submit jobs and look at its own and shared "
+            "ones, but not compute islands; use another certificate"
         )
 
 
@@ -311,21 +311,26 @@ def test_the_coordinators_own_certificate_is_enough_for_a_probe(lab: Lab, role_b
         assert main(["ping", "--connect", address, *lab.options("coordinator"), "--wait", "20"]) == 0
 
 
-def test_jobs_are_read_by_every_submitter_and_cancelled_by_their_own_or_an_admin(
+def test_jobs_are_private_unless_shared_and_cancelled_by_their_own_or_an_admin(
     lab: Lab, role_bindings: RoleBindings
 ) -> None:
     with served(lab, role_bindings) as (_, router), contextlib.ExitStack() as stack:
-        if True:
-            ann, bob, eve = (stack.enter_context(bearing(lab, router, name)) for name in ("ann", "bob", "eve"))
-            table = ann.upload(b"x,y")
-            for job in ("one", "two"):
-                ann.submit(job, "", CONFIG, table)
-            assert [view.job for view in bob.jobs()] == ["one", "two"]
-            bob.submit("one", "", CONFIG, table)  # the same job; it stays ann's
-            with pytest.raises(RefusedError, match="job one was submitted by ann; only ann or an admin may cancel it"):
-                bob.cancel("one")
-            assert ann.cancel("one").state == "cancelled"
-            assert eve.cancel("two").state == "cancelled"
+        ann, bob, eve = (stack.enter_context(bearing(lab, router, name)) for name in ("ann", "bob", "eve"))
+        table = ann.upload(b"x,y")
+        for job in ("one", "two"):
+            ann.submit(job, "", CONFIG, table)
+        assert bob.jobs() == ()
+        with pytest.raises(RefusedError, match="there is no job one"):
+            bob.status("one")
+        with pytest.raises(RefusedError, match="the id one is taken"):
+            bob.submit("one", "", CONFIG, bob.upload(b"x,y"))
+        ann.share("one")
+        assert [view.job for view in bob.jobs()] == ["one"]
+        with pytest.raises(RefusedError, match="job one was submitted by ann; only ann or an admin may cancel it"):
+            bob.cancel("one")
+        assert ann.cancel("one").state == "cancelled"
+        assert [view.job for view in eve.jobs()] == ["one", "two"]
+        assert eve.cancel("two").state == "cancelled"
 
 
 def test_behind_a_sites_router_names_are_fenced_by_that_router(lab: Lab, role_bindings: RoleBindings) -> None:

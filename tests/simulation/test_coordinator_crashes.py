@@ -12,7 +12,7 @@ from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, Migratio
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Request, Submit
+from atoll_core.wire.messages.clients import Request, Submit, Upload
 from atoll_core.wire.security.role_bindings import RoleBindings
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.harness.fault_schedule import JobPlan
@@ -21,21 +21,21 @@ from tests.simulation.harness.schedule_run import ScheduleRun, calm_schedule
 from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk
 
 TABLE = b"x,y"
+DIGEST = hashlib.sha256(TABLE).hexdigest()
+UPLOAD = encode(Request(body=Upload(blob=DIGEST, size=len(TABLE), index=0, sha256=DIGEST, data=TABLE)))
 
 
 @pytest.mark.parametrize("before", [True, False])
 def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
-    request = encode(
-        Request(body=Submit(job="j", name="n", config=JobConfig(), table=hashlib.sha256(TABLE).hexdigest()))
-    )
+    request = encode(Request(body=Submit(job="j", name="n", config=JobConfig(), table=DIGEST)))
     for commits in count(1):
         disk = Disk()
         store = disk.open(lambda seconds: None)
-        store.put_blob(TABLE)
         network = SimulatedNetwork(0, None)
         service = Service(
             network.bus("coordinator", is_router=True), store, role_bindings=RoleBindings({"ann": "submitter"})
         )
+        service._requests.answer(Query(topics.client(store.cluster, "ann-1"), UPLOAD, None))
         disk.die_at(commits, before)
         try:
             service._requests.answer(Query(topics.client(store.cluster, "ann-1"), request, None))

@@ -42,6 +42,7 @@ class Request:
     files: tuple[Path, ...]
     json: bool
     priority: int = 0
+    shared: bool = False
 
     def read(self) -> "Table":
         """Read the files and say on stderr what they hold; raises DataError."""
@@ -62,7 +63,7 @@ class Request:
 
     def submit(self, client: Client, table: "Table") -> JobView:
         """Upload `table` and submit the job."""
-        return client.hand_in(self.job, self.name, self.config, table.to_bytes(), self.priority)
+        return client.hand_in(self.job, self.name, self.config, table.to_bytes(), self.priority, shared=self.shared)
 
     def after(self, seconds: float) -> "Request":
         """Return the request with so many seconds of `--max-time` gone, but no more than half of them."""
@@ -97,7 +98,10 @@ def request_of(options: argparse.Namespace) -> Request:
     files = tuple(Path(name) for name in options.data)
     name = options.name if options.name is not None else files[0].name
     config = config_of(options)
-    request = Request(job_id(options.id), name, config, files, options.json, getattr(options, "priority", 0))
+    request = Request(
+        job_id(options.id), name, config, files, options.json,
+        priority=getattr(options, "priority", 0), shared=getattr(options, "share", False),
+    )  # fmt: skip
     for file in files:
         if not file.is_file():
             there = "is a pipe or a device" if file.exists() else "does not exist"

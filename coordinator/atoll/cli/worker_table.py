@@ -51,11 +51,15 @@ def trouble(counters: Counters) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts if count) or "-"
 
 
+def _state(view: WorkerView) -> str:
+    return view.state if view.service == "open" else f"{view.state}, {view.service}"
+
+
 def _row(view: WorkerView) -> tuple[str, ...]:
     counters = view.counters
     doing = f"{view.doing}, {view.standing:.0f} s without progress" if view.standing >= 5.0 else view.doing
     return (
-        view.worker, view.host, str(view.pid), view.state, str(view.islands), f"{view.silent:.1f} s",
+        view.worker, view.host, str(view.pid), _state(view), str(view.islands), f"{view.silent:.1f} s",
         size(counters.memory_bytes), duration(counters.cpu_s),
         size(sum(entry.bytes_in for entry in counters.traffic)),
         size(sum(entry.bytes_out for entry in counters.traffic)),

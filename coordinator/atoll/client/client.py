@@ -31,7 +31,7 @@ from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages import clients as messages
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, CHUNK_SIZE, MAX_PAGE_JOBS, chunk_count
-from atoll_core.wire.messages.views import FINAL_STATES, CoordinatorView, EventView, JobView, WorkerView
+from atoll_core.wire.messages.views import FINAL_STATES, CoordinatorView, EventView, JobView, WorkerService, WorkerView
 
 ANSWER_LIMIT_S: Final = 10.0
 """How long any other question may remain without an answer."""
@@ -55,7 +55,8 @@ A = TypeVar("A")
 _Question = (
     messages.Upload | messages.Submit | messages.Jobs | messages.FindJob | messages.Status | messages.Workers
     | messages.GetQueueDepth | messages.GetResult | messages.Cancel | messages.Delete | messages.GetEvents
-    | messages.Follow
+    | messages.Follow | messages.Pause | messages.SetPriority | messages.Share | messages.Retry | messages.SetWorker
+    | messages.SetQueue
 )  # fmt: skip
 
 
@@ -126,16 +127,22 @@ class Client:
             f"{chunk_count(len(data))} parts are still missing; see its log"
         )
 
-    def hand_in(self, job: str, name: str, config: JobConfig, data: bytes, priority: int = 0) -> JobView:
+    def hand_in(  # what a job is
+        self, job: str, name: str, config: JobConfig, data: bytes, priority: int = 0, *, shared: bool = False
+    ) -> JobView:
         """Upload `data` and submit a job on it, again where the table was deleted in between."""
         for _ in range(_TRIES - 1):
             with suppress(TableMissingError):
-                return self.submit(job, name, config, self.upload(data), priority)
-        return self.submit(job, name, config, self.upload(data), priority)
+                return self.submit(job, name, config, self.upload(data), priority, shared=shared)
+        return self.submit(job, name, config, self.upload(data), priority, shared=shared)
 
-    def submit(self, job: str, name: str, config: JobConfig, table: str, priority: int = 0) -> JobView:
-        """Submit a job under the id `job` on the uploaded table of that digest."""
-        body = messages.Submit(job=job, name=name[:200], config=config, table=table, priority=priority)
+    def submit(  # what a job is
+        self, job: str, name: str, config: JobConfig, table: str, priority: int = 0, *, shared: bool = False
+    ) -> JobView:
+        """Submit a job under the id `job` on the uploaded table of that digest; others see it if it is `shared`."""
+        body = messages.Submit(
+            job=job, name=name[:200], config=config, table=table, priority=priority, shared=shared
+        )  # fmt: skip
         return self._ask(body, messages.JobStatus, f"the acceptance of job {job}").job
 
     def jobs(self, prefix: str = "", *, is_open: bool = False, last: int | None = None) -> tuple[JobView, ...]:
@@ -230,6 +237,32 @@ class Client:
             self.pause(_PAUSE_S)
             view = self.status(job)
         return view
+
+    def pause_job(self, job: str, *, paused: bool = True) -> JobView:
+        """Have `job` stop at a checkpoint and wait until it is resumed (`paused` False)."""
+        return self._ask(messages.Pause(job=job, paused=paused), messages.JobStatus, f"the pause of job {job}").job
+
+    def set_priority(self, job: str, priority: int) -> JobView:
+        """Give `job` another priority."""
+        body = messages.SetPriority(job=job, priority=priority)
+        return self._ask(body, messages.JobStatus, f"the priority of job {job}").job
+
+    def share(self, job: str, *, shared: bool = True) -> JobView:
+        """Let everybody see `job`, or only its submitter and admins."""
+        return self._ask(messages.Share(job=job, shared=shared), messages.JobStatus, f"the sharing of job {job}").job
+
+    def retry(self, job: str, again: str) -> JobView:
+        """Submit what `job`, which failed or was cancelled, was submitted with once more, under the id `again`."""
+        return self._ask(messages.Retry(job=job, again=again), messages.JobStatus, f"the retry of job {job}").job
+
+    def set_worker(self, worker: str, service: WorkerService) -> tuple[WorkerView, ...]:
+        """Let a worker have islands (open), no more of them (cordoned), or none (draining); for admins."""
+        body = messages.SetWorker(worker=worker, service=service)
+        return self._ask(body, messages.WorkerList, f"the change of worker {worker}").workers
+
+    def pause_queue(self, *, paused: bool = True) -> CoordinatorView | None:
+        """Have no more jobs taken up, or go on; for admins."""
+        return self._ask(messages.SetQueue(paused=paused), messages.WorkerList, "the change of the queue").coordinator
 
     def delete(self, job: str) -> None:
         """Delete `job`, which has ended, with its result and its data; without effect when there is none."""

@@ -8,6 +8,7 @@ the time: whoever reads one of them reads what ends a job and what follows from 
 """
 
 import contextlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
@@ -29,11 +30,13 @@ from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import JobViews
 from atoll_coordinator.service.monitoring.views import job_result, outcomes_of, result_text
 from atoll_coordinator.service.scheduling.job_queue import JobQueue
+from atoll_coordinator.service.scheduling.limits import DAY_S, Limits
+from atoll_coordinator.service.scheduling.task_time import TaskTime
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
 from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.search.pull_budget import PullBudget
-from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.task_controller import TaskController
 from atoll_coordinator.service.tasks.writer import CheckpointWriter
@@ -48,7 +51,11 @@ from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Submit
 from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
 from atoll_core.wire.messages.tasks import TaskReport
+from atoll_core.wire.messages.views import WorkerService
 from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, Placements, WorkerStatus
+
+_SAVE_S: Final = 10.0
+"""Task time is stored so often: a commit takes milliseconds, and a coordinator that is killed loses no more."""
 
 _HAD_BEGUN_S: Final = -1e9
 """Second from which on a job counts as waiting that had begun before a restart: it comes before all others."""
@@ -69,6 +76,10 @@ class JobController:
         self.begun: Final[dict[str, Job]] = {}
         """Those that do not wait to be prepared: what is done for all jobs again and again is done for these alone."""
         self.queue: Final = JobQueue()
+        self.live_of: Final[Counter[str | None]] = Counter()
+        """How many jobs of each user have not ended."""
+        self._task_time = TaskTime(_day_of(store), store.usage(_day_of(store)))
+        self._saved_at = self._counted_at = 0.0
         self.events: Final = EventLog(store, clock)
         self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
         self.workers: Final = WorkerController(self, store, channel, self.events, expected_workers)
@@ -90,6 +101,8 @@ class JobController:
 
         One that cannot be understood fails, and takes no other with it.
         """
+        self.queue.is_paused = self._store.is_queue_paused()
+        self.workers.membership.set_cordons(self._store.cordons())
         for record in self._store.open_jobs():
             with self.guarded(record.id, "taking over a job", now):
                 if not record.is_sound:
@@ -122,7 +135,8 @@ class JobController:
             raise TableMissingError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
         submitted = self._clock()
         record = JobRecord(
-            body.job, body.name, spec, body.table, submitted, priority=body.priority, submitter=submitter
+            body.job, body.name, spec, body.table, submitted,
+            priority=body.priority, submitter=submitter, shared=int(body.shared),
         )  # fmt: skip
         self._store.add_job(record)
         with self.guarded(body.job, "taking in a job", now):
@@ -133,7 +147,93 @@ class JobController:
     def _add(self, job: Job, asked_at: float) -> None:
         """Let a job join those that wait; `asked_at` is the bus's second from which on it has."""
         self.jobs[job.id] = job
-        self.queue.add(job.id, job.submitter, job.priority, asked_at)
+        self.live_of[job.submitter] += 1
+        self.queue.add(job.id, job.submitter, job.priority, asked_at, is_paused=job.is_paused)
+
+    def set_limits(self, limits: Limits, now: float) -> None:
+        """Let other limits hold from now on: jobs beyond them are held, and what is stored already stays."""
+        self.queue.limits = limits
+        self._take_turns(now)
+
+    def pause(self, job_id: str, is_paused: bool, now: float) -> None:
+        """Have a job wait until it is resumed, or resume it. It lasts, also when the coordinator is started again.
+
+        Raises:
+            RefusedError: It has ended, or is refined, which nothing interrupts.
+        """
+        job = self._live(job_id, "paused or resumed")
+        if job.state == "refining":
+            raise RefusedError(f"job {job_id} is being refined, which takes no place and is not interrupted; wait")
+        self._store.update_job(job_id, paused=int(is_paused))
+        with self.guarded(job_id, "pausing a job", now):
+            job.is_paused = is_paused
+            self.queue.pause(job_id, is_paused)
+            if self.queue.is_held(job_id):
+                job.hold(True)
+            text = "paused: its islands stop at a checkpoint" if is_paused else "it goes on when it is its turn"
+            self.events.record("held" if is_paused else "resumed", text, job_id)
+        self._take_turns(now)
+        self._place(now)
+
+    def set_priority(self, job_id: str, priority: int, now: float) -> None:
+        """Change the priority of a job; workers that have it are told. Raises RefusedError when it has ended."""
+        job = self._live(job_id, "given another priority")
+        self._store.update_job(job_id, priority=priority)
+        with self.guarded(job_id, "changing a priority", now):
+            job.priority = priority
+            self.queue.set_priority(job_id, priority)
+            self.events.record("changed", f"its priority is {priority} now", job_id)
+            if job.state == "running":
+                self._channel.publish(job.announcement())
+        self._take_turns(now)
+
+    def share(self, job_id: str, is_shared: bool) -> None:
+        """Let everybody see a job, or its submitter and admins only."""
+        self._store.share_job(job_id, is_shared)
+        self.events.record("changed", "everybody may see it" if is_shared else "it is private", job_id)
+        if job_id in self.jobs:
+            self.jobs[job_id].is_shared = is_shared
+
+    def again(self, job_id: str, again: str) -> Submit:
+        """Return the submission of what a job was submitted with, under another id.
+
+        Raises:
+            RefusedError: It neither failed nor was cancelled, or this version does not understand it.
+        """
+        record = self._store.job(job_id)
+        if record is None or record.state not in ("failed", "cancelled"):
+            raise RefusedError(f"job {job_id} has not failed; only jobs that failed or were cancelled are tried again")
+        try:
+            config = JobConfig.model_validate_json(record.spec)
+        except ValidationError as error:
+            raise RefusedError(f"job {job_id} cannot be tried again: {checks.settings_reason(error)}") from error
+        return Submit(
+            job=again, name=record.name, config=config, table=record.table_digest,
+            priority=record.priority, shared=bool(record.shared),
+        )  # fmt: skip
+
+    def pause_queue(self, is_paused: bool, now: float) -> None:
+        """Take up no more jobs, or go on; it lasts."""
+        self._store.pause_queue(is_paused)
+        self.queue.is_paused = is_paused
+        self.events.record("changed", "no more jobs are taken up" if is_paused else "jobs are taken up again")
+        self._take_turns(now)
+
+    def set_worker(self, worker: str, service: WorkerService, now: float) -> None:
+        """Let a worker have islands, no more of them, or none; it lasts. Raises RefusedError for an unknown worker."""
+        cordons = self._store.cordons()
+        if self.workers.membership.member(worker) is None and worker not in cordons:
+            raise RefusedError(f"there is no worker {worker!r}; 'coordinator workers' lists all of them")
+        self._store.cordon(worker, None if service == "open" else service == "draining")
+        self.workers.membership.set_cordons(self._store.cordons())
+        self.events.record("changed", f"it is {service} now", worker=worker)
+        self._place(now)
+
+    def _live(self, job_id: str, what: str) -> Job:
+        job = self.jobs.get(job_id)
+        if job is None:
+            raise RefusedError(f"job {job_id} has ended and cannot be {what}; coordinator retry submits it again")
+        return job
 
     def cancel(self, job_id: str, now: float) -> None:
         """End a job and keep what it has found; without effect when it has ended."""
@@ -239,6 +339,8 @@ class JobController:
         """
         is_known = self.workers.add_heartbeat(worker, status, now)
         if is_known:
+            computed = ((amount.submitter, amount.seconds) for amount in status.computed)
+            self._task_time.add_heartbeat(worker, status.instance, computed)
             with self.breakages.tolerated("taking in which tasks a worker has"):
                 self.tasks.add_heartbeat(worker, status, now)
         for assignment_status in status.holdings if is_known else ():
@@ -297,6 +399,8 @@ class JobController:
         """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
         with self.breakages.tolerated("looking for lost workers"):
             self.workers.expire(now)
+        with self.breakages.tolerated("counting task time"):
+            self._count_time(now)
         for job_id in tuple(self.begun):
             self._change(job_id, "letting time pass", now, lambda job: job.tick(now))
         self._take_turns(now)
@@ -308,6 +412,21 @@ class JobController:
             self.workers.check_stalls(now)
         with self.breakages.tolerated("writing events"):
             self.events.flush()
+
+    def _count_time(self, now: float) -> None:
+        """Charge users for what is prepared and refined for them; hold the jobs of those who have used up their day."""
+        seconds, self._counted_at = now - self._counted_at, now
+        for job in self.begun.values():
+            if job.state in ("preparing", "refining"):
+                self._task_time.charge(job.submitter, seconds)
+        self.queue.exhausted = self._task_time.exhausted(self.queue.limits)
+        self.queue.is_exhausted = self._task_time.is_used_up(self.queue.limits)
+        if now - self._saved_at >= _SAVE_S:
+            self._saved_at = now
+            unsaved = self._task_time.take_unsaved()
+            if unsaved:
+                self._store.add_usage(_day_of(self._store), unsaved)
+            self._task_time.begin_day(_day_of(self._store))
 
     def _place(self, now: float) -> None:
         """Have islands placed, which concerns all jobs: it ends none that happens to be the occasion."""
@@ -460,7 +579,7 @@ class JobController:
             self.events.record_cut(job.id, cut)
 
     def _commit_result(self, job: Job, now: float) -> None:
-        text = result_text(job, now)
+        text = self._fitting(job, result_text(job, now))
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
         is_crash_loop, finished = job.fault == "poison", self._clock()
         view = self.shown.last_view(job, now).model_dump_json()
@@ -475,7 +594,38 @@ class JobController:
         self.workers.forget(job.id)
         self._take_turns(now)
 
+    def _fitting(self, job: Job, text: str | None) -> str | None:
+        """Return a result as far as its user may store it: the oldest of that user's ended jobs make room for it.
+
+        Where nothing is left to delete, the job fails: what a user may store holds to the byte.
+        """
+        most = self.queue.limits.of(job.submitter).stored
+        if text is None or most is None:
+            return text
+        size = len(text.encode())
+        while self._store.stored_bytes(job.submitter) + size > most:
+            oldest = self._store.oldest_ended_job(Viewer(job.submitter))
+            if oldest is None:
+                job.state, job.fault = "failed", "internal"
+                job.reason = (
+                    f"its result of {size} bytes does not fit into the {most} that limits let its user store; delete "
+                    "jobs or have the limit raised, then: coordinator retry"
+                )
+                job.result_text = None
+                return None
+            self.forget_ended(oldest.id, "a newer job of its user needs the room that limits give")
+        return text
+
+    def forget_ended(self, job_id: str, reason: str) -> None:
+        """Delete a job that has ended."""
+        self.events.flush()  # or its last events would be written after its end
+        self._store.delete_job(job_id)
+        self.events.record("deleted", f"job {job_id} is deleted: {reason}")
+
     def _remove(self, job_id: str) -> None:
+        job = self.jobs.get(job_id)
+        if job is not None:
+            self.live_of[job.submitter] -= 1
         self.jobs.pop(job_id, None)
         self.begun.pop(job_id, None)
         self.queue.remove(job_id)
@@ -512,3 +662,8 @@ class JobController:
 
     def _open_archipelagos(self) -> list[Archipelago]:
         return [archipelago for job in self.begun.values() for archipelago in job.open_archipelagos]
+
+
+def _day_of(store: Store) -> int:
+    """Return the number of the day of service."""
+    return int(store.served_s // DAY_S)

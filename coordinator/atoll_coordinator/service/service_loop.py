@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections import Counter as Tally
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
@@ -21,6 +22,7 @@ from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
 from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.requests.question_queue import QuestionQueue
+from atoll_coordinator.service.scheduling.limits import Limits
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.dependencies import Dependencies
 from atoll_coordinator.service.tasks.outcomes import (
@@ -121,7 +123,7 @@ class Service:
         self.controller: Final = JobController(
             store, self._workers, writer, self._bus.post, dependencies.clock, expected_workers
         )
-        authorization = Authorization(role_bindings, store)
+        self._authorization = authorization = Authorization(role_bindings, store)
         self._worker_logs = WorkerLogs(self.controller.events)
         self._deletion = JobDeletion(self.controller, store, dependencies.retention)
         self._followers = Followers(
@@ -131,7 +133,7 @@ class Service:
         self.controller.changed, self.controller.events.told = self._note_change, self._note_event
         self._metrics = metrics
         self._probe_due = self._metrics_due = bus.now()
-        clients = ClientRequests(
+        self._clients = clients = ClientRequests(
             self.controller, store, authorization, self._deletion, bus.now, self.view, self._followers
         )
         self._uploads = clients.uploads
@@ -164,9 +166,25 @@ class Service:
         self.start()
         self.work(stop)
 
-    def work(self, stop: threading.Event) -> None:
-        """Work until `stop` is set."""
+    def set_policy(self, limits: Limits, role_bindings: RoleBindings | None) -> None:
+        """Let other limits and other roles hold from now on; workers that may not take part any more are sent away.
+
+        A router has its rules from its start: until it is started anew, it lets in no name that is new.
+        """
+        self.controller.queue.limits = limits
+        self._authorization.role_bindings = role_bindings
+        for view in self.controller.workers.membership.views(self._bus.now()):
+            refusal = self._authorization.refuse_worker(view.worker)
+            if refusal is not None:
+                self._workers.send(view.worker, Shutdown(sentence=refusal, refused=True))
+                self.controller.workers.send_away(view.worker, refusal, self._bus.now())
+        self._clients.check_followers()
+        self._bus.post(_TimeCheck())
+
+    def work(self, stop: threading.Event, between: Callable[[], object] = lambda: None) -> None:
+        """Work until `stop` is set; `between` is called several times a second, between two events."""
         while not stop.is_set():
+            between()
             event = self._bus.receive(0.1)
             if event is not None:
                 self.step(event)
@@ -254,6 +272,9 @@ class Service:
             seconds=self._bus.now() - self._began_at,
             counters=counters,
             store=self._store.timing(),
+            queued=self.controller.queue.queued,
+            under_way=self.controller.queue.under_way,
+            paused=self.controller.queue.is_paused,
         )
 
     # ----------------------------------------------------------------------------------------- events

@@ -17,7 +17,7 @@ from atoll_core.wire.messages.limits import (
     Seconds,
     Sentence,
 )
-from atoll_core.wire.messages.views import CoordinatorView, EventView, JobView, WorkerView, Workforce
+from atoll_core.wire.messages.views import CoordinatorView, EventView, JobView, WorkerService, WorkerView, Workforce
 
 
 class Upload(Frozen):
@@ -36,7 +36,10 @@ class Upload(Frozen):
 
 
 class Submit(Frozen):
-    """A job under an id that the client made. The same id with the same contents again is the same job."""
+    """A job under an id that the client made. The same id with the same contents again is the same job.
+
+    Others than its submitter and admins know nothing of it, unless it is `shared`.
+    """
 
     kind: Literal["submit"] = "submit"
     job: Id
@@ -44,6 +47,7 @@ class Submit(Frozen):
     config: JobConfig
     table: Digest
     priority: Priority = 0
+    shared: bool = False
 
 
 class Jobs(Frozen):
@@ -109,6 +113,56 @@ class Delete(Frozen):
     job: Id
 
 
+class Pause(Frozen):
+    """Have a job wait until it is resumed (`paused` false); its islands stop at a checkpoint. It keeps its place."""
+
+    kind: Literal["pause"] = "pause"
+    job: Id
+    paused: bool = True
+
+
+class SetPriority(Frozen):
+    """Change the priority of a job that has not ended."""
+
+    kind: Literal["set-priority"] = "set-priority"
+    job: Id
+    priority: Priority
+
+
+class Share(Frozen):
+    """Let everybody see a job, or (`shared` false) its submitter and admins only."""
+
+    kind: Literal["share"] = "share"
+    job: Id
+    shared: bool = True
+
+
+class Retry(Frozen):
+    """Submit what a job that failed or was cancelled was submitted with once more, under an id that the client made."""
+
+    kind: Literal["retry"] = "retry"
+    job: Id
+    again: Id
+
+
+class SetWorker(Frozen):
+    """Give a worker no more islands (cordon), take those away that it has as well (drain), or let it have some again.
+
+    It lasts until it is taken back; for admins.
+    """
+
+    kind: Literal["set-worker"] = "set-worker"
+    worker: Id
+    service: WorkerService
+
+
+class SetQueue(Frozen):
+    """Take up no more jobs (`paused`), or go on; what is under way goes on. It lasts; for admins."""
+
+    kind: Literal["set-queue"] = "set-queue"
+    paused: bool
+
+
 class GetEvents(Frozen):
     """Tell what happened to a job, or at all (`job` None), after the event of number `after`: `limit` of it at most.
 
@@ -152,7 +206,13 @@ class Request(Frozen):
         | Cancel
         | Delete
         | GetEvents
-        | Follow,
+        | Follow
+        | Pause
+        | SetPriority
+        | Share
+        | Retry
+        | SetWorker
+        | SetQueue,
         Field(discriminator="kind"),
     ]
 
@@ -181,14 +241,14 @@ class JobFound(Frozen):
 
 
 class JobStatus(Frozen):
-    """One job; the answer to Submit, Status and Cancel."""
+    """One job; the answer to what is done to one."""
 
     kind: Literal["job-view"] = "job-view"
     job: JobView
 
 
 class WorkerList(Frozen):
-    """Workers seen since the coordinator started, by name, and the coordinator itself.
+    """Workers seen since the coordinator started, by name, and the coordinator itself; SetWorker tells the one.
 
     `after` is the cursor for those behind them, None when there are none.
     """

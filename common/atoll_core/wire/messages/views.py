@@ -10,10 +10,12 @@ from atoll_core.config import Frozen
 JobState = Literal["queued", "preparing", "running", "refining", "done", "failed", "cancelled"]
 FINAL_STATES: frozenset[JobState] = frozenset({"done", "failed", "cancelled"})
 WorkerState = Literal["compiling", "ready", "computing", "waiting", "leaving", "hung", "lost"]
+WorkerService = Literal["open", "cordoned", "draining"]
+"""Whether a worker is given islands, keeps those that it has without being given more, or hands them over."""
 EventKind = Literal[
     "submitted", "prepared", "placed", "unplaced", "isolated", "pardoned", "commit", "cut", "refining",
     "done", "failed", "cancelled", "stalled", "moving", "worker-joined", "worker-lost", "worker-back",
-    "refused", "started", "deleted", "broken", "log",
+    "refused", "started", "deleted", "broken", "held", "resumed", "changed", "log",
 ]  # fmt: skip
 
 WARNINGS: frozenset[EventKind] = frozenset(
@@ -60,13 +62,19 @@ class StoreView(Frozen):
 
 
 class CoordinatorView(Frozen):
-    """The coordinator itself as `workers` shows it; `seconds` since its start."""
+    """The coordinator itself as `workers` shows it; `seconds` since its start.
+
+    `queued` jobs wait, `under_way` ones have places; while the queue is `paused`, none is taken up.
+    """
 
     version: str
     incarnation: int
     seconds: float
     counters: Counters
     store: StoreView
+    queued: int = 0
+    under_way: int = 0
+    paused: bool = False
 
 
 class JobCounters(Frozen):
@@ -130,6 +138,8 @@ class JobView(Frozen):
 
     `fault` of a failed job: the data could not be used, two workers diverged, its islands killed their workers, or
     something of ours broke. `stalls` says where it stands still, and why; `ahead` counts jobs before it in the line.
+    `submitter` is by the name in the certificate; others see the job when it is `shared`. One that is `paused` waits to
+    be resumed, one that is `held` has begun and has no place now.
     """
 
     job: str
@@ -151,6 +161,10 @@ class JobView(Frozen):
     stalls: tuple[str, ...] = ()
     target_error: float | None = None
     counters: JobCounters = JobCounters()
+    submitter: str | None = None
+    shared: bool = False
+    paused: bool = False
+    held: bool = False
 
 
 class WorkerView(Frozen):
@@ -170,6 +184,7 @@ class WorkerView(Frozen):
     doing: str = ""
     standing: float = 0.0
     counters: Counters = Counters()
+    service: WorkerService = "open"
 
 
 MAX_DETAILS: Final = 8

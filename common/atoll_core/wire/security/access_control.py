@@ -44,6 +44,8 @@ def permissions(name: str, role: Role) -> tuple[Permission, ...]:
     """Return what the principal `name` may send and receive; everything else is denied."""
     if role in ("coordinator", "router"):
         return _TRUSTED
+    if role == "revoked":
+        return ()
     if role == "worker":
         return _of_worker(name)
     return _of_client(name)
@@ -51,7 +53,7 @@ def permissions(name: str, role: Role) -> tuple[Permission, ...]:
 
 def access_control(role_bindings: RoleBindings) -> dict[str, object]:
     """Return the router's setting ``access_control``: a rule set and a subject for each name, all else denied."""
-    granted = {name: permissions(name, role) for name, role in role_bindings.roles.items()}
+    granted = {name: permissions(name, role) for name, role in role_bindings.roles.items() if role != "revoked"}
     granted[_ANYBODY] = _OF_ANYBODY
     rules = [
         {
@@ -64,7 +66,9 @@ def access_control(role_bindings: RoleBindings) -> dict[str, object]:
         for name, allowed in granted.items()
         for number, permission in enumerate(allowed)
     ]
-    subjects: list[dict[str, object]] = [{"id": name, "cert_common_names": [name]} for name in role_bindings.roles]
+    subjects: list[dict[str, object]] = [
+        {"id": name, "cert_common_names": [name]} for name in granted if name != _ANYBODY
+    ]
     subjects.append({"id": _ANYBODY})  # without any condition
     policies = [
         {"rules": [f"{name}/{number}" for number in range(len(allowed))], "subjects": [name]}

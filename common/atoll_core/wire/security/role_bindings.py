@@ -14,7 +14,8 @@ from typing import Final, Literal, cast, get_args
 from atoll_core.errors import UsageError
 from atoll_core.wire.topics import is_id
 
-Role = Literal["coordinator", "router", "worker", "submitter", "admin"]
+Role = Literal["coordinator", "router", "worker", "submitter", "admin", "revoked"]
+"""``revoked``: a certificate that was lost; a new one gets another name, since routers see names and no numbers."""
 
 MAX_NAME: Final = 48
 """Longest name in a certificate, in characters: those of its processes are this with more behind it."""

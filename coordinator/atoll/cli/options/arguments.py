@@ -169,6 +169,7 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
             type=_host_and_port,
         ),
         *_SERVICE,
+        _value("--limits", "FILE", "how much users may have (TOML; read again, as --roster is, at a SIGHUP)"),
         _value(
             "--wait", "SECONDS", "how long --router may take to be there (default: %(default)g)",
             type=seconds, default=10.0,
@@ -227,8 +228,10 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         _value("--out", "DIR", "also write result.json into this folder"),
         _value(
             "--priority", "N", type=whole_number(-10, 10), default=0,
-            text="-10 to 10; each step doubles the job's share of the workers, and it is taken up sooner (default: 0)",
+            text="-10 to 10; among your own jobs each step doubles its share of the workers, and it is taken up sooner "
+            "(default: 0)",
         ),
+        _switch("--share", "let everybody see the job who may use the coordinator, not only you and admins"),
     )),
     "ping": ("ask whether a coordinator answers, as probes do; 3: it does not", (
         *_CONNECT,
@@ -260,6 +263,23 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         "delete a job that has ended, with its result and its data",
         _of_coordinator("id or its beginning", nargs=None),
     ),
+    "pause": (
+        "have a job stop at a checkpoint and wait; it keeps its place",
+        _of_coordinator("id or its beginning", nargs=None),
+    ),
+    "resume": ("let a paused job go on", _of_coordinator("id or its beginning", nargs=None)),
+    "priority": ("give a job another priority", (
+        *_of_coordinator("id or its beginning", nargs=None),
+        _value("priority", "N", "-10 to 10", type=whole_number(-10, 10)),
+    )),
+    "share": ("let everybody see a job", (
+        *_of_coordinator("id or its beginning", nargs=None),
+        _switch("--private", "let only its submitter and admins see it"),
+    )),
+    "retry": ("submit a job that failed or was cancelled once more; prints the new job's id", (
+        *_of_coordinator("id or its beginning", nargs=None),
+        _value("--id", "ID", "the new job's id (default: made up)"),
+    )),
     "logs": ("tell what happened to a job", (
         *_of_coordinator("id or its beginning (default: what happened at all)"),
         _switch("--follow", "go on until the job has ended"),
@@ -269,6 +289,17 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
             choices=("info", "warning", "error"), default="info",
         ),
         _value("--lines", "N", "at most the N last events (default: 200)", type=whole_number(1, 1000), default=200),
+    )),
+    "cordon": ("give a worker no more islands (admins)", _of_coordinator("name or its beginning", nargs=None)),
+    "uncordon": ("let a worker have islands again (admins)", _of_coordinator("name or its beginning", nargs=None)),
+    "drain": (
+        "have a worker hand over its islands, and give it no more (admins)",
+        _of_coordinator("name or its beginning", nargs=None),
+    ),
+    "queue": ("show how many jobs wait; take up no more of them, or go on (admins)", (
+        _value("change", None, "pause or resume (default: only show)", nargs="?", choices=("pause", "resume")),
+        *_CONNECT,
+        _JSON,
     )),
     "simulate": ("simulate the model of a saved result from any initial state; CSV with bands", (
         _RESULT,

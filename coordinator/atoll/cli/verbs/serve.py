@@ -1,6 +1,8 @@
 """``coordinator serve``: router, coordinator and store for workers and clients of any machine."""
 
 import argparse
+import contextlib
+import logging
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -10,16 +12,21 @@ from atoll.cli.listener import addresses_of, read_options, warnings_of
 from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, StoreError, UnreachableError, UsageError
+from atoll_core.logs import fields
 from atoll_core.machine.file_systems import file_system, is_networked
-from atoll_core.signals import stopping
+from atoll_core.signals import reloading, stopping
 from atoll_core.wire.addresses import Destination, bindable, parse_address
 from atoll_core.wire.connect_file import announced
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
 
 if TYPE_CHECKING:
+    from atoll_coordinator.service.scheduling.limits import Limits
+    from atoll_coordinator.service.service_loop import Service
     from atoll_coordinator.service.store.store import Store
     from atoll_core.wire.bus.interface import Bus
     from atoll_core.wire.bus.zenoh_bus import ZenohBus
+
+_LOG = logging.getLogger("coordinator")
 
 ANOTHER_LIMIT_S: Final = 0.5
 """How long another coordinator behind the same router is listened for."""
@@ -29,8 +36,9 @@ LEAVING_LOOKS: Final = 10
 
 
 def serve(options: argparse.Namespace) -> int:
-    """Serve until SIGTERM or Ctrl-C; return 0."""
+    """Serve until SIGTERM or Ctrl-C; return 0. A hang-up has limits and roster read again, where there are some."""
     wanted, role_bindings = read_options(options, options.router)
+    limits = _limits(options)
     if options.standby:
         refuse_network(Path(options.state))
     from atoll_coordinator.service.monitoring.metrics import served
@@ -38,8 +46,9 @@ def serve(options: argparse.Namespace) -> int:
     from atoll_coordinator.service.store.retention import Retention
     from atoll_coordinator.service.tasks.dependencies import Dependencies
 
-    behind, stop = options.router is not None, threading.Event()
-    with stopping(stop):
+    behind, stop, reload = options.router is not None, threading.Event(), threading.Event()
+    reads_again = reloading(reload) if options.limits or options.roster else contextlib.nullcontext()
+    with stopping(stop), reads_again:
         store = _awaited(options, wanted, stop) if options.standby else _opened(options.state)
         if store is None:
             note("coordinator: stopped on standby; another one serves")
@@ -47,13 +56,40 @@ def serve(options: argparse.Namespace) -> int:
         with served(options.metrics) as metrics, store, _joined(options, wanted, role_bindings) as bus:
             dependencies = Dependencies(retention=Retention(*options.keep))
             service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings, metrics=metrics)
+            service.set_policy(limits, role_bindings)
             service.start()
             here = Destination(parse_address(bus.endpoint), wanted.credentials)
             with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
                 say(greeting(here, options.state, role_bindings, behind))
-                service.work(stop)
+                service.work(stop, lambda: _read_again(service, options) if _take(reload) else None)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
+
+
+def _limits(options: argparse.Namespace) -> "Limits":
+    """Return what users may have; raises UsageError."""
+    from atoll_coordinator.service.scheduling.limits import NO_LIMITS, read_limits
+
+    return read_limits(Path(options.limits)) if options.limits is not None else NO_LIMITS
+
+
+def _take(event: threading.Event) -> bool:
+    """Tell whether something has happened since the last call."""
+    has_happened = event.is_set()
+    event.clear()
+    return has_happened
+
+
+def _read_again(service: "Service", options: argparse.Namespace) -> None:
+    """Let what limits and roster say now hold from now on; where they cannot be read, what they said before."""
+    try:
+        limits = _limits(options)
+        role_bindings = read_role_bindings(Path(options.roster)) if options.roster is not None else None
+    except UsageError as error:
+        _LOG.warning("limits and roster stay as they were", extra=fields(reason=str(error)))
+        return
+    service.set_policy(limits, role_bindings)
+    _LOG.info("limits and roster are read again")
 
 
 def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None) -> "ZenohBus":

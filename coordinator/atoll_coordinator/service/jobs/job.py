@@ -94,6 +94,8 @@ class Job:
         self.submitter: Final = record.submitter
         self.priority = record.priority
         self.is_held = False
+        self.is_paused = bool(record.paused)
+        self.is_shared = bool(record.shared)
         self.state: JobState = "queued"
         self.reason: str | None = None
         self.fault: Fault | None = None

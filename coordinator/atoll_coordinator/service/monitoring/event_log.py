@@ -13,6 +13,7 @@ from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.search.archipelago import ArchipelagoKey, Checkpoint
 from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.store.events import EventRecord
+from atoll_coordinator.service.store.jobs import Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_core.logs import fields
 from atoll_core.wire.messages.clients import Submit
@@ -62,13 +63,16 @@ class EventLog:
             pending, self._pending = self._pending, []
             self._store.add_events(pending)
 
-    def read(self, job: str | None, after: int, limit: int, *, of_workers: bool = False) -> tuple[EventView, ...]:
+    def read(
+        self, job: str | None, after: int, limit: int, viewer: Viewer | None = None, *, of_workers: bool = False
+    ) -> tuple[EventView, ...]:  # fmt: skip
         """Return the events of a job, or all, after the one of that number; see `Store.events`.
 
         What another version has recorded in words that this one does not know is left out.
         """
         self.flush()
-        views = (view_of(record) for record in self._store.events(job, after, limit, of_workers=of_workers))
+        records = self._store.events(job, after, limit, viewer, of_workers=of_workers)
+        views = (view_of(record) for record in records)
         return tuple(view for view in views if view is not None)
 
     # ---------------------------------------------------------------------------------------------- jobs

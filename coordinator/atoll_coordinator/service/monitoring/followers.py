@@ -1,8 +1,9 @@
 """Who follows which job, and what they are told: each change once, encoded once for all of them.
 
-A topic is a job, or all that happens (None). It changes when something happens to it; what has changed is told at once
-where its state is another, and otherwise at most every `INTERVAL_S`: what comes in between goes together. A change
-names the one before it, so that a follower notices what it has missed; what is kept of it are the events in the store.
+A topic is a job, or all that happens (None) as far as a viewer sees it. It changes when something happens to it; what
+has changed is told at once where its state is another, and otherwise at most every `INTERVAL_S`: what comes in between
+goes together. A change names the one before it, so that a follower notices what it has missed; what is kept of it are
+the events in the store.
 """
 
 import itertools
@@ -13,6 +14,7 @@ from typing import Final
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import JobViews
+from atoll_coordinator.service.store.jobs import Viewer
 from atoll_core.errors import RefusedError
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.clients import Change, Follow, Following
@@ -32,6 +34,10 @@ PAGE: Final = 200
 
 _LIVES: Final = 2**32
 """Sequence numbers of one incarnation: none comes twice in the lives of a store."""
+
+
+_Key = tuple[str | None, Viewer | None]
+"""Of a topic: the job, or None and who looks at all that happens. Whoever follows a job sees all of it."""
 
 
 @dataclass
@@ -61,64 +67,87 @@ class Followers:
         self._events = events
         self._workforce = workforce
         self._put = put
-        self._topics: dict[str | None, _Topic] = {}
-        self._changed: set[str | None] = set()
+        self._topics: dict[_Key, _Topic] = {}
+        self._changed: set[_Key] = set()
+        self._of_all: set[_Key] = set()
 
     def __len__(self) -> int:
         return sum(len(topic.leases) for topic in self._topics.values())
 
-    def follow(self, client: str, question: Follow, now: float) -> Following | None:
+    def __bool__(self) -> bool:
+        return True
+
+    def follow(
+        self, client: str, question: Follow, now: float, viewer: Viewer | None = None
+    ) -> Following | None:  # fmt: skip
         """Let a client follow, for another lease; return what it does not have yet. None: there is no such job.
+
+        Of all that happens a `viewer` (None: sees all) is told what it sees. Whether it sees a job is asked before.
 
         Raises:
             RefusedError: There are too many followers.
         """
         if question.job is not None and self._shown.view(question.job, now) is None:
             return None
-        topic = self._topics.get(question.job) or self._begin(question.job, now)
+        key = (question.job, viewer if question.job is None else None)
+        topic = self._topics.get(key) or self._begin(key, now)
         if client not in topic.leases and len(self) >= MAX_FOLLOWERS:
             raise RefusedError(f"{MAX_FOLLOWERS} programs follow jobs already; ask for the status now and then instead")
         topic.leases[client] = now + LEASE_S
-        return Following(lease_s=LEASE_S, change=self._missed(question, topic, now))
+        return Following(lease_s=LEASE_S, change=self._missed(question, key, topic, now))
+
+    def keep(self, may_follow: Callable[[str, str | None, Viewer | None], bool]) -> None:
+        """Tell those nothing more who may not follow any more, by client, job and as whom they look at all."""
+        for (job, viewer), topic in self._topics.items():
+            topic.leases = {
+                client: end for client, end in topic.leases.items() if may_follow(client, job, viewer)
+            }  # fmt: skip
+        self._forget_unfollowed()
 
     def touch(self, job: str | None) -> None:
         """Take notice that something has happened to a job, or to none in particular."""
-        for topic in (job, None):
-            if topic in self._topics:
-                self._changed.add(topic)
+        if (job, None) in self._topics:
+            self._changed.add((job, None))
+        self._changed.update(self._of_all)
 
     def look(self, now: float) -> None:
         """Notice what happens by itself: workers come and go, and the line of those that wait gets shorter."""
         if not self._topics:
             return
         workforce = self._workforce(now)
-        for name, topic in self._topics.items():
-            if name is not None and (topic.workforce != workforce or topic.state == "queued"):
-                self._changed.add(name)
+        for key, topic in self._topics.items():
+            if key[0] is not None and (topic.workforce != workforce or topic.state == "queued"):
+                self._changed.add(key)
 
     def tell(self, now: float) -> float | None:
         """Tell the changes that are due; return in how many seconds the next ones are, None when there are none."""
-        for name in [name for name in self._changed if self._is_due(name, now)]:
-            self._changed.discard(name)
-            self._tell(name, self._topics[name], now)
-        return min((max(0.0, self._topics[name].due - now) for name in self._changed), default=None)
+        for key in [key for key in self._changed if self._is_due(key, now)]:
+            self._changed.discard(key)
+            self._tell(key, self._topics[key], now)
+        return min((max(0.0, self._topics[key].due - now) for key in self._changed), default=None)
 
     def expire(self, now: float) -> None:
         """Forget the followers whose leases are over, and what nobody follows."""
         for topic in self._topics.values():
             topic.leases = {client: end for client, end in topic.leases.items() if end > now}
-        self._topics = {name: topic for name, topic in self._topics.items() if topic.leases}
+        self._forget_unfollowed()
+
+    def _forget_unfollowed(self) -> None:
+        self._topics = {key: topic for key, topic in self._topics.items() if topic.leases}
+        self._of_all = {key for key in self._topics if key[0] is None}
         self._changed &= self._topics.keys()
 
-    def _begin(self, job: str | None, now: float) -> _Topic:
-        told = self._events.read(job, 0, 1)
-        topic = _Topic(next(self._sequences), told[-1].number if told else 0, self._state(job), None, Workforce(), now)
-        self._topics[job] = topic
+    def _begin(self, key: _Key, now: float) -> _Topic:
+        told = self._events.read(key[0], 0, 1, key[1])
+        last = told[-1].number if told else 0
+        topic = _Topic(next(self._sequences), last, self._state(key[0]), None, Workforce(), now)
+        self._topics[key] = topic
+        self._of_all |= {key} if key[0] is None else set()
         return topic
 
-    def _missed(self, question: Follow, topic: _Topic, now: float) -> Change | None:
+    def _missed(self, question: Follow, key: _Key, topic: _Topic, now: float) -> Change | None:
         """Return how it stands and the events that a client does not have; None when it has all."""
-        events = () if question.after is None else self._events.read(question.job, question.after, PAGE)
+        events = () if question.after is None else self._events.read(question.job, question.after, PAGE, key[1])
         if question.sequence == topic.sequence and not events:
             return None
         return Change(
@@ -132,19 +161,20 @@ class Followers:
             has_more=len(events) == PAGE,
         )
 
-    def _is_due(self, name: str | None, now: float) -> bool:
-        topic = self._topics[name]
-        return now >= topic.due or topic.state != self._state(name)
+    def _is_due(self, key: _Key, now: float) -> bool:
+        topic = self._topics[key]
+        return now >= topic.due or topic.state != self._state(key[0])
 
     def _state(self, job: str | None) -> str:
         live = self._jobs.get(job) if job is not None else None
         return live.state if live is not None else ""
 
-    def _tell(self, name: str | None, topic: _Topic, now: float) -> None:
+    def _tell(self, key: _Key, topic: _Topic, now: float) -> None:
         """Tell how a topic stands, unless that is as before."""
+        name, viewer = key
         topic.due = now + INTERVAL_S
         view, workforce = self._view(name, now), self._workforce(now)
-        events = self._events.read(name, topic.last, PAGE) if topic.last else self._events.read(name, 0, PAGE)
+        events = self._events.read(name, topic.last, PAGE, viewer)
         topic.state = self._state(name)
         if not events and workforce == topic.workforce and _timeless(view) == _timeless(topic.view):
             return

@@ -120,6 +120,10 @@ def job_view(
         stalls=stalls,
         counters=counters,
         target_error=job.config.budget.target_error,
+        submitter=job.submitter,
+        shared=job.is_shared,
+        paused=job.is_paused,
+        held=job.is_held,
     )
 
 
@@ -143,6 +147,8 @@ def ended_view(record: JobRecord, result: str | None) -> JobView:
         variables=(),
         priority=record.priority,
         target_error=target_error,
+        submitter=record.submitter,
+        shared=bool(record.shared),
     )
     return view if result is None else with_equations(view, result)
 

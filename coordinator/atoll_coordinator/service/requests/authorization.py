@@ -1,12 +1,26 @@
-"""Authorization where certificates prove names: who may take part as what, and who may cancel or delete which job.
+"""Authorization where certificates prove names: who may take part as what, see which jobs, and do what to them.
 
 The router's access rules drop what they do not allow without an answer. Here a program whose role does not fit is told
-so, as the answer to its greeting. Who may end which job cannot be said by rules on keys and is decided here alone.
+so, as the answer to its greeting. Whose a job is cannot be said by rules on keys and is decided here alone: a job is
+private to its submitter and to admins unless it is shared, and to others it is as if there were none.
 """
 
 from typing import Final, Protocol
 
-from atoll_core.wire.messages.clients import Cancel, Delete, Request
+from atoll_coordinator.service.store.jobs import Viewer
+from atoll_core.wire.messages.clients import (
+    Cancel,
+    Delete,
+    Follow,
+    Pause,
+    Request,
+    Retry,
+    SetPriority,
+    SetQueue,
+    SetWorker,
+    Share,
+    Submit,
+)
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.security.role_bindings import Role, RoleBindings
 
@@ -14,57 +28,107 @@ _MAY: Final[dict[Role, str]] = {
     "coordinator": "serve",
     "router": "pass messages on",
     "worker": "compute islands",
-    "submitter": "submit jobs and look at them",
-    "admin": "submit jobs, look at them, cancel and delete those of others",
+    "submitter": "submit jobs and look at its own and shared ones",
+    "admin": "submit jobs, and look at, change and end those of others",
 }
 
+_CHANGES: Final[dict[type, str]] = {
+    Cancel: "cancel", Delete: "delete", Pause: "pause or resume", SetPriority: "change the priority of", Share: "share",
+    Retry: "retry",
+}  # fmt: skip
+_OF_SERVICE: Final = (SetWorker, SetQueue)
 
-class Submitters(Protocol):
-    """The part of the store that remembers whose job a job is."""
+
+class Jobs(Protocol):
+    """The part of the store that remembers whose job a job is, and who sees it."""
 
     def submitter(self, job: str) -> str | None: ...
+
+    def is_seen(self, job: str, viewer: Viewer) -> bool: ...
 
 
 class Authorization:
     """Decides by role bindings; without any (None) everybody may do everything."""
 
-    def __init__(self, role_bindings: RoleBindings | None, submitters: Submitters) -> None:
-        self._role_bindings = role_bindings
-        self._submitters = submitters
+    def __init__(self, role_bindings: RoleBindings | None, jobs: Jobs) -> None:
+        """`role_bindings` may be replaced at any time; only a router that is started anew has the new ones."""
+        self.role_bindings = role_bindings
+        self._jobs = jobs
 
     def refuse_role(self, hello: Hello) -> str | None:
         """Return why a program may not take part as what it says it is; None: it may."""
-        if self._role_bindings is None:
+        if self.role_bindings is None:
             return None
-        role = self._role_bindings.role(hello.name)
+        role = self.role_bindings.role(hello.name)
         if role is None:
             return (
                 f"the coordinator's roster has no name for {hello.name!r}; have the name of your certificate written "
                 "there, and the coordinator started again"
             )
+        if role == "revoked":
+            return self._revoked(hello.name)
         fits = role == "worker" if hello.role == "worker" else role != "worker"
         if fits:
             return None
         wanted = "compute islands" if hello.role == "worker" else "submit jobs or look at them"
         return (
-            f"the certificate of {self._role_bindings.principal(hello.name)!r} has the role {role}, which may "
+            f"the certificate of {self.role_bindings.principal(hello.name)!r} has the role {role}, which may "
             f"{_MAY[role]}, but not {wanted}; use another certificate"
         )
 
-    def refuse_request(self, client: str, request: Request) -> str | None:
-        """Return why `client` may not ask this; None: it may."""
-        if self._role_bindings is None:
+    def refuse_worker(self, name: str) -> str | None:
+        """Return why a worker that takes part may not any more; None: it may."""
+        if self.role_bindings is None or self.role_bindings.role(name) == "worker":
             return None
-        role = self._role_bindings.role(client)
+        if self.role_bindings.role(name) == "revoked":
+            return self._revoked(name)
+        return f"the coordinator's roster does not name {name!r} as a worker any more"
+
+    def refuse_request(self, client: str, request: Request) -> str | None:
+        """Return why `client` may not ask this; None: it may. Ask `hides` first: of a hidden job nothing is said."""
+        if self.role_bindings is None:
+            return None
+        role, body = self.role_bindings.role(client), request.body
+        if role == "revoked":
+            return self._revoked(client)
         if role not in ("submitter", "admin"):
             return f"{client!r} is not the name of somebody who may submit jobs or look at them"
-        if not isinstance(request.body, Cancel | Delete) or role == "admin":
+        if role == "admin":
             return None
-        owner = self._submitters.submitter(request.body.job)
-        if owner in (None, self._role_bindings.principal(client)):
+        if isinstance(body, _OF_SERVICE):
+            return "only an admin may do that to workers or to the queue"
+        if not isinstance(body, Cancel | Delete | Pause | SetPriority | Share | Retry):
             return None
-        return f"job {request.body.job} was submitted by {owner}; only {owner} or an admin may {request.body.kind} it"
+        owner = self._jobs.submitter(body.job)
+        if owner in (None, self.role_bindings.principal(client)):
+            return None
+        may = f"only {owner} or an admin may {_CHANGES[type(body)]} it"
+        return f"job {body.job} was submitted by {owner}; {may}"
+
+    def hides(self, client: str, request: Request) -> str | None:
+        """Return the id of the job that is asked about, if `client` is to be told that there is none."""
+        viewer, job = self.viewer(client), getattr(request.body, "job", None)
+        if viewer is None or job is None or isinstance(request.body, Submit):
+            return None
+        return None if self._jobs.is_seen(job, viewer) else str(job)
+
+    def viewer(self, client: str) -> Viewer | None:
+        """Return as whom `client` sees jobs; None: it sees all."""
+        if self.role_bindings is None or self.role_bindings.role(client) == "admin":
+            return None
+        return Viewer(self.role_bindings.principal(client))
+
+    def may_follow(self, client: str, job: str | None, viewer: Viewer | None) -> bool:
+        """Tell whether `client` may be told of a job, or of all that happens (None) as `viewer` sees it."""
+        if self.refuse_request(client, Request(body=Follow(job=job))) is not None:
+            return False
+        own = self.viewer(client)
+        return own == viewer if job is None else own is None or self._jobs.is_seen(job, own)
 
     def submitter(self, client: str) -> str | None:
         """Return as whose job one is kept that `client` submits; None: nobody proves who it is."""
-        return self._role_bindings.principal(client) if self._role_bindings is not None else None
+        return self.role_bindings.principal(client) if self.role_bindings is not None else None
+
+    def _revoked(self, name: str) -> str:
+        principal = self.role_bindings.principal(name) if self.role_bindings is not None else None
+        return f"the certificate of {principal!r} is revoked; have one made under another name"

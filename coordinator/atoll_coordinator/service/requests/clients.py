@@ -6,9 +6,11 @@ from typing import Final
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.monitoring.followers import Followers
 from atoll_coordinator.service.monitoring.queue_depth import queue_depth
+from atoll_coordinator.service.requests.admission import Admission
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import Uploads
+from atoll_coordinator.service.store.jobs import Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.messages.clients import (
@@ -28,9 +30,15 @@ from atoll_core.wire.messages.clients import (
     JobList,
     Jobs,
     JobStatus,
+    Pause,
     QueueDepth,
     Request,
     Result,
+    Retry,
+    SetPriority,
+    SetQueue,
+    SetWorker,
+    Share,
     Status,
     Submit,
     Upload,
@@ -39,7 +47,7 @@ from atoll_core.wire.messages.clients import (
     Workers,
 )
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.messages.views import CoordinatorView, JobView
+from atoll_core.wire.messages.views import CoordinatorView, JobView, WorkerView
 
 MAX_PAGE_BYTES: Final = CHUNK_SIZE
 """Of a list of jobs, as JSON, unless a single one has more: each item of a message has two bytes of JSON at least, so
@@ -54,7 +62,10 @@ Body = (
     Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | Deleted | EventList | Following
     | Failure
 )  # fmt: skip
-Asked = Upload | Submit | Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | Cancel | Delete | GetEvents
+Told = Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetEvents
+Asked = (
+    Upload | Submit | Cancel | Delete | Pause | SetPriority | Share | Retry | SetWorker | SetQueue | Told
+)  # fmt: skip
 
 
 class ClientRequests:
@@ -72,6 +83,7 @@ class ClientRequests:
         self._authorization = authorization
         self._deletion = deletion
         self.uploads: Final = Uploads(store, now)
+        self._admission = Admission(controller, store, self.uploads)
         self._now = now
         self._coordinator = coordinator
         self._followers = followers
@@ -82,13 +94,17 @@ class ClientRequests:
         Raises:
             StoreError: A job was to be cancelled, and that could not be made durable.
         """
+        hidden = self._authorization.hides(client, request)
+        if hidden is not None:
+            return Deleted(job=hidden) if isinstance(request.body, Delete) else _unknown(hidden)
         refusal = self._authorization.refuse_request(client, request)
         if refusal is not None:
             return Failure(failure="refused", sentence=refusal)
         try:
+            submitter, viewer = self._authorization.submitter(client), self._authorization.viewer(client)
             if isinstance(request.body, Follow):
-                return self._follow(client, request.body)
-            return self._answer(request.body, self._authorization.submitter(client))
+                return self._follow(client, request.body, viewer)
+            return self._answer(request.body, submitter, viewer)
         except TableMissingError as error:
             return Failure(failure="no-table", sentence=str(error))
         except (RefusedError, RemoteProtocolError) as error:
@@ -99,67 +115,113 @@ class ClientRequests:
                 raise
             return Failure(failure="internal", sentence=str(error)[:4000])
 
-    def _follow(self, client: str, question: Follow) -> Following | Failure:
+    def _follow(self, client: str, question: Follow, viewer: Viewer | None) -> Following | Failure:
         if self._followers is None:
             return Failure(failure="refused", sentence="nothing can be followed here; ask for the status instead")
-        return self._followers.follow(client, question, self._now()) or _unknown(question.job or "of any name")
+        following = self._followers.follow(client, question, self._now(), viewer)
+        return following or _unknown(question.job or "of any name")
 
-    def _answer(self, body: Asked, submitter: str | None) -> Body:
+    def _answer(self, body: Asked, submitter: str | None, viewer: Viewer | None) -> Body:
         match body:
             case Upload():
-                return self.uploads.take(body)
+                self._admission.admit_upload(body, submitter)
+                return self.uploads.take(body, submitter, viewer)
             case Submit():
-                self._controller.submit(body, self._now(), submitter)
-                return self._status(body.job)
+                return self._submit(body, submitter, viewer)
+            case Retry():
+                return self._submit(self._controller.again(body.job, body.again), submitter, None)
             case Cancel():
                 self._controller.cancel(body.job, self._now())
                 return self._status(body.job)
             case Delete():
                 self._deletion.delete(body.job, "a client asked for it")
                 return Deleted(job=body.job)
+            case Pause() | SetPriority() | Share():
+                return self._change(body)
+            case SetWorker():
+                self._controller.set_worker(body.worker, body.service, self._now())
+                return self._workers(Workers(prefix=body.worker, limit=1), viewer)
+            case SetQueue():
+                self._controller.pause_queue(body.paused, self._now())
+                return self._workers(Workers(limit=1), viewer)
             case _:
-                return self._tell(body)
+                return self._tell(body, viewer)
 
-    def _tell(self, body: Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetEvents) -> Body:
+    def _submit(self, body: Submit, submitter: str | None, viewer: Viewer | None) -> Body:
+        """Take in a job; to somebody else's, or on a table that has not been shown, it says no more than it must."""
+        if (
+            viewer is not None
+            and self._store.job(body.job) is not None
+            and self._store.submitter(body.job) != submitter
+        ):
+            raise RefusedError(f"the id {body.job} is taken; submit under another id")
+        if not self.uploads.has(body.table, submitter, viewer):
+            raise TableMissingError(
+                f"the table of job {body.job} has not been uploaded; upload it, then submit again"
+            )  # fmt: skip
+        self._controller.submit(self._admission.admit(body, submitter), self._now(), submitter)
+        return self._status(body.job)
+
+    def _change(self, body: Pause | SetPriority | Share) -> Body:
+        if self._controller.shown.view(body.job, self._now()) is None:
+            return _unknown(body.job)
+        match body:
+            case Pause():
+                self._controller.pause(body.job, body.paused, self._now())
+            case SetPriority():
+                self._controller.set_priority(body.job, body.priority, self._now())
+            case Share():
+                self._controller.share(body.job, body.shared)
+                self.check_followers()
+        return self._status(body.job)
+
+    def check_followers(self) -> None:
+        """Tell followers no more of what they may not see any more."""
+        if self._followers is not None:
+            self._followers.keep(self._authorization.may_follow)
+
+    def _tell(self, body: Told, viewer: Viewer | None) -> Body:
         """Answer a question that changes nothing."""
         match body:
             case Jobs():
-                return self._page(body)
+                return self._page(body, viewer)
             case FindJob():
-                return self._find(body.prefix)
+                return self._find(body.prefix, viewer)
             case Status():
                 return self._status(body.job)
             case Workers():
-                return self._workers(body)
+                return self._workers(body, viewer)
             case GetQueueDepth():
                 queue = self._controller.queue
                 return queue_depth(self._controller.begun.values(), queue.queued, queue.limits.total.running)
             case GetResult():
                 return self._result(body.job)
             case GetEvents():
-                return self._events(body)
+                return self._events(body, viewer)
 
-    def _workers(self, question: Workers) -> WorkerList:
-        """Return a page of workers, by name."""
+    def _workers(self, question: Workers, viewer: Viewer | None) -> WorkerList:
+        """Return a page of workers, by name; what they compute for others is left out."""
         views = self._controller.workers.membership.views(self._now())
         wanted = [view for view in views if view.worker > question.after and view.worker.startswith(question.prefix)]
         page = tuple(wanted[: question.limit])
         after = page[-1].worker if len(page) < len(wanted) else None
+        if viewer is not None:
+            page = tuple(_without_others(view, self._store, viewer) for view in page)
         return WorkerList(workers=page, after=after, coordinator=self._coordinator())
 
-    def _events(self, question: GetEvents) -> EventList | Failure:
+    def _events(self, question: GetEvents, viewer: Viewer | None) -> EventList | Failure:
         """Return what happened; as much of it as one answer bears."""
         if question.job is not None and self._controller.shown.view(question.job, self._now()) is None:
             return _unknown(question.job)
-        events = self._controller.events
+        log = self._controller.events
         return EventList(
-            events=events.read(question.job, question.after, question.limit, of_workers=question.of_workers)
+            events=log.read(question.job, question.after, question.limit, viewer, of_workers=question.of_workers)
         )
 
-    def _page(self, question: Jobs) -> JobList:
+    def _page(self, question: Jobs, viewer: Viewer | None) -> JobList:
         """Return a page of jobs, newest last, that an answer bears."""
         page = self._store.job_page(
-            question.prefix, is_open=question.is_open, before=question.before, limit=question.limit
+            question.prefix, is_open=question.is_open, before=question.before, limit=question.limit, viewer=viewer
         )
         numbers = {job: number for number, job in page}
         views: list[JobView] = []
@@ -173,12 +235,12 @@ class ClientRequests:
         is_last = len(numbers) < question.limit
         return JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
 
-    def _find(self, prefix: str) -> JobFound | Failure:
-        """Return the one job whose id is `prefix` or begins with it."""
-        if self._store.job(prefix) is not None:
+    def _find(self, prefix: str, viewer: Viewer | None) -> JobFound | Failure:
+        """Return the one job whose id is `prefix` or begins with it, of those that the viewer sees."""
+        if self._store.job(prefix) is not None and (viewer is None or self._store.is_seen(prefix, viewer)):
             return JobFound(job=prefix)
-        count = self._store.count_jobs(prefix)
-        ids = [job for _, job in self._store.job_page(prefix if count else "", limit=_SHOWN)]
+        count = self._store.count_jobs(prefix, viewer)
+        ids = [job for _, job in self._store.job_page(prefix if count else "", limit=_SHOWN, viewer=viewer)]
         if count == 1:
             return JobFound(job=ids[0])
         shown = ", ".join(reversed(ids))
@@ -211,3 +273,9 @@ class ClientRequests:
 
 def _unknown(job: str) -> Failure:
     return Failure(failure="unknown-job", sentence=f"there is no job {job}; 'coordinator jobs' lists all of them")
+
+
+def _without_others(view: WorkerView, store: Store, viewer: Viewer) -> WorkerView:
+    """Return a worker's view that says what it computes only if the viewer sees the job."""
+    job = view.doing.partition("/")[0]
+    return view if not job or store.is_seen(job, viewer) else view.model_copy(update={"doing": "another user's job"})

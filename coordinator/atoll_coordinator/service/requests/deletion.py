@@ -28,9 +28,7 @@ class JobDeletion:
             raise RefusedError(f"job {job} is {live.state}; cancel it, or wait for its end, before you delete it")
         if self._store.job(job) is None:
             return
-        self._controller.events.flush()  # or its last events would be written after its end
-        self._store.delete_job(job)
-        self._controller.events.record("deleted", f"job {job} is deleted: {reason}")
+        self._controller.forget_ended(job, reason)
 
     def delete_expired(self, now: float) -> None:
         """Delete the oldest ended job if it is not to be kept, at most one in a call; `now` in seconds of the bus."""

@@ -78,7 +78,9 @@ class JobQueue:
         self.limits = limits
         self.is_paused = False
         self.exhausted: frozenset[str | None] = frozenset()
-        """Users who have used up their task time for now: none of their jobs has a place."""
+        """Users who have used up their task time of the day: none of their jobs has a place."""
+        self.is_exhausted = False
+        """Whether all users together have."""
         self._fair_share = fair_share or FairShare()
         self._entries: dict[str, _Entry] = {}
         self._users: dict[str | None, _User] = {}
@@ -188,11 +190,15 @@ class JobQueue:
     def _candidates(self) -> Iterator[_Entry]:
         """Yield what could have a place: of each user what has begun, and as many that wait as there are places."""
         for principal, user in self._users.items():
-            if principal in self.exhausted:
+            if self._has_no_time(principal):
+                yield from (entry for entry in user.begun.values() if entry.stage == "preparing")
                 continue
             yield from (entry for entry in user.begun.values() if not entry.is_paused or entry.stage == "preparing")
             if not self.is_paused:
                 yield from (self._entries[job] for _, _, job in user.waiting[: self.limits.total.running])
+
+    def _has_no_time(self, principal: str | None) -> bool:
+        return self.is_exhausted or principal in self.exhausted
 
     def _is_full(self, principal: str | None, busy: int) -> bool:
         most = self.limits.of(principal).running
@@ -249,7 +255,7 @@ class JobQueue:
         principal = entry.principal
         if entry.is_paused:
             return f"is paused; go on with: coordinator resume {job}"
-        if principal in self.exhausted:
+        if self._has_no_time(principal):
             return "waits: the task time that limits allow for a day is used up"
         if entry.stage == "held":
             return "waits for its user's next turn; others have theirs"

@@ -66,7 +66,7 @@ def _seconds(value: object) -> object:
     return float(value)
 
 
-_Jobs = Annotated[int, Field(ge=0, le=10_000_000, strict=True)]
+_Jobs = Annotated[int, Field(ge=1, le=10_000_000, strict=True)]
 _Places = Annotated[int, Field(ge=1, le=10_000, strict=True)]
 _Bytes = Annotated[int, BeforeValidator(_size), Field(ge=0, lt=2**60)]
 _Seconds = Annotated[float, BeforeValidator(_seconds), Field(ge=0.0, lt=1e9)]

@@ -63,6 +63,12 @@ def chunk(sql: sqlite3.Connection, digest: str, index: int) -> bytes:
     return cast(bytes, row[0])
 
 
+def has_chunk(sql: sqlite3.Connection, digest: str, index: int, data: bytes) -> bool:
+    """Tell whether these bytes are what is there as a chunk of a blob, whole or not."""
+    query = "SELECT 1 FROM chunks WHERE digest = ? AND number = ? AND data = ?"
+    return sql.execute(query, (digest, index, data)).fetchone() is not None
+
+
 def missing(sql: sqlite3.Connection, digest: str, size: int) -> tuple[int, ...]:
     """Return which chunks of a blob of `size` bytes are still to be put."""
     if is_complete(sql, digest):

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from atoll_coordinator.service.store.jobs import Viewer
+
 MAX_EVENTS: Final = 2000
 """Events kept of each job, and of no job in particular; older ones are forgotten."""
 
@@ -50,19 +52,28 @@ def _thin(sql: sqlite3.Connection, job: str | None) -> None:
 
 
 def read(
-    sql: sqlite3.Connection, job: str | None, after: int, limit: int, of_workers: bool = False
-) -> tuple[EventRecord, ...]:
+    sql: sqlite3.Connection, job: str | None, after: int, limit: int, viewer: Viewer | None = None,
+    of_workers: bool = False,
+) -> tuple[EventRecord, ...]:  # fmt: skip
     """Return events of `job`, or of all (None), in order: the `limit` next ones after `after`, or the last ones (0).
 
-    `of_workers`: only lines of workers' logs.
+    A `viewer` is told of the jobs it sees, and of workers; what broke, which jobs were deleted, and what workers log of
+    no job that is known, may be others'. `of_workers`: only lines of workers' logs.
     """
-    order = "ASC" if after else "DESC"
-    of_job, values = ("job = ? AND ", (job,)) if job is not None else ("", ())  # an OR would read all of them
-    of_kind = "kind = 'log' AND " if of_workers else ""
+    order, conditions = "ASC" if after else "DESC", ["number > ?"]
+    values: list[str | int | None] = [after]
+    if job is not None:  # an OR would read all of them
+        conditions, values = [*conditions, "job = ?"], [*values, job]
+    if of_workers:
+        conditions.append("kind = 'log'")
+    if viewer is not None:
+        of_nobody = "job IS NULL AND kind NOT IN ('deleted', 'broken', 'log')"
+        conditions.append(f"({of_nobody} OR job IN (SELECT id FROM jobs WHERE {viewer.condition}))")
+        values.append(viewer.name)
     rows = sql.execute(
-        f"SELECT job, time, kind, contents, number FROM events WHERE {of_job}{of_kind}number > ? "
+        f"SELECT job, time, kind, contents, number FROM events WHERE {' AND '.join(conditions)} "
         f"ORDER BY number {order} LIMIT ?",
-        (*values, after, limit),
+        (*values, limit),
     ).fetchall()
     return tuple(EventRecord(*row) for row in (rows if after else reversed(rows)))
 

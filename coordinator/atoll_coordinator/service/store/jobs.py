@@ -79,14 +79,31 @@ def read_all(sql: sqlite3.Connection) -> tuple[JobRecord, ...]:
     return tuple(JobRecord(*row) for row in rows)
 
 
+@dataclass(frozen=True, slots=True)
+class Viewer:
+    """Who looks at jobs: sees those of `name`, those of nobody and shared ones."""
+
+    name: str | None
+
+    @property
+    def condition(self) -> str:
+        """What holds of a row of jobs that is seen, with the name as its value."""
+        return "(submitter IS NULL OR submitter IS ? OR shared)"
+
+
 def page(
-    sql: sqlite3.Connection, prefix: str, is_open: bool, before: int | None, limit: int
+    sql: sqlite3.Connection, prefix: str, is_open: bool, before: int | None, limit: int, viewer: Viewer | None = None
 ) -> tuple[tuple[int, str], ...]:
-    """Return numbers and ids of the last jobs, the last first, that begin with `prefix` and came before `before`."""
+    """Return numbers and ids of the last jobs, the last first, that begin with `prefix` and came before `before`.
+
+    `viewer` (None: sees all) leaves out what it does not see.
+    """
     conditions: list[str] = []
-    values: list[str | int] = []
+    values: list[str | int | None] = []
     if prefix:
         conditions, values = ["id >= ? AND id < ?"], [prefix, prefix + _BEYOND]
+    if viewer is not None:
+        conditions, values = [*conditions, viewer.condition], [*values, viewer.name]
     if is_open:
         conditions.append(_OPEN)
     if before is not None:
@@ -95,10 +112,44 @@ def page(
     return tuple(sql.execute(f"SELECT number, id FROM jobs {where} ORDER BY number DESC LIMIT ?", (*values, limit)))
 
 
-def matches(sql: sqlite3.Connection, prefix: str) -> int:
-    """Return how many ids begin with `prefix`."""
-    (count,) = sql.execute("SELECT count(*) FROM jobs WHERE id >= ? AND id < ?", (prefix, prefix + _BEYOND)).fetchone()
+def matches(sql: sqlite3.Connection, prefix: str, viewer: Viewer | None = None) -> int:
+    """Return how many ids begin with `prefix`, of jobs that the viewer sees."""
+    seen, name = (f" AND {viewer.condition}", (viewer.name,)) if viewer is not None else ("", ())
+    query = f"SELECT count(*) FROM jobs WHERE id >= ? AND id < ?{seen}"
+    (count,) = sql.execute(query, (prefix, prefix + _BEYOND, *name)).fetchone()
     return cast(int, count)
+
+
+def is_seen(sql: sqlite3.Connection, job: str, viewer: Viewer) -> bool:
+    """Tell whether there is a job of this id that the viewer sees."""
+    query = f"SELECT 1 FROM jobs WHERE id = ? AND {viewer.condition}"
+    return sql.execute(query, (job, viewer.name)).fetchone() is not None
+
+
+def stored_bytes(sql: sqlite3.Connection, submitter: str | None) -> int:
+    """Return the bytes of the tables of a user's jobs, each counted once, and of their results."""
+    (tables,) = sql.execute(
+        "SELECT coalesce(sum(size), 0) FROM blobs WHERE digest IN (SELECT table_digest FROM jobs WHERE submitter IS ?)",
+        (submitter,),
+    ).fetchone()
+    query = "SELECT coalesce(sum(result_bytes), 0) FROM jobs WHERE submitter IS ?"
+    (results,) = sql.execute(query, (submitter,)).fetchone()
+    return cast(int, tables + results)
+
+
+def all_stored_bytes(sql: sqlite3.Connection) -> int:
+    """Return the bytes of all tables that jobs use, each counted once, and of all results."""
+    (tables,) = sql.execute(
+        "SELECT coalesce(sum(size), 0) FROM blobs WHERE digest IN (SELECT table_digest FROM jobs)"
+    ).fetchone()
+    (results,) = sql.execute("SELECT coalesce(sum(result_bytes), 0) FROM jobs").fetchone()
+    return cast(int, tables + results)
+
+
+def uses_table(sql: sqlite3.Connection, digest: str, viewer: Viewer) -> bool:
+    """Tell whether a job that the viewer sees uses a table."""
+    query = f"SELECT 1 FROM jobs WHERE table_digest = ? AND {viewer.condition} LIMIT 1"
+    return sql.execute(query, (digest, viewer.name)).fetchone() is not None
 
 
 _BEYOND: Final = "~"
@@ -146,6 +197,14 @@ def keep_view(sql: sqlite3.Connection, job: str, view: str) -> None:
     sql.execute("INSERT OR REPLACE INTO views SELECT id, ? FROM jobs WHERE id = ?", (view, job))
 
 
+def share_view(sql: sqlite3.Connection, job: str, is_shared: bool) -> None:
+    """Have what is kept of a job to be shown say whether it is shared."""
+    sql.execute(
+        "UPDATE views SET view = json_set(view, '$.shared', json(?)) WHERE job = ? AND json_valid(view)",
+        ("true" if is_shared else "false", job),
+    )
+
+
 def views(sql: sqlite3.Connection, jobs: Iterable[str]) -> dict[str, str]:
     """Return what people are shown of those jobs of which it has been kept, as JSON, by id."""
     found = ((job, sql.execute("SELECT view FROM views WHERE job = ?", (job,)).fetchone()) for job in jobs)
@@ -158,11 +217,19 @@ def submitter(sql: sqlite3.Connection, job: str) -> str | None:
     return cast(str | None, row[0]) if row else None
 
 
-def oldest_ended(sql: sqlite3.Connection) -> JobRecord | None:
-    """Return the job that ended first of those that have ended; None when there is none."""
+def uses_table_of(sql: sqlite3.Connection, digest: str, submitter: str | None) -> bool:
+    """Tell whether a job of this user uses a table."""
+    query = "SELECT 1 FROM jobs WHERE table_digest = ? AND submitter IS ? LIMIT 1"
+    return sql.execute(query, (digest, submitter)).fetchone() is not None
+
+
+def oldest_ended(sql: sqlite3.Connection, viewer: Viewer | None = None) -> JobRecord | None:
+    """Return the job that ended first of those that have ended, of all or of a user's own; None: there is none."""
+    own, name = ("AND submitter IS ? ", (viewer.name,)) if viewer is not None else ("", ())
     row = sql.execute(
-        f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE {_ENDED} "
-        "ORDER BY ended_at, coalesce(finished, submitted), number LIMIT 1"
+        f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE {_ENDED} {own}"
+        "ORDER BY ended_at, coalesce(finished, submitted), number LIMIT 1",
+        name,
     ).fetchone()
     return JobRecord(*row) if row else None
 

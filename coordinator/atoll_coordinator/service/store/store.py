@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from atoll_coordinator.service.store import archipelagos as archipelago_table
 from atoll_coordinator.service.store import blobs as blob_table
-from atoll_coordinator.service.store import checkpoint_table
+from atoll_coordinator.service.store import checkpoint_table, service_state
 from atoll_coordinator.service.store import deaths as death_table
 from atoll_coordinator.service.store import events as event_table
 from atoll_coordinator.service.store import jobs as job_table
 from atoll_coordinator.service.store.deaths import Death
 from atoll_coordinator.service.store.events import EventRecord
-from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.open_file import OpenFile
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire.messages.limits import chunk_count
@@ -51,16 +51,50 @@ class Store(OpenFile):
             return job_table.read_open(sql)
 
     def job_page(
-        self, prefix: str = "", *, is_open: bool = False, before: int | None = None, limit: int = 1
-    ) -> tuple[tuple[int, str], ...]:
-        """Return numbers and ids of the last jobs that came, the last first; see `wire.messages.clients.Jobs`."""
-        with self._reading() as sql:
-            return job_table.page(sql, prefix, is_open, before, limit)
+        self, prefix: str = "", *, is_open: bool = False, before: int | None = None, limit: int = 1,
+        viewer: Viewer | None = None,
+    ) -> tuple[tuple[int, str], ...]:  # fmt: skip
+        """Return numbers and ids of the last jobs that came, the last first; see `wire.messages.clients.Jobs`.
 
-    def count_jobs(self, prefix: str) -> int:
-        """Return how many jobs have ids that begin with `prefix`."""
+        A `viewer` is shown what it sees; None sees all.
+        """
         with self._reading() as sql:
-            return job_table.matches(sql, prefix)
+            return job_table.page(sql, prefix, is_open, before, limit, viewer)
+
+    def count_jobs(self, prefix: str, viewer: Viewer | None = None) -> int:
+        """Return how many jobs have ids that begin with `prefix`, of those that the viewer sees."""
+        with self._reading() as sql:
+            return job_table.matches(sql, prefix, viewer)
+
+    def is_seen(self, job: str, viewer: Viewer) -> bool:
+        """Tell whether there is a job of this id that the viewer sees."""
+        with self._reading() as sql:
+            return job_table.is_seen(sql, job, viewer)
+
+    def uses_table(self, digest: str, viewer: Viewer) -> bool:
+        """Tell whether a job that the viewer sees uses a table."""
+        with self._reading() as sql:
+            return job_table.uses_table(sql, digest, viewer)
+
+    def uses_table_of(self, digest: str, submitter: str | None) -> bool:
+        """Tell whether a job of this user uses a table: it counts once for all of them."""
+        with self._reading() as sql:
+            return job_table.uses_table_of(sql, digest, submitter)
+
+    def blob_size(self, digest: str) -> int:
+        """Return the bytes of a blob, 0 where it is not there, whole."""
+        with self._reading() as sql:
+            return blob_table.size(sql, digest) if blob_table.is_complete(sql, digest) else 0
+
+    def stored_bytes(self, submitter: str | None) -> int:
+        """Return the bytes of the tables of a user's jobs, each counted once, and of their results."""
+        with self._reading() as sql:
+            return job_table.stored_bytes(sql, submitter)
+
+    def all_stored_bytes(self) -> int:
+        """Return the bytes of all tables that jobs use, each counted once, and of all results."""
+        with self._reading() as sql:
+            return job_table.all_stored_bytes(sql)
 
     def submitter(self, job: str) -> str | None:
         """Return who submitted a job; None when nobody proved it."""
@@ -73,6 +107,13 @@ class Store(OpenFile):
         with self._transaction() as sql:
             job_table.require(sql, job)
             job_table.update(sql, job, changes)
+
+    def share_job(self, job: str, is_shared: bool) -> None:
+        """Let everybody see a job, or not, whether it has ended or not."""
+        with self._transaction() as sql:
+            job_table.require(sql, job)
+            job_table.update(sql, job, {"shared": int(is_shared)})
+            job_table.share_view(sql, job, is_shared)
 
     def begin_search(self, job: str, dataset: bytes) -> None:
         """Keep the dataset of a job, which is searched from now on; one without the other would be nobody's."""
@@ -125,10 +166,10 @@ class Store(OpenFile):
         with self._reading() as sql:
             return job_table.views(sql, jobs)
 
-    def oldest_ended_job(self) -> JobRecord | None:
-        """Return the job that ended first of those that have ended; None when there is none."""
+    def oldest_ended_job(self, of: Viewer | None = None) -> JobRecord | None:
+        """Return the job that ended first of those that have ended, all or one user's; None when there is none."""
         with self._reading() as sql:
-            return job_table.oldest_ended(sql)
+            return job_table.oldest_ended(sql, of)
 
     def delete_job(self, job: str) -> None:
         """Delete an ended job with its result, events, checkpoints, and the blobs that no other job uses.
@@ -221,14 +262,46 @@ class Store(OpenFile):
             event_table.add(sql, tuple(events))
 
     def events(
-        self, job: str | None, after: int, limit: int, *, of_workers: bool = False
+        self, job: str | None, after: int, limit: int, viewer: Viewer | None = None, *, of_workers: bool = False
     ) -> tuple[EventRecord, ...]:  # fmt: skip
         """Return what happened to a job, or at all (None), after the event of that number; `limit` of it at most.
 
-        With `after` 0 these are the last ones, otherwise those that come next.
+        With `after` 0 these are the last ones, otherwise those that come next. A `viewer` is told of what it sees.
         """
         with self._reading() as sql:
-            return event_table.read(sql, job, after, limit, of_workers)
+            return event_table.read(sql, job, after, limit, viewer, of_workers)
+
+    # what admins have set, and users have used up
+
+    def is_queue_paused(self) -> bool:
+        """Tell whether no job is to be taken up."""
+        with self._reading() as sql:
+            return service_state.is_queue_paused(sql)
+
+    def pause_queue(self, is_paused: bool) -> None:
+        """Keep whether jobs are to be taken up."""
+        with self._transaction() as sql:
+            service_state.pause_queue(sql, is_paused)
+
+    def cordons(self) -> dict[str, bool]:
+        """Return the workers that are given no more islands, and whether they hand over those that they have."""
+        with self._reading() as sql:
+            return service_state.cordons(sql)
+
+    def cordon(self, worker: str, is_draining: bool | None) -> None:
+        """Keep that a worker is cordoned, and perhaps drained; None: that it is neither any more."""
+        with self._transaction() as sql:
+            service_state.cordon(sql, worker, is_draining)
+
+    def add_usage(self, day: int, seconds: Mapping[str | None, float]) -> None:
+        """Add task time, in seconds, to what users have used on a day of service."""
+        with self._transaction() as sql:
+            service_state.add_usage(sql, day, seconds)
+
+    def usage(self, day: int) -> dict[str | None, float]:
+        """Return the seconds of task time that users have used on a day of service."""
+        with self._reading() as sql:
+            return service_state.usage(sql, day)
 
     # checkpoints
 
@@ -289,6 +362,11 @@ class Store(OpenFile):
         """Return chunk `index` (of `CHUNK_SIZE` bytes, the last one shorter) of a blob; raises KeyError."""
         with self._reading() as sql:
             return blob_table.chunk(sql, digest, index)
+
+    def has_chunk(self, digest: str, index: int, data: bytes) -> bool:
+        """Tell whether these bytes are what is there as a chunk of a blob, whole or not."""
+        with self._reading() as sql:
+            return blob_table.has_chunk(sql, digest, index, data)
 
     def missing_chunks(self, digest: str, size: int) -> tuple[int, ...]:
         """Return which chunks of a blob of `size` bytes are still to be put; none when it is there, whole."""

@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.messages.views import Counters, WorkerState, WorkerView
+from atoll_core.wire.messages.views import Counters, WorkerService, WorkerState, WorkerView
 from atoll_core.wire.messages.workers import WorkerStatus
 
 LEASE_S: Final = 15.0
@@ -78,6 +78,17 @@ class Membership:
         self._fingerprint = fingerprint
         self._members: dict[str, Member] = {}
         self._checked_at: float | None = None
+        self._cordons: dict[str, bool] = {}
+
+    def set_cordons(self, cordons: Mapping[str, bool]) -> None:
+        """Give these workers no more islands; whether they hand over those that they have, by name."""
+        self._cordons = dict(cordons)
+
+    def service(self, worker: str) -> WorkerService:
+        """Return whether a worker is given islands, as far as admins decide."""
+        if worker not in self._cordons:
+            return "open"
+        return "draining" if self._cordons[worker] else "cordoned"
 
     @property
     def checked_at(self) -> float:
@@ -125,6 +136,10 @@ class Membership:
             member.step("gone")
             member.gone_at = now
 
+    def send_away(self, worker: str) -> Member | None:
+        """Forget a worker that may not take part any more: it is asked to greet, and refused; None: it is not known."""
+        return self._members.pop(worker, None)
+
     def renew_leases(self, now: float) -> None:
         """Give everybody a fresh lease: their words may have been lost on our side."""
         for member in self._members.values():
@@ -156,7 +171,7 @@ class Membership:
 
     def ready(self) -> tuple[str, ...]:
         """Return the workers that can compute islands, sorted."""
-        return tuple(sorted(name for name, member in self._members.items() if member.is_ready))
+        return tuple(sorted(name for name in self._members if self.is_ready(name)))
 
     def attending(self) -> Iterator[tuple[str, Member]]:
         """Yield the workers that are here and do not leave, sorted by name: their kernels may still be on their way."""
@@ -167,7 +182,7 @@ class Membership:
     def is_ready(self, worker: str) -> bool:
         """Tell whether islands can be placed on this worker."""
         member = self._members.get(worker)
-        return member is not None and member.is_ready
+        return member is not None and member.is_ready and worker not in self._cordons
 
     def arriving(self) -> int:
         """Return how many workers are there but not ready yet."""
@@ -182,7 +197,7 @@ class Membership:
         if arriving:
             return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
         if not self.ready():
-            return "waits for a worker: none has joined, or all are lost or leaving"
+            return "waits for a worker: none has joined, or all are lost, leaving or cordoned"
         return "waits for the other workers to join"
 
     def is_lost(self, worker: str) -> bool:
@@ -191,9 +206,9 @@ class Membership:
         return member is None or member.state in ("lost", "hung")
 
     def is_leaving(self, worker: str) -> bool:
-        """Tell whether this worker has said that it will end soon."""
+        """Tell whether this worker has said that it will end soon, or is drained: it hands over what it has."""
         member = self._members.get(worker)
-        return member is not None and member.is_leaving
+        return self._cordons.get(worker, False) or (member is not None and member.is_leaving)
 
     def is_new(self, hello: Hello) -> bool:
         """Tell whether this process has not borne its name before."""
@@ -202,7 +217,10 @@ class Membership:
 
     def views(self, now: float) -> tuple[WorkerView, ...]:
         """Return what people are shown, sorted by name."""
-        return tuple(_view(name, self._members[name], now) for name in sorted(self._members))
+        return tuple(
+            _view(name, self._members[name], now).model_copy(update={"service": self.service(name)})
+            for name in sorted(self._members)
+        )
 
     def _name_refusal(self, hello: Hello) -> str | None:
         known = self._members.get(hello.name)

@@ -200,6 +200,13 @@ class WorkerController:
         if not has_islands and not self._has_task(worker):
             self._channel.send(worker, Shutdown(sentence="nothing is placed here any more"))
 
+    def send_away(self, worker: str, why: str, now: float) -> None:
+        """Give up a worker that may not take part any more; its islands are placed anew."""
+        member = self.membership.send_away(worker)
+        if member is not None:
+            self._lose(member, why, now)
+            self.place(now)
+
     def expire(self, now: float) -> None:
         """Give up the workers whose leases are over."""
         for member in self.membership.expire(now, self._leases.factors(self._open_archipelagos())):

@@ -46,6 +46,7 @@ def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
         router=None,
         state=str(place),
         roster=None,
+        limits=None,
         log_format="text",
         log_level="info",
         standby=False,

@@ -12,7 +12,7 @@ from atoll.cli.verbs import submit as verb
 class Impatient:
     """A client whose user presses Ctrl-C while it waits for the coordinator."""
 
-    def hand_in(self, *_: object) -> None:
+    def hand_in(self, *_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
 

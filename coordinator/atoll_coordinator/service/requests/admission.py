@@ -1,0 +1,92 @@
+"""Admission: what users may still store and have wait; raises RefusedError with what they have, may have and can do."""
+
+from typing import Final
+
+from atoll_coordinator.service.job_controller import JobController
+from atoll_coordinator.service.requests.uploads import Uploads
+from atoll_coordinator.service.scheduling.limits import Limits
+from atoll_coordinator.service.store.store import Store
+from atoll_core.config import JobConfig
+from atoll_core.errors import RefusedError
+from atoll_core.wire.messages.clients import Submit, Upload
+
+RESULT_RESERVE: Final = 512 * 1024
+"""Bytes that are kept for the result of each job that has not ended: those of tests and examples have 1 to 275 kB."""
+
+
+class Admission:
+    """Decides by the limits that hold now. A job that is known already is let in again: its answer was lost."""
+
+    def __init__(self, controller: JobController, store: Store, uploads: Uploads) -> None:
+        self._controller = controller
+        self._store = store
+        self._uploads = uploads
+
+    @property
+    def _limits(self) -> Limits:
+        return self._controller.queue.limits
+
+    def admit_upload(self, upload: Upload, user: str | None) -> None:
+        """Raise RefusedError for a table that its user, or all together, could not store."""
+        if not self._store.uses_table_of(upload.blob, user):
+            self._admit_bytes(user, upload.size + self._uploads.pending_bytes(user, but=upload.blob), 1)
+
+    def admit(self, body: Submit, user: str | None) -> Submit:
+        """Return a submission with the time that it may take; raises RefusedError for one that is over a limit."""
+        known = self._store.job(body.job)
+        if known is not None:
+            return body.model_copy(update={"config": _as_known(body.config, known.spec, self._limits)})
+        self._admit_count(user)
+        size = 0 if self._store.uses_table_of(body.table, user) else self._store.blob_size(body.table)
+        self._admit_bytes(user, size + self._uploads.pending_bytes(user, but=body.table), 1)
+        return body.model_copy(update={"config": self._limits.with_time(body.config)})
+
+    def _admit_count(self, user: str | None) -> None:
+        queue, most = self._controller.queue, self._limits.of(user).queued
+        if most is not None and queue.queued_of(user) >= most:
+            raise RefusedError(
+                f"{queue.queued_of(user)} jobs of {_name(user)} wait, and limits allow {most}; cancel some, or submit "
+                "again when some have been taken up"
+            )
+        if queue.queued >= self._limits.total.queued:
+            raise RefusedError(
+                f"{queue.queued} jobs wait, and limits allow {self._limits.total.queued}; submit again when some have "
+                "been taken up"
+            )
+
+    def _admit_bytes(self, user: str | None, size: int, jobs: int) -> None:
+        live = self._controller.live_of
+        own, total = self._limits.of(user).stored, self._limits.total.stored
+        if own is not None:
+            used, kept = self._store.stored_bytes(user), RESULT_RESERVE * (live[user] + jobs)
+            if used + size + kept > own:
+                raise RefusedError(
+                    f"{_name(user)} stores {used} bytes of tables and results, and {size} more with {kept} kept for "
+                    f"results of jobs under way are over the {own} that limits allow; delete jobs that have ended "
+                    "(coordinator delete ID)"
+                )
+        if total is not None:
+            used, kept = self._store.all_stored_bytes(), RESULT_RESERVE * (live.total() + jobs)
+            if used + size + kept > total:
+                raise RefusedError(
+                    f"all users store {used} bytes of tables and results, and {size} more with {kept} kept for results "
+                    f"of jobs under way are over the {total} that limits allow; try again when jobs have been deleted"
+                )
+
+
+def _as_known(config: JobConfig, spec: str, limits: Limits) -> JobConfig:
+    """Return a configuration as the one that is kept was: with the time that was given to it, whatever limits say now.
+
+    One that asks for a time itself keeps it, so that another one is another job.
+    """
+    if config.budget.max_time is not None:
+        return config
+    try:
+        kept = JobConfig.model_validate_json(spec).budget.max_time
+    except ValueError:
+        return limits.with_time(config)
+    return config.model_copy(update={"budget": config.budget.model_copy(update={"max_time": kept})})
+
+
+def _name(user: str | None) -> str:
+    return user if user is not None else "this service's users"

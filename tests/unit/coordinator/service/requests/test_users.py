@@ -1,0 +1,310 @@
+"""Users beside each other: what each sees, may do, store and have wait."""
+
+import hashlib
+from collections.abc import Iterator
+from typing import get_args
+
+import pytest
+
+from atoll_coordinator.service.job_controller import JobController
+from atoll_coordinator.service.requests import admission
+from atoll_coordinator.service.requests.authorization import Authorization
+from atoll_coordinator.service.requests.clients import ClientRequests
+from atoll_coordinator.service.requests.deletion import JobDeletion
+from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Times, Total
+from atoll_coordinator.service.store.store import Store
+from atoll_core.config import BudgetConfig, JobConfig
+from atoll_core.wire.messages import clients as messages
+from atoll_core.wire.messages.clients import Failure, JobList, JobStatus, Request
+from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.security.role_bindings import RoleBindings
+from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
+
+ROLES = RoleBindings({
+    "ann": "submitter", "bob": "submitter", "eve": "admin", "lab1": "worker", "mal": "revoked",
+})  # fmt: skip
+NOW = 5.0
+
+
+class Lab:
+    """A coordinator with a roster, and users who ask it."""
+
+    def __init__(self, store: Store, roles: RoleBindings | None = ROLES) -> None:
+        self.store = store
+        self.controller: JobController = controller_of(store, Tasks())
+        self.controller.recover(NOW)
+        self.authorization = Authorization(roles, store)
+        deletion = JobDeletion(self.controller, store)
+        self.clients = ClientRequests(self.controller, store, self.authorization, deletion, lambda: NOW)
+
+    def ask(self, user: str, body: object) -> object:
+        return self.clients.answer(f"{user}-1", Request.model_validate({"body": body}))
+
+    def upload(self, user: str, table: bytes) -> object:
+        digest = hashlib.sha256(table).hexdigest()
+        return self.ask(user, messages.Upload(blob=digest, size=len(table), index=0, sha256=digest, data=table))
+
+    def submit(self, user: str, job: str, table: bytes = b"t,x\n", **changes: object) -> object:
+        answer = self.upload(user, table)
+        if isinstance(answer, Failure):
+            return answer
+        fields = {"job": job, "name": "n", "config": JobConfig(), "table": hashlib.sha256(table).hexdigest()}
+        return self.ask(user, messages.Submit.model_validate({**fields, **changes}))
+
+    def seen(self, user: str) -> list[str]:
+        answer = self.ask(user, messages.Jobs())
+        assert isinstance(answer, JobList)
+        return [view.job for view in answer.jobs]
+
+    def fail(self, job: str) -> None:
+        self.controller.fail_job(job, "internal", "it was to fail", NOW)
+
+
+@pytest.fixture
+def lab() -> Iterator[Lab]:
+    with Store.open(None) as store:
+        yield Lab(store)
+
+
+def said(answer: object) -> str:
+    assert isinstance(answer, Failure), answer
+    return answer.sentence
+
+
+def view(answer: object) -> messages.JobView:
+    assert isinstance(answer, JobStatus), answer
+    return answer.job
+
+
+# ------------------------------------------------------------------------------------------------ privacy
+
+
+def test_every_question_about_anothers_job_is_answered_as_if_there_were_none(lab: Lab) -> None:
+    lab.submit("ann", "mine")
+    (union,) = (get_args(field.annotation) for field in [Request.model_fields["body"]])
+    asked = 0
+    for kind in union:
+        if "job" not in kind.model_fields or kind is messages.Submit:
+            continue
+        values = {"job": "mine", "priority": 1, "again": "other"}
+        values = {name: value for name, value in values.items() if name in kind.model_fields}
+        about_mine, about_none = (lab.ask("bob", kind(**{**values, "job": job})) for job in ("mine", "none"))
+        assert about_mine.model_dump_json().replace("mine", "none") == about_none.model_dump_json(), kind
+        asked += 1
+    assert asked >= 8
+    assert said(lab.ask("bob", messages.FindJob(prefix="mi"))) == said(
+        lab.ask("bob", messages.FindJob(prefix="no"))
+    ).replace("'no'", "'mi'")
+    assert lab.seen("bob") == []
+    assert lab.seen("ann") == lab.seen("eve") == ["mine"]
+    assert view(lab.ask("ann", messages.Status(job="mine"))).submitter == "ann"
+
+
+def test_a_job_that_is_shared_is_seen_by_all_and_changed_by_its_own(lab: Lab) -> None:
+    lab.submit("ann", "mine", shared=True)
+    assert lab.seen("bob") == ["mine"]
+    assert view(lab.ask("bob", messages.Status(job="mine"))).shared
+    for body, verb in (
+        (messages.Cancel(job="mine"), "cancel"),
+        (messages.Pause(job="mine"), "pause or resume"),
+        (messages.SetPriority(job="mine", priority=3), "change the priority of"),
+        (messages.Share(job="mine", shared=False), "share"),
+    ):
+        sentence = f"job mine was submitted by ann; only ann or an admin may {verb} it"
+        assert said(lab.ask("bob", body)) == sentence
+    lab.ask("ann", messages.Share(job="mine", shared=False))
+    assert lab.seen("bob") == []
+    lab.ask("ann", messages.Cancel(job="mine"))
+    assert view(lab.ask("eve", messages.Share(job="mine"))).shared
+    assert lab.seen("bob") == ["mine"]
+
+
+def test_events_and_lists_of_workers_say_nothing_of_others_jobs(lab: Lab) -> None:
+    lab.submit("ann", "mine")
+    lab.submit("bob", "his", b"t,y\n")
+    lab.ask("ann", messages.Cancel(job="mine"))
+    lab.ask("ann", messages.Delete(job="mine"))
+    events = lab.ask("bob", messages.GetEvents())
+    assert isinstance(events, messages.EventList)
+    assert "his" in {event.job for event in events.events}
+    assert "mine" not in events.model_dump_json()
+    everything = lab.ask("eve", messages.GetEvents())
+    assert isinstance(everything, messages.EventList)
+    assert "mine" in everything.model_dump_json()
+
+
+def test_an_id_that_is_anothers_is_taken_whatever_it_holds(lab: Lab) -> None:
+    lab.submit("ann", "mine")
+    assert said(lab.submit("bob", "mine")) == "the id mine is taken; submit under another id"
+    assert view(lab.submit("ann", "mine")).submitter == "ann"
+
+
+def test_whoever_knows_a_digest_alone_has_not_the_table(lab: Lab) -> None:
+    lab.submit("ann", "mine", b"secret")
+    digest = hashlib.sha256(b"secret").hexdigest()
+    asked = lab.ask("bob", messages.Upload(blob=digest, size=6))
+    assert asked == messages.Uploaded(blob=digest, missing=(0,))
+    stolen = lab.ask("bob", messages.Submit(job="his", name="", config=JobConfig(), table=digest))
+    assert isinstance(stolen, Failure)
+    assert stolen.failure == "no-table"
+    wrong = hashlib.sha256(b"guess!").hexdigest()
+    guess = lab.ask("bob", messages.Upload(blob=digest, size=6, index=0, sha256=wrong, data=b"guess!"))
+    assert guess == messages.Uploaded(blob=digest, missing=(0,))
+    assert lab.upload("bob", b"secret") == messages.Uploaded(blob=digest, missing=())
+    assert view(lab.submit("bob", "his", b"secret")).submitter == "bob"
+
+
+def test_without_a_roster_everything_is_open() -> None:
+    with Store.open(None) as store:
+        lab = Lab(store, None)
+        lab.submit("ann", "mine")
+        assert lab.seen("bob") == ["mine"]
+        assert view(lab.ask("bob", messages.Cancel(job="mine"))).state == "cancelled"
+
+
+def test_only_admins_change_workers_and_the_queue(lab: Lab) -> None:
+    assert "only an admin" in said(lab.ask("ann", messages.SetQueue(paused=True)))
+    assert "only an admin" in said(lab.ask("ann", messages.SetWorker(worker="w", service="open")))
+    assert "no worker 'w'" in said(lab.ask("eve", messages.SetWorker(worker="w", service="cordoned")))
+
+
+def test_a_revoked_certificate_is_told_so(lab: Lab) -> None:
+    hello = Hello(role="worker", name="mal-0", instance="i", protocol=1, version="", engine=1)
+    assert "'mal' is revoked" in (lab.authorization.refuse_role(hello) or "")
+    assert "'mal' is revoked" in said(lab.ask("mal", messages.Jobs()))
+    assert lab.authorization.refuse_worker("lab1-0") is None
+    lab.authorization.role_bindings = RoleBindings({"lab1": "revoked", "ann": "submitter"})
+    assert "'lab1' is revoked" in (lab.authorization.refuse_worker("lab1-0") or "")
+    assert "not name 'lab2-0' as a worker" in (lab.authorization.refuse_worker("lab2-0") or "")
+
+
+# ------------------------------------------------------------------------------------- pause, priority, retry
+
+
+def test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart(lab: Lab) -> None:
+    lab.submit("ann", "first")
+    lab.submit("ann", "second")
+    lab.submit("ann", "third")
+    paused = view(lab.ask("ann", messages.Pause(job="second")))
+    assert (paused.paused, paused.state) == (True, "queued")
+    assert "resume second" in (paused.reason or "")
+    again = Lab(lab.store)
+    again.controller.tick(NOW)
+    states = {job: view(again.ask("ann", messages.Status(job=job))) for job in ("first", "second", "third")}
+    assert states["second"].paused
+    assert states["first"].state == "preparing"
+    again.fail("first")
+    assert view(again.ask("ann", messages.Status(job="third"))).state == "preparing"
+    again.fail("third")
+    assert view(again.ask("ann", messages.Pause(job="second", paused=False))).state == "preparing"
+
+
+def test_what_has_ended_is_neither_paused_nor_given_a_priority(lab: Lab) -> None:
+    lab.submit("ann", "mine")
+    lab.fail("mine")
+    assert "has ended and cannot be paused" in said(lab.ask("ann", messages.Pause(job="mine")))
+    assert "has ended" in said(lab.ask("ann", messages.SetPriority(job="mine", priority=1)))
+
+
+def test_a_priority_is_kept(lab: Lab) -> None:
+    for job in ("a", "b", "c"):
+        lab.submit("ann", job)
+    assert view(lab.ask("ann", messages.SetPriority(job="c", priority=2))).ahead == 0
+    record = lab.store.job("c")
+    assert record is not None
+    assert record.priority == 2
+
+
+def test_a_failed_job_is_tried_again_under_another_id(lab: Lab) -> None:
+    lab.submit("ann", "mine", config=JobConfig(seed=7), priority=3)
+    assert "has not failed" in said(lab.ask("ann", messages.Retry(job="mine", again="second")))
+    lab.fail("mine")
+    for _ in range(2):  # the answer may be lost
+        again = view(lab.ask("ann", messages.Retry(job="mine", again="second")))
+        assert (again.job, again.seed, again.priority, again.submitter) == ("second", 7, 3, "ann")
+    assert view(lab.ask("ann", messages.Status(job="mine"))).state == "failed"
+
+
+def test_a_paused_queue_stays_so_after_a_restart(lab: Lab) -> None:
+    lab.ask("eve", messages.SetQueue(paused=True))
+    assert view(lab.submit("ann", "mine")).reason == "waits: the queue is paused by an admin"
+    again = Lab(lab.store)
+    again.controller.tick(NOW)
+    assert view(again.ask("ann", messages.Status(job="mine"))).state == "queued"
+    again.ask("eve", messages.SetQueue(paused=False))
+    assert view(again.ask("ann", messages.Status(job="mine"))).state == "preparing"
+
+
+# ------------------------------------------------------------------------------------------------- limits
+
+
+def limit(lab: Lab, **limits: object) -> None:
+    lab.controller.queue.limits = Limits.model_validate(limits)
+
+
+def test_jobs_beyond_those_that_may_wait_are_refused(lab: Lab) -> None:
+    limit(lab, user=Allowance(queued=2), total=Total(queued=3))
+    for number in range(3):
+        lab.submit("ann", f"a{number}")
+    assert "2 jobs of ann wait, and limits allow 2" in said(lab.submit("ann", "a3"))
+    assert view(lab.submit("ann", "a2")).state == "queued"  # it is known already
+    lab.submit("bob", "b0")
+    lab.submit("bob", "b1")
+    assert "3 jobs wait, and limits allow 3" in said(lab.submit("bob", "b2"))
+
+
+def test_bytes_of_a_user_hold_to_the_byte(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(admission, "RESULT_RESERVE", 10)
+    limit(lab, user=Allowance(stored=100))
+    table = bytes(range(40))
+    view(lab.submit("ann", "a", table))  # 40 + 10
+    view(lab.submit("ann", "b", table))  # the same table: 40 + 20
+    assert lab.store.stored_bytes("ann") == 40
+    assert "stores 40 bytes" in said(lab.submit("ann", "c", bytes(31)))
+    view(lab.submit("ann", "c", bytes(30)))  # 70 + 30
+    assert lab.store.stored_bytes("ann") == 70
+    assert "are over the 100" in said(lab.submit("ann", "d", table))
+    view(lab.submit("bob", "z", bytes(90)))
+
+
+def test_uploads_that_are_not_submitted_count_as_well(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(admission, "RESULT_RESERVE", 10)
+    limit(lab, user=Allowance(stored=100))
+    assert not isinstance(lab.upload("ann", bytes(50)), Failure)
+    assert "are over the 100" in said(lab.upload("ann", bytes(41)))
+    assert not isinstance(lab.upload("ann", bytes(50)), Failure)
+    assert not isinstance(lab.upload("bob", bytes(41)), Failure)
+
+
+def test_bytes_of_all_together_hold(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(admission, "RESULT_RESERVE", 10)
+    limit(lab, total=Total(stored=100))
+    lab.submit("ann", "a", bytes(60))
+    assert "all users store 60 bytes" in said(lab.submit("bob", "b", bytes(21)))
+    assert not isinstance(lab.submit("bob", "b", bytes(20)), Failure)
+
+
+def test_results_push_out_the_oldest_jobs_of_the_same_user_and_of_nobody_else(lab: Lab) -> None:
+    for user, job in (("ann", "old"), ("bob", "his"), ("ann", "new")):
+        lab.submit(user, job, job.encode())
+    for job in ("old", "his"):
+        lab.store.commit_result(job, "done", "x" * 50, None, "2026")
+        lab.controller.jobs.pop(job)
+    limit(lab, user=Allowance(stored=60))
+    live = lab.controller.jobs["new"]
+    assert lab.controller._fitting(live, "y" * 50) == "y" * 50
+    assert (lab.store.job("old"), lab.store.job("his") is not None) == (None, True)
+    assert lab.controller._fitting(live, "y" * 57) == "y" * 57
+    assert lab.controller._fitting(live, "y" * 58) is None
+    assert (live.state, "58 bytes does not fit into the 60" in (live.reason or "")) == ("failed", True)
+
+
+def test_time_is_given_and_bounded_and_a_job_known_already_keeps_what_it_has(lab: Lab) -> None:
+    limit(lab, time=Times(default=60.0, most=100.0))
+    asked = JobConfig(budget=BudgetConfig(max_time=101.0))
+    assert "asks for 101 s" in said(lab.submit("ann", "a", config=asked))
+    lab.submit("ann", "a")
+    assert lab.controller.jobs["a"].config.budget.max_time == 60.0
+    limit(lab)
+    assert view(lab.submit("ann", "a")).job == "a"
+    assert "other contents" in said(lab.submit("ann", "a", config=JobConfig(budget=BudgetConfig(max_time=61.0))))

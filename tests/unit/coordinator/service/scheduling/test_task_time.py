@@ -1,0 +1,42 @@
+"""Task time: what heartbeats say of it is counted once, by the day."""
+
+from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Total
+from atoll_coordinator.service.scheduling.task_time import TaskTime
+
+LIMITS = Limits(user=Allowance(task_time=10.0), users={"bob": Allowance(task_time=100.0)})
+
+
+def test_what_a_process_has_computed_is_counted_once() -> None:
+    time = TaskTime()
+    time.add_heartbeat("w", "first", [("ann", 5.0)])  # it computed that for a coordinator before this one
+    time.add_heartbeat("w", "first", [("ann", 8.0), ("bob", 1.0)])
+    time.add_heartbeat("w", "first", [("ann", 8.0), ("bob", 1.0)])
+    time.add_heartbeat("w", "first", [("ann", 7.0)])  # come late
+    time.add_heartbeat("w", "second", [])
+    time.add_heartbeat("w", "second", [("ann", 2.0)])
+    assert time.take_unsaved() == {"ann": 3.0 + 2.0, "bob": 1.0}
+
+
+def test_who_has_used_up_a_day_waits_for_the_next() -> None:
+    time = TaskTime(3, {"ann": 9.0, None: 9.5})
+    assert time.exhausted(LIMITS) == frozenset()
+    for user in ("ann", "bob"):
+        time.charge(user, 1.0)
+    assert time.exhausted(LIMITS) == {"ann"}
+    time.charge(None, 1.0)
+    assert time.exhausted(LIMITS) == {"ann", None}
+    time.begin_day(3)
+    assert time.exhausted(LIMITS) == {"ann", None}
+    time.begin_day(4)
+    assert time.exhausted(LIMITS) == frozenset()
+    assert time.take_unsaved() == {"ann": 1.0, "bob": 1.0, None: 1.0}
+    assert time.take_unsaved() == {}
+
+
+def test_all_together_may_have_used_up_theirs() -> None:
+    time = TaskTime()
+    time.charge("ann", 3.0)
+    time.charge("bob", 3.0)
+    assert time.is_used_up(Limits(total=Total(task_time=6.0)))
+    assert not time.is_used_up(Limits(total=Total(task_time=6.5)))
+    assert not time.is_used_up(Limits())
