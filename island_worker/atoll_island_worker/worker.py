@@ -14,7 +14,7 @@ from typing import Final
 from atoll_core.compilation.progress import count_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.logs import fields
-from atoll_core.machine.usage import memory_bytes
+from atoll_core.machine.usage import available_bytes, memory_bytes
 from atoll_core.tasks.frames import Said
 from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
@@ -358,6 +358,7 @@ class Worker:
                 messages.Computed(submitter=user or None, seconds=seconds)
                 for user, seconds in self._compute.seconds.items()
             ),
+            available_bytes=available_bytes(),
             counters=counters,
         )
         self._requests.send_status(status)

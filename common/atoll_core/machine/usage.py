@@ -1,5 +1,6 @@
 """What this process takes of its machine: memory, and how often it looks for garbage."""
 
+import contextlib
 import gc
 import os
 import resource
@@ -7,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Final
 
+_MEMINFO: Final = Path("/proc/meminfo")
+_GROUP: Final = Path("/sys/fs/cgroup")
 _STATM: Final = Path("/proc/self/statm")
 
 
@@ -25,6 +28,19 @@ def total_memory_bytes() -> int:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError):
         return 0
+
+
+def available_bytes() -> int | None:
+    """Return the memory that more data can take here, in the machine and in our control group; None: not told."""
+    try:
+        lines = dict(line.split(":", 1) for line in _MEMINFO.read_text("ascii").splitlines())
+        available = int(lines["MemAvailable"].split()[0]) * 1024
+    except (OSError, ValueError, KeyError, IndexError):
+        return None
+    with contextlib.suppress(OSError, ValueError):  # "max", or no such file: the group has no limit of its own
+        most, taken = (int((_GROUP / name).read_text("ascii")) for name in ("memory.max", "memory.current"))
+        available = min(available, max(0, most - taken))
+    return available
 
 
 def collect_rarely() -> None:

@@ -204,7 +204,7 @@ class WorkerStatus(Frozen):
 
     `jobs` are those whose dataset is here or on its way, also without islands of theirs. `tasks` are those leased to it
     or helped with; `is_loaded`: its process for tasks need not be started; `computed` has the time that this process
-    has spent, by submitter.
+    has spent, by submitter; `available_bytes` is the memory that more data can take (None: not told).
     """
 
     kind: Literal["status"] = "status"
@@ -220,6 +220,7 @@ class WorkerStatus(Frozen):
     tasks: Annotated[tuple[TaskStatus, ...], Field(max_length=64)] = ()
     is_loaded: bool = False
     computed: Annotated[tuple[Computed, ...], Field(max_length=10_000)] = ()
+    available_bytes: Count | None = None
     counters: Counters = Counters()
 
 

@@ -5,7 +5,9 @@ Transactions on Networking 4(3), 1996, 375-385) gives each user in turn a quantu
 only afterwards here, so that a user may overdraw the quantum by what is under way when it is used up, which is taken
 off the next ones, as in the same authors' surplus round robin. A user's *round* is the number of quanta used up; those
 of the lowest round are served first, in the order in which they came. Who comes after having had nothing to do begins
-in the lowest round, behind those who are in it: idleness saves nothing up, and what was overdrawn stays owed.
+in the lowest round, behind those who are in it: idleness saves nothing up, and what was overdrawn stays owed. The
+lowest round is that of the users who want more than they have: who has all that there is use for saves nothing up
+either, and who took what nobody else wanted owes nothing for it.
 
 **The longest wait.** Let N users have jobs at some time meanwhile, S jobs be served at once, Q be the quantum, and let
 whoever is served be charged after at most t seconds. Somebody who comes with one job enters the lowest round, v. Ahead
@@ -22,7 +24,7 @@ for at most S places: it ends within (N - 1) (k Q + S t) / S + c. What a place i
 (preparing a table, the way to the next checkpoint) comes on top, once a round.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
@@ -92,8 +94,10 @@ class FairShare:
         self._shares: dict[str | None, _Share] = {}
         self._accounts: dict[str, _Account] = {}
 
-    def order(self, jobs: Iterable[SchedulableJob]) -> list[str]:
+    def order(self, jobs: Iterable[SchedulableJob], content: Collection[str | None] = ()) -> list[str]:
         """Return the ids of jobs, the most entitled first; it takes n log n for n jobs.
+
+        `content` are those users of the jobs who have all that they could use now.
 
         The second job of a user stands a round behind the first, as if each took a quantum. Within a user those come
         first that were charged least, over 2^priority; then those that have waited longest, where each step of priority
@@ -102,7 +106,7 @@ class FairShare:
         by_user: dict[str | None, list[SchedulableJob]] = {}
         for job in jobs:
             by_user.setdefault(job.principal, []).append(job)
-        self._enter(by_user)
+        self._enter(by_user, content)
         ranked: list[tuple[int, int, str]] = []
         for principal, own in by_user.items():
             first, number = self.turn(principal)
@@ -138,8 +142,9 @@ class FairShare:
             return self._round, self._next_number
         return self._round_of(share), share.number
 
-    def _enter(self, by_user: dict[str | None, list[SchedulableJob]]) -> None:
-        """Let users and jobs in that were not there, and raise the lowest round to that of those who are."""
+    def _enter(self, by_user: dict[str | None, list[SchedulableJob]], content: Collection[str | None]) -> None:
+        """Let users and jobs in that were not there, and raise the lowest round to that of those who want more."""
+        self._raise_round(by_user, content)
         for principal, own in by_user.items():
             share = self._share(principal)
             if self._round_of(share) < self._round:
@@ -148,7 +153,11 @@ class FairShare:
             for job in own:
                 self._let_in(job, share)
             share.level = min(self._accounts[job.id].spent for job in own)
-        lowest = min((self._round_of(self._shares[principal]) for principal in by_user), default=self._round)
+
+    def _raise_round(self, users: Collection[str | None], content: Collection[str | None]) -> None:
+        """Raise the lowest round; where nobody wants more, nobody owes anybody anything."""
+        wanting = [self.turn(user)[0] for user in users if user not in content]
+        lowest = min(wanting) if wanting else max((self.turn(user)[0] for user in users), default=self._round)
         if lowest > self._round:
             self._round = lowest
             idle = [name for name, share in self._shares.items() if not share.jobs and self._round_of(share) <= lowest]

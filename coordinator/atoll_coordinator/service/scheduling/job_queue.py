@@ -160,7 +160,8 @@ class JobQueue:
         busy = Counter(entry.principal for entry in preparing)
         is_loading = set(busy)
         places = self.limits.total.running
-        for job in self._fair_share.order(self._candidates()):
+        content = {principal for principal, user in self._users.items() if self._is_content(principal, user)}
+        for job in self._fair_share.order(self._candidates(), content):
             if len(chosen) >= places:
                 break
             entry = self._entries[job]
@@ -196,6 +197,13 @@ class JobQueue:
             yield from (entry for entry in user.begun.values() if not entry.is_paused or entry.stage == "preparing")
             if not self.is_paused:
                 yield from (self._entries[job] for _, _, job in user.waiting[: self.limits.total.running])
+
+    def _is_content(self, principal: str | None, user: _User) -> bool:
+        """Tell whether a user has all places that there is use for: more could not be taken up now."""
+        stages = [entry.stage for entry in user.begun.values() if not entry.is_paused]
+        busy = stages.count("searching") + stages.count("preparing")
+        can_take_up = bool(user.waiting) and not self.is_paused and "preparing" not in stages
+        return self._is_full(principal, busy) or not ("held" in stages or can_take_up)
 
     def _has_no_time(self, principal: str | None) -> bool:
         return self.is_exhausted or principal in self.exhausted

@@ -200,6 +200,17 @@ class Membership:
             return "waits for a worker: none has joined, or all are lost, leaving or cordoned"
         return "waits for the other workers to join"
 
+    def has_dataset(self, worker: str, job: str) -> bool:
+        """Tell whether a worker has said that a job's dataset is there, or on its way."""
+        member = self._members.get(worker)
+        return member is not None and member.status is not None and job in member.status.jobs
+
+    def has_room(self, worker: str, needed: int) -> bool:
+        """Tell whether a worker's machine has room for so many bytes more, as far as is known."""
+        member = self._members.get(worker)
+        available = member.status.available_bytes if member is not None and member.status is not None else None
+        return available is None or available >= needed
+
     def is_lost(self, worker: str) -> bool:
         """Tell whether islands placed on this worker have nobody to compute them."""
         member = self._members.get(worker)

@@ -19,6 +19,10 @@ EXPECT_S: Final = 10.0
 """How long the first ready worker waits for the others that are expected."""
 
 
+DATASET_ROOM: Final = 3
+"""A dataset takes so many times its bytes of a worker's memory: 50 MB made one 130 MB larger (docs/scale.md)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Assignment:
     """An archipelago that begins a term, and the worker of each of its islands."""
@@ -61,6 +65,7 @@ class Scheduler:
         self._quarantine = quarantine
         self._expected = expected_workers
         self._first_ready_at: float | None = None
+        self._sizes: dict[str, int] = {}
 
     def plan(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> Plan:
         """Plan terms for all archipelagos that have no workers, or lost ones, or could use more. `now` in bus seconds.
@@ -70,6 +75,7 @@ class Scheduler:
         """
         wanted = [archipelago for job in jobs for archipelago in job.open_archipelagos if not _rests(job, archipelago)]
         self._quarantine.reserve(wanted, guarded)
+        self._sizes = {job.id: job.prepared.size for job in jobs if job.prepared is not None}
         plan = Plan()
         # The term after the current one begins at the checkpoint that is being written.
         changing = [
@@ -164,8 +170,19 @@ class Scheduler:
             return None
         if archipelago.placement is not None:
             return self._better(archipelago, load) if self._is_young(archipelago, now) else None
+        return self._spread(archipelago, load)
+
+    def _spread(self, archipelago: Archipelago, load: Mapping[str, int]) -> tuple[str, ...] | None:
+        """Return the worker of each island, of those that are ready; None: there is none.
+
+        Machines without room for the dataset are left out while there are others. Among workers with as much to do,
+        those come first that have the dataset.
+        """
+        job, needed = archipelago.job, DATASET_ROOM * self._sizes.get(archipelago.job, 0)
         ready = self._quarantine.ready_for(archipelago.key)
-        return spread(archipelago.collector.limits.islands, load, ready) if ready else None
+        local = {worker for worker in ready if self._membership.has_dataset(worker, job)}
+        roomy = [worker for worker in ready if worker in local or self._membership.has_room(worker, needed)]
+        return spread(archipelago.collector.limits.islands, load, roomy or ready, local) if ready else None
 
     def _is_young(self, archipelago: Archipelago, now: float) -> bool:
         """Tell whether little has been computed since the archipelago was placed."""
@@ -176,12 +193,11 @@ class Scheduler:
 
         Each such move lowers the sum of squares of all loads, so that moves come to an end.
         """
-        ready, own = self._quarantine.ready_for(archipelago.key), _islands(archipelago)
-        if not ready or not own:
-            return None
-        others = Counter(load)
+        own, others = _islands(archipelago), Counter(load)
         others.subtract(own)
-        workers = spread(archipelago.collector.limits.islands, others, ready)
+        workers = self._spread(archipelago, others) if own else None
+        if workers is None:
+            return None
         busiest = max(others[worker] + islands for worker, islands in Counter(workers).items())
         return workers if busiest < max(load.get(worker, 0) for worker in own) else None
 
@@ -196,7 +212,9 @@ class Scheduler:
             self._expected = 1
 
 
-def spread(islands: int, load: Mapping[str, int], workers: Sequence[str]) -> tuple[str, ...]:
+def spread(
+    islands: int, load: Mapping[str, int], workers: Sequence[str], preferred: Collection[str] = ()
+) -> tuple[str, ...]:  # fmt: skip
     """Return for each island its worker: evenly, in turn over the workers, the least loaded first.
 
     So workers that are loaded evenly, but for one island, stay so; and each archipelago lies on as many as there are,
@@ -206,8 +224,9 @@ def spread(islands: int, load: Mapping[str, int], workers: Sequence[str]) -> tup
         islands: how many there are.
         load: how many islands each worker has already; none where it is not among them.
         workers: at least one, names unique.
+        preferred: who comes first of those that are loaded equally.
     """
-    order = sorted(workers, key=lambda worker: (load.get(worker, 0), worker))
+    order = sorted(workers, key=lambda worker: (load.get(worker, 0), worker not in preferred, worker))
     return tuple(order[island % len(order)] for island in range(islands))
 
 

@@ -69,6 +69,17 @@ def test_a_user_who_cannot_be_served_holds_nobody_up_and_owes_what_was_owed() ->
     assert share.order(everybody)[-1] == "c"  # who comes back under another job still owes it
 
 
+def test_who_took_what_nobody_else_wanted_owes_nothing_for_it() -> None:
+    share = FairShare(quantum_s=1.0)
+    both = [*jobs("a1 a2 a3", "ann"), *jobs("b", "bob")]
+    for _ in range(100):
+        share.order(both, content={"bob"})  # one job is all that bob has
+        for job in ("a1", "a2", "a3", "b"):
+            share.charge(job, 1.0)
+    order = served(share, [*both, *jobs("c", "cem")], 30)
+    assert max(sum(name.startswith(who) for name in order) for who in "abc") <= 11
+
+
 def test_within_a_user_time_goes_by_the_weight_of_priorities() -> None:
     share = FairShare()
     order = served(share, [Asked("low", "ann", 0), Asked("high", "ann", 2)], 100)

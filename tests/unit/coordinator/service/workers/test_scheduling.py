@@ -16,7 +16,14 @@ from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import ABSENCE_S, Membership
 from atoll_coordinator.service.workers.quarantine import Quarantine
-from atoll_coordinator.service.workers.scheduling import EXPECT_S, REPLACE_WITHIN_S, Plan, Scheduler, spread
+from atoll_coordinator.service.workers.scheduling import (
+    DATASET_ROOM,
+    EXPECT_S,
+    REPLACE_WITHIN_S,
+    Plan,
+    Scheduler,
+    spread,
+)
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.workers import WorkerStatus
@@ -70,16 +77,13 @@ def scheduler_of() -> Iterator[Callable[..., Scheduler]]:
 
 def plan_of(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) -> Plan:
     """Return the plan for one running job of these archipelagos."""
+    return scheduler.plan([running(*archipelagos)], now)
+
+
+def running(*archipelagos: Archipelago, size: int = 0) -> Job:
     by_name = {str(number): archipelago for number, archipelago in enumerate(archipelagos)}
-    job = SimpleNamespace(state="running", is_held=False, archipelagos=by_name, open_archipelagos=archipelagos)
-    return scheduler.plan([cast(Job, job)], now)
-
-
-def running(*archipelagos: Archipelago) -> Job:
-    by_name = {archipelago.variable: archipelago for archipelago in archipelagos}
-    return cast(
-        Job, SimpleNamespace(state="running", is_held=False, archipelagos=by_name, open_archipelagos=archipelagos)
-    )
+    fields = {"id": "job", "state": "running", "is_held": False, "prepared": SimpleNamespace(size=size)}
+    return cast(Job, SimpleNamespace(**fields, archipelagos=by_name, open_archipelagos=archipelagos))
 
 
 def carry_out(plan: Plan, term: int, now: float) -> None:
@@ -216,3 +220,43 @@ def test_moves_come_to_an_end(placements: list[tuple[str, int]], workers: int) -
         for _ in range(1 + len(jobs) * 8):
             carry_out(scheduler.plan(jobs, 0.0), 2, 0.0)
         assert scheduler.plan(jobs, 0.0).assignments == []
+
+
+def heard(membership: Membership, name: str, **said: object) -> None:
+    status = WorkerStatus(instance="i", incarnation=1, state="ready", progress=1)
+    membership.record_heartbeat(name, status.model_copy(update=said), 0.0)
+
+
+def test_of_workers_with_as_much_to_do_those_come_first_that_have_the_dataset(
+    scheduler_of: Callable[..., Scheduler],
+) -> None:
+    membership = members("a", "b", "c")
+    heard(membership, "c", jobs=("job",))
+    assert placed(scheduler_of(membership), archipelago(islands=2), archipelago(islands=1)) == [("c", "a"), ("b",)]
+
+
+def test_machines_without_room_for_a_dataset_are_left_out_while_there_are_others(
+    scheduler_of: Callable[..., Scheduler],
+) -> None:
+    membership = members("a", "b")
+    heard(membership, "a", available_bytes=DATASET_ROOM * 1000 - 1)
+    scheduler = scheduler_of(membership)
+    (large,) = scheduler.plan([running(archipelago(islands=2), size=1000)], 0.0).assignments
+    assert large.workers == ("b", "b")
+    (fits,) = scheduler.plan([running(archipelago(islands=2), size=999)], 0.0).assignments
+    assert fits.workers == ("a", "b")
+    heard(membership, "b", available_bytes=0)
+    (nowhere,) = scheduler.plan([running(archipelago(islands=2), size=1000)], 0.0).assignments
+    assert nowhere.workers == ("a", "b")
+
+
+def test_a_cordoned_worker_gets_nothing_and_a_drained_one_hands_over(scheduler_of: Callable[..., Scheduler]) -> None:
+    membership = members("a", "b")
+    scheduler, made = scheduler_of(membership), archipelago("a", "b", islands=2)
+    membership.set_cordons({"b": False})
+    assert placed(scheduler, archipelago(islands=2)) == [("a", "a")]
+    assert placed(scheduler, made, now=1.0) == []
+    membership.set_cordons({"b": True})
+    carry_out(plan_of(scheduler, made, now=2.0), 2, 2.0)  # it has no commit yet: what is lost is next to nothing
+    assert made.workers == ("a",)
+    assert [membership.service(name) for name in "ab"] == ["open", "draining"]
