@@ -45,8 +45,8 @@ class Admission:
         queue, most = self._controller.queue, self._limits.of(user).queued
         if most is not None and queue.queued_of(user) >= most:
             raise RefusedError(
-                f"{queue.queued_of(user)} jobs of {_name(user)} wait, and limits allow {most}; cancel some, or submit "
-                "again when some have been taken up"
+                f"of the jobs of {_name(user)} {queue.queued_of(user)} wait, and limits allow {most}; cancel some, or "
+                "submit again when some have been taken up"
             )
         if queue.queued >= self._limits.total.queued:
             raise RefusedError(
@@ -89,4 +89,4 @@ def _as_known(config: JobConfig, spec: str, limits: Limits) -> JobConfig:
 
 
 def _name(user: str | None) -> str:
-    return user if user is not None else "this service's users"
+    return user if user is not None else "those without a certificate"

@@ -246,7 +246,7 @@ def test_jobs_beyond_those_that_may_wait_are_refused(lab: Lab) -> None:
     limit(lab, user=Allowance(queued=2), total=Total(queued=3))
     for number in range(3):
         lab.submit("ann", f"a{number}")
-    assert "2 jobs of ann wait, and limits allow 2" in said(lab.submit("ann", "a3"))
+    assert "of the jobs of ann 2 wait, and limits allow 2" in said(lab.submit("ann", "a3"))
     assert view(lab.submit("ann", "a2")).state == "queued"  # it is known already
     lab.submit("bob", "b0")
     lab.submit("bob", "b1")
