@@ -9,6 +9,7 @@ change priorities all the time. Returns 1 when anything is wrong, else 0.
 """
 
 import hashlib
+import math
 import statistics
 import sys
 import time
@@ -54,19 +55,24 @@ class Setting:
     kinds: tuple[str, ...]
     running: int | None = None
 
+    @property
+    def uninterrupted_s(self) -> float:
+        """For how long a place is held at most while a job is prepared: its end is seen at a tick."""
+        return self.tick_s * math.ceil(self.preparing_s / self.tick_s)
+
     def longest_wait_s(self, others: int) -> float:
         """Return the bound of `fair_share` for a newcomer beside so many others, with what preparing adds.
 
         That is once for each who is ahead of it, and once for a place that is being prepared when it comes; and the
         tick at which it is seen.
         """
-        one_s = self.quantum_s + self.tick_s + self.preparing_s
-        return others * one_s / self.places + self.preparing_s + self.tick_s
+        one_s = self.quantum_s + self.tick_s + self.uninterrupted_s
+        return others * one_s / self.places + self.uninterrupted_s + self.tick_s
 
     def longest_gap_s(self) -> float:
         """Return how long a user who wants to be served may not be: two rounds of all others, newcomers included."""
-        one_s = 2.0 * self.quantum_s + self.places * self.tick_s + self.preparing_s
-        return (len(self.kinds) + NEWCOMERS) * one_s / self.places + 2.0 * (self.preparing_s + self.tick_s)
+        one_s = 2.0 * self.quantum_s + self.places * self.tick_s + self.uninterrupted_s
+        return (len(self.kinds) + NEWCOMERS) * one_s / self.places + 2.0 * (self.uninterrupted_s + self.tick_s)
 
 
 @dataclass
