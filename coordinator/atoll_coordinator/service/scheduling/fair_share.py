@@ -7,7 +7,8 @@ off the next ones, as in the same authors' surplus round robin. A user's *round*
 of the lowest round are served first, in the order in which they came. Who comes after having had nothing to do begins
 in the lowest round, behind those who are in it: idleness saves nothing up, and what was overdrawn stays owed. The
 lowest round is that of the users who want more than they have: who has all that there is use for saves nothing up
-either, and who took what nobody else wanted owes nothing for it.
+either, and who took what nobody else wanted owes nothing for it. While one of these is served in an earlier round, the
+lowest is the one before, so that nobody loses the rest of a quantum.
 
 **The longest wait.** Let N users have jobs at some time meanwhile, S jobs be served at once, Q be the quantum, and let
 whoever is served be charged after at most t seconds. Somebody who comes with one job enters the lowest round, v. Ahead
@@ -158,6 +159,10 @@ class FairShare:
         """Raise the lowest round; where nobody wants more, nobody owes anybody anything."""
         wanting = [self.turn(user)[0] for user in users if user not in content]
         lowest = min(wanting) if wanting else max((self.turn(user)[0] for user in users), default=self._round)
+        if wanting and any(self.turn(user)[0] < lowest for user in content):
+            lowest -= (
+                1  # whoever is served has the rest of the quantum, and is not overtaken by those that it is before
+            )
         if lowest > self._round:
             self._round = lowest
             idle = [name for name, share in self._shares.items() if not share.jobs and self._round_of(share) <= lowest]
