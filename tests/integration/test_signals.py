@@ -73,6 +73,14 @@ def serve(place: Path, address: str) -> AbstractContextManager[subprocess.Popen[
 
 
 @contextlib.contextmanager
+def serve_with_limits(place: Path, address: str) -> Iterator[subprocess.Popen[str]]:
+    (place / "limits.toml").write_text("[total]\nrunning = 2\n")
+    words = ("serve", "--listen", "tcp/127.0.0.1:0", "--state", str(place / "own"), "--limits", "limits.toml")
+    with says(place, "start a worker with", "coordinator", *words) as process:
+        yield process
+
+
+@contextlib.contextmanager
 def standby(place: Path, address: str) -> Iterator[subprocess.Popen[str]]:
     (place / "first").mkdir()
     with serve(place / "first", address):
@@ -116,6 +124,7 @@ def worker(place: Path, address: str) -> AbstractContextManager[subprocess.Popen
 PROCESSES: dict[str, Begin] = {
     "`coordinator run`": run,
     "`coordinator serve`": serve,
+    "`coordinator serve` with `--limits` or `--roster`": serve_with_limits,
     "`coordinator serve --standby`, while it waits": standby,
     "`coordinator router`": router,
     "`coordinator adapt`": adapt,
@@ -123,7 +132,7 @@ PROCESSES: dict[str, Begin] = {
     "`island-worker` of several processes": workers,
     "`island-worker` of one process, and each process of several": worker,
 }
-LONG = {run, submit, standby, router, worker}
+LONG = {serve_with_limits, run, submit, standby, router, worker}
 CASES = [
     pytest.param(name, number, id=f"{begin.__name__}-{number.name}", marks=[pytest.mark.slow] * is_slow)
     for name, begin in PROCESSES.items()
@@ -164,3 +173,16 @@ def test_a_signal_ends_each_process_with_the_code_of_the_table(
         (job,) = json.loads(done(tmp_path, "coordinator", "status", "--json", "--connect", address).stdout)
         assert job["state"] in ("queued", "preparing", "running"), "the job goes on"
         assert done(tmp_path, "coordinator", "cancel", job["job"], "--connect", address).returncode == 0
+
+
+def test_a_hang_up_has_a_coordinator_read_its_limits_again_and_ends_nothing(tmp_path: Path) -> None:
+    log = tmp_path / "coordinator.log"
+    with serve_with_limits(tmp_path, "") as process:
+        process.send_signal(signal.SIGHUP)
+        until(lambda: "limits and roster are read again" in log.read_text())
+        (tmp_path / "limits.toml").write_text("[total]\nrunning = none\n")
+        process.send_signal(signal.SIGHUP)
+        until(lambda: "limits and roster stay as they were" in log.read_text())
+        assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(LIMIT_S) == 0

@@ -7,6 +7,7 @@ from typing import get_args
 import pytest
 
 from atoll_coordinator.service.job_controller import JobController
+from atoll_coordinator.service.monitoring.followers import Followers
 from atoll_coordinator.service.requests import admission
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
@@ -14,9 +15,11 @@ from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Times, Total
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, JobConfig
+from atoll_core.wire.codec import decode
 from atoll_core.wire.messages import clients as messages
-from atoll_core.wire.messages.clients import Failure, JobList, JobStatus, Request
+from atoll_core.wire.messages.clients import Change, Failure, Following, JobList, JobStatus, Request
 from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.messages.views import Workforce
 from atoll_core.wire.security.role_bindings import RoleBindings
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 
@@ -35,7 +38,16 @@ class Lab:
         self.controller.recover(NOW)
         self.authorization = Authorization(roles, store)
         deletion = JobDeletion(self.controller, store)
-        self.clients = ClientRequests(self.controller, store, self.authorization, deletion, lambda: NOW)
+        self.told: list[tuple[str, Change]] = []
+        self.followers = Followers(
+            1, self.controller.jobs, self.controller.shown, self.controller.events, lambda now: Workforce(),
+            lambda client, payload: self.told.append((client, decode(payload, Change))),
+        )  # fmt: skip
+        self.controller.changed = self.followers.touch
+        self.controller.events.told = lambda kind, job: self.followers.touch(job)
+        self.clients = ClientRequests(
+            self.controller, store, self.authorization, deletion, lambda: NOW, followers=self.followers
+        )
 
     def ask(self, user: str, body: object) -> object:
         return self.clients.answer(f"{user}-1", Request.model_validate({"body": body}))
@@ -50,6 +62,15 @@ class Lab:
             return answer
         fields = {"job": job, "name": "n", "config": JobConfig(), "table": hashlib.sha256(table).hexdigest()}
         return self.ask(user, messages.Submit.model_validate({**fields, **changes}))
+
+    def follow(self, user: str, job: str | None = None) -> object:
+        return self.ask(user, messages.Follow(job=job, after=0))
+
+    def heard(self) -> set[tuple[str, str | None]]:
+        """Return who has been told of which jobs since the last call."""
+        self.followers.tell(NOW + 100.0)
+        told, self.told[:] = [*self.told], []
+        return {(client, event.job) for client, change in told for event in change.events}
 
     def seen(self, user: str) -> list[str]:
         answer = self.ask(user, messages.Jobs())
@@ -308,3 +329,69 @@ def test_time_is_given_and_bounded_and_a_job_known_already_keeps_what_it_has(lab
     limit(lab)
     assert view(lab.submit("ann", "a")).job == "a"
     assert "other contents" in said(lab.submit("ann", "a", config=JobConfig(budget=BudgetConfig(max_time=61.0))))
+
+
+# ---------------------------------------------------------------------------------------------- followers
+
+
+def test_a_private_job_cannot_be_followed_by_others_and_is_to_them_as_if_there_were_none(lab: Lab) -> None:
+    lab.submit("ann", "a")
+    assert said(lab.follow("bob", "a")) == said(lab.follow("bob", "nothing")).replace("nothing", "a")
+    assert isinstance(lab.follow("ann", "a"), Following)
+    assert isinstance(lab.follow("eve", "a"), Following)
+    lab.controller.cancel("a", NOW)
+    assert {client for client, _ in lab.heard()} == {"ann-1", "eve-1"}
+
+
+def test_who_follows_all_that_happens_hears_of_what_may_be_seen(lab: Lab) -> None:
+    for user in ("ann", "bob", "eve"):
+        assert isinstance(lab.follow(user), Following)
+    lab.submit("ann", "a")
+    lab.submit("bob", "b", shared=True)
+    assert lab.heard() == {("ann-1", "a"), ("ann-1", "b"), ("bob-1", "b"), ("eve-1", "a"), ("eve-1", "b")}
+
+
+def test_what_was_missed_of_all_that_happened_is_private_as_well(lab: Lab) -> None:
+    lab.submit("ann", "a")
+    answer = lab.follow("bob")
+    assert isinstance(answer, Following)
+    assert answer.change is None or all(event.job != "a" for event in answer.change.events)
+    answer = lab.follow("eve")
+    assert isinstance(answer, Following)
+    assert answer.change is not None
+    assert {event.job for event in answer.change.events} == {"a"}
+
+
+def test_followers_hear_no_more_of_a_job_that_becomes_private_or_once_they_are_revoked(lab: Lab) -> None:
+    lab.submit("ann", "a", shared=True)
+    for user in ("ann", "bob", "eve"):
+        lab.follow(user, "a")
+    lab.ask("ann", messages.Share(job="a", shared=False))
+    assert {client for client, _ in lab.heard()} == {"ann-1", "eve-1"}
+    lab.authorization.role_bindings = RoleBindings({"ann": "submitter", "eve": "revoked"})
+    lab.clients.check_followers()
+    lab.controller.cancel("a", NOW)
+    assert {client for client, _ in lab.heard()} == {"ann-1"}
+
+
+def test_lines_of_workers_are_shown_to_those_who_see_their_jobs(lab: Lab) -> None:
+    lab.submit("ann", "a")
+    lab.submit("bob", "b")
+    for job in ("a", "b", None):
+        lab.controller.events.add_line(job, {"text": f"of {job}", "level": "warning"})
+
+    def lines(user: str) -> list[str]:
+        answer = lab.ask(user, messages.GetEvents(of_workers=True))
+        assert isinstance(answer, messages.EventList)
+        return [event.text for event in answer.events]
+
+    assert (lines("ann"), lines("bob"), lines("eve")) == (["of a"], ["of b"], ["of a", "of b", "of None"])
+    assert isinstance(lab.ask("bob", messages.GetEvents(job="a", of_workers=True)), Failure)
+
+
+def test_a_job_that_has_ended_is_shown_as_shared_or_private_as_it_is_now(lab: Lab) -> None:
+    lab.submit("ann", "a")
+    lab.controller.cancel("a", NOW)
+    assert not view(lab.ask("ann", messages.Status(job="a"))).shared
+    assert view(lab.ask("ann", messages.Share(job="a"))).shared
+    assert (lab.seen("bob"), view(lab.ask("bob", messages.Status(job="a"))).state) == (["a"], "cancelled")
