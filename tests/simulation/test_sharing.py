@@ -6,7 +6,7 @@ import pytest
 
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.scheduling.fair_share import FairShare
-from atoll_coordinator.service.scheduling.limits import Limits, Total
+from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Total
 from atoll_core.wire.messages.clients import Submit
 from tests.simulation.harness.schedule_run import hurried
 from tests.simulation.harness.short_jobs import short_job
@@ -28,6 +28,15 @@ def submit_as(world: World, user: str, job: str, **changes: int) -> None:
     table = world.client.upload(VARIABLE.encode())
     body = Submit(job=job, name=job, config=endless, table=table)
     world.service.controller.submit(body, world.network.now, user)
+
+
+def until(world: World, state: str) -> None:
+    """Let time pass until the job is in a state."""
+    for _ in range(600):
+        if world.client.status("job").state == state:
+            return
+        world.client.pause(0.25)
+    raise AssertionError(f"the job is {world.client.status('job').state}")
 
 
 def islands(world: World) -> dict[str, int]:
@@ -182,3 +191,59 @@ def test_who_has_used_up_the_time_of_a_day_waits() -> None:
         assert (view.held, view.workers) == (True, 0)
         assert "used up" in (view.reason or "")
         assert 5.0 <= sum(world.computes["w0"].seconds.values()) < 20.0
+
+
+def test_a_job_that_is_paused_before_a_worker_prepares_it_gives_its_place_back() -> None:
+    with hurried():
+        world = World(workers=0, seed=1)
+        world.service.controller.queue.limits = Limits(total=Total(running=1))
+        world.submit(config(1), VARIABLE)
+        world.client.pause(2.0)
+        assert world.client.status("job").state == "preparing"
+        view = world.client.pause_job("job")
+        assert (view.state, view.paused, "coordinator resume job" in (view.reason or "")) == ("queued", True, True)
+        world.submit(config(2), VARIABLE, job="other")
+        world.client.pause(2.0)
+        assert [view.state for view in world.client.jobs()] == ["queued", "preparing"]
+        world.start_worker("w0")
+        assert world.finish("other").state == "done"
+        world.client.pause_job("job", paused=False)
+        assert world.finish().state == "done"
+    assert comparable(world.result()) == alone()
+
+
+def test_a_job_that_is_paused_before_it_is_refined_waits_and_ends_as_it_would_have() -> None:
+    with hurried():
+        world = World(workers=1, seed=1, slowness=5.0)
+        world.submit(config(1, max_time=60.0), VARIABLE)
+        until(world, "running")
+        world.client.pause(1.0)
+        assert set(islands(world).values()) == {4}
+        world.client.set_worker("w0", "cordoned")  # it keeps its islands and gets no task
+        until(world, "refining")
+        assert world.client.pause_job("job").paused
+        world.client.set_worker("w0", "open")
+        world.client.pause(100.0)
+        view = world.client.status("job")
+        assert (view.state, "coordinator resume job" in (view.reason or "")) == ("refining", True)
+        world.client.pause_job("job", paused=False)
+        assert world.finish().state == "done"
+    assert comparable(world.result()) == comparable(World(workers=1, seed=1).run(config(1, max_time=60.0), VARIABLE))
+
+
+def test_tasks_are_charged_to_users_and_end_their_task_time() -> None:
+    with hurried():
+        world = World(workers=0, seed=1)
+        controller = world.service.controller
+        controller.queue.limits = Limits(user=Allowance(task_time=0.0))
+        submit_as(world, "ann", "of-ann")
+        controller._charge("of-ann", 1.0)
+        world.client.pause(5.0)
+        view = world.client.status("of-ann")
+        assert (view.state, "task time" in (view.reason or "")) == ("queued", True)
+        world.start_worker("w0")
+        world.client.pause(5.0)
+        assert world.client.status("of-ann").state == "queued"
+        controller.queue.limits = Limits()
+        world.client.pause(5.0)
+        assert world.client.status("of-ann").state == "running"

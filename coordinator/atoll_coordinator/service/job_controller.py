@@ -9,7 +9,7 @@ the time: whoever reads one of them reads what ends a job and what follows from 
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Final
 
 from pydantic import ValidationError
@@ -29,9 +29,10 @@ from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import JobViews
 from atoll_coordinator.service.monitoring.views import job_result, outcomes_of, result_text
-from atoll_coordinator.service.scheduling.job_queue import JobQueue
+from atoll_coordinator.service.scheduling.job_queue import NO_TIME, JobQueue, pause_reason
 from atoll_coordinator.service.scheduling.limits import DAY_S, Limits
 from atoll_coordinator.service.scheduling.task_time import TaskTime
+from atoll_coordinator.service.scheduling.task_turns import TaskTurns
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
 from atoll_coordinator.service.search.cut import Cut
@@ -79,7 +80,8 @@ class JobController:
         self.live_of: Final[Counter[str | None]] = Counter()
         """How many jobs of each user have not ended."""
         self._task_time = TaskTime(_day_of(store), store.usage(_day_of(store)))
-        self._saved_at = self._counted_at = 0.0
+        self._saved_at = 0.0
+        self._rested_at: float | None = None
         self.events: Final = EventLog(store, clock)
         self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
         self.workers: Final = WorkerController(self, store, channel, self.events, expected_workers)
@@ -89,7 +91,10 @@ class JobController:
         self.changed: Callable[[str], object] = lambda job: None
         """Called with the id of a job to which something has happened."""
         self._store = store
-        self.tasks: Final = TaskController(channel, self.workers.membership, store, post, self._rank, self._may_follow)
+        self._turns: Final = TaskTurns()
+        self.tasks: Final = TaskController(
+            channel, self.workers.membership, store, post, self._order, self._may_follow, self._charge
+        )
         self._channel = channel
         self._writer = writer
         self._clock = clock
@@ -162,16 +167,18 @@ class JobController:
             RefusedError: It has ended, or is refined, which nothing interrupts.
         """
         job = self._live(job_id, "paused or resumed")
-        if job.state == "refining":
+        if job.state == "refining" and is_paused and not self.tasks.waits(job_id):
             raise RefusedError(f"job {job_id} is being refined, which takes no place and is not interrupted; wait")
         self._store.update_job(job_id, paused=int(is_paused))
         with self.guarded(job_id, "pausing a job", now):
             job.is_paused = is_paused
-            self.queue.pause(job_id, is_paused)
+            if job.state != "refining":
+                self.queue.pause(job_id, is_paused)
             if self.queue.is_held(job_id):
                 job.hold(True)
             text = "paused: its islands stop at a checkpoint" if is_paused else "it goes on when it is its turn"
             self.events.record("held" if is_paused else "resumed", text, job_id)
+        self._rest(now)
         self._take_turns(now)
         self._place(now)
 
@@ -361,7 +368,10 @@ class JobController:
 
     def waiting_reason(self, job: Job) -> str | None:
         """Return in words what the islands or tasks of a job wait for; None: they do not."""
-        return self.workers.waiting_reason(job) or self.tasks.waiting_reason(job.id)
+        reason = self.workers.waiting_reason(job) or self.tasks.waiting_reason(job.id)
+        if reason is None or self._may_run(job) or job.state != "refining":
+            return reason
+        return pause_reason(job.id) if job.is_paused else NO_TIME
 
     def add_task_report(self, worker: str, report: TaskReport, now: float) -> None:
         """Take in what came of a task; raises RemoteProtocolError when it cannot be."""
@@ -374,10 +384,21 @@ class JobController:
         job = self.jobs.get(job_id)
         return job is not None and job.state in ("queued", "preparing")
 
-    def _rank(self, job_id: str) -> tuple[float, ...]:
-        """Return by what the tasks of a job are put in order: by priority, then as the jobs came."""
+    def _order(self, waiting: Collection[str], running: Collection[str]) -> list[str]:
+        """Return the jobs whose tasks that wait may be leased, the next one first."""
+        ready = [self.jobs[job] for job in waiting if job in self.jobs and self._may_run(self.jobs[job])]
+        return self._turns.order(ready, [self.jobs[job] for job in running if job in self.jobs])
+
+    def _may_run(self, job: Job) -> bool:
+        """Tell whether tasks of a job may be leased; what runs already runs on."""
+        return not (job.is_paused or self.queue.has_no_time(job.submitter))
+
+    def _charge(self, job_id: str, seconds: float) -> None:
+        """Charge the user of a job for what workers have done for it."""
         job = self.jobs.get(job_id)
-        return (-job.priority, job.submitted_at) if job is not None else (0.0, 0.0)
+        if job is not None:
+            self._task_time.charge(job.submitter, seconds)
+            self._turns.charge(job.submitter, seconds)
 
     def add_report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -401,6 +422,7 @@ class JobController:
             self.workers.expire(now)
         with self.breakages.tolerated("counting task time"):
             self._count_time(now)
+        self._rest(now)
         for job_id in tuple(self.begun):
             self._change(job_id, "letting time pass", now, lambda job: job.tick(now))
         self._take_turns(now)
@@ -414,11 +436,7 @@ class JobController:
             self.events.flush()
 
     def _count_time(self, now: float) -> None:
-        """Charge users for what is prepared and refined for them; hold the jobs of those who have used up their day."""
-        seconds, self._counted_at = now - self._counted_at, now
-        for job in self.begun.values():
-            if job.state in ("preparing", "refining"):
-                self._task_time.charge(job.submitter, seconds)
+        """Hold the jobs of users who have used up their day, and store what all have used."""
         self.queue.exhausted = self._task_time.exhausted(self.queue.limits)
         self.queue.is_exhausted = self._task_time.is_used_up(self.queue.limits)
         if now - self._saved_at >= _SAVE_S:
@@ -427,6 +445,29 @@ class JobController:
             if unsaved:
                 self._store.add_usage(_day_of(self._store), unsaved)
             self._task_time.begin_day(_day_of(self._store))
+
+    def _rest(self, now: float) -> None:
+        """Let jobs rest whose tasks wait and may not run.
+
+        Those to be prepared give their places back, and no time passes for those to be refined.
+        """
+        seconds = now - self._rested_at if self._rested_at is not None else 0.0
+        self._rested_at = now
+        for job in tuple(self.begun.values()):
+            if not self._may_run(job) and self.tasks.waits(job.id):
+                with self.guarded(job.id, "letting a job rest", now):
+                    if job.state == "preparing":
+                        self._put_back(job)
+                    elif job.state == "refining":
+                        job.wait_to_be_refined(seconds)
+
+    def _put_back(self, job: Job) -> None:
+        self._store.update_job(job.id, state="queued")
+        self.tasks.cancel(job.id)
+        job.put_back()
+        del self.begun[job.id]
+        self.queue.put_back(job.id)
+        self.changed(job.id)
 
     def _place(self, now: float) -> None:
         """Have islands placed, which concerns all jobs: it ends none that happens to be the occasion."""
@@ -629,6 +670,7 @@ class JobController:
         self.jobs.pop(job_id, None)
         self.begun.pop(job_id, None)
         self.queue.remove(job_id)
+        self._turns.forget(job_id)
 
     def _take_turns(self, now: float) -> None:
         """Have those jobs prepared and searched whose turn it is, and others held."""

@@ -242,7 +242,7 @@ class Service:
         counts: Tally[tuple[str | None, JobState]] = Tally((job.submitter, job.state) for job in begun)
         counts.update({(user, "queued"): number for user, number in queue.queued_by_user().items()})
         self._metrics.set_jobs(counts)
-        depth = queue_depth(begun, queue.queued, queue.limits.total.running)
+        depth = queue_depth(begun, queue.queued, queue.ready, queue.limits.total.running)
         tasks = tuple(self.controller.tasks.table)
         states: Tally[tuple[str, ...]] = Tally((task.function, task.state) for task in tasks)
         self._metrics.set_tasks(depth.tasks_ready, states, sum(len(task.helpers) for task in tasks))

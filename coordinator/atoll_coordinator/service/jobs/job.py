@@ -33,12 +33,12 @@ OUT_OF_TIME: Final = f"The time allowed by --max-time was used up {_NOT_REFINED}
 _CANCELLED: Final = f"The job was cancelled {_NOT_REFINED}"
 _NOTHING_PREPARED: Final = "the time allowed by --max-time was used up while the data were being prepared; allow more"
 
-JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
+JobStep = Literal["prepare", "put-back", "prepared", "searched", "refined", "fail", "cancel"]
 Fault = Literal["data", "diverged", "poison", "internal"]
 
 JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
     "queued": {"prepare": "preparing", "fail": "failed", "cancel": "cancelled"},
-    "preparing": {"prepared": "running", "fail": "failed", "cancel": "cancelled"},
+    "preparing": {"prepared": "running", "put-back": "queued", "fail": "failed", "cancel": "cancelled"},
     "running": {"searched": "refining", "fail": "failed", "cancel": "cancelled"},
     "refining": {"refined": "done", "fail": "failed", "cancel": "cancelled"},
     "done": {},
@@ -146,6 +146,11 @@ class Job:
         """Take in that its data are to be prepared; a process for it is started and loaded first."""
         self._step("prepare")
 
+    def put_back(self) -> None:
+        """Take in that nobody has begun to prepare its data, and that it waits again."""
+        self._step("put-back")
+        self.preparing_since = None
+
     def start_clock(self, now: float) -> list[JobAction]:
         """Take in that its data are being prepared, by a process that is loaded: the time of `--max-time` begins."""
         if self.state == "preparing":
@@ -173,6 +178,11 @@ class Job:
                 self.searched_before = max(self.searched_before, resumed[target.variable].search_seconds)
             self.archipelagos[target.variable] = archipelago
         return self._refine_if_cut(now)
+
+    def wait_to_be_refined(self, seconds: float) -> None:
+        """Take in that it has waited for so long to be refined, by a person's wish or a limit: that does not count."""
+        if self.refining_since is not None:
+            self.refining_since += seconds
 
     def start_search(self, now: float) -> None:
         """Take in that islands have been placed: the time of the search begins, once."""

@@ -193,7 +193,9 @@ class ClientRequests:
                 return self._workers(body, viewer)
             case GetQueueDepth():
                 queue = self._controller.queue
-                return queue_depth(self._controller.begun.values(), queue.queued, queue.limits.total.running)
+                return queue_depth(
+                    self._controller.begun.values(), queue.queued, queue.ready, queue.limits.total.running
+                )
             case GetResult():
                 return self._result(body.job)
             case GetEvents():

@@ -21,6 +21,8 @@ from atoll_coordinator.service.scheduling.limits import NO_LIMITS, Limits
 
 Stage = Literal["waiting", "preparing", "searching", "held"]
 
+NO_TIME: Final = "waits: the task time that limits allow for a day is used up"
+
 _BEFORE_S: Final = 1e10
 """Seconds that no age and no priority makes up for: what has a place comes before what is held, and that before what
 waits."""
@@ -104,6 +106,13 @@ class JobQueue:
         self._step_aside(entry)
         entry.stage = "preparing"
         self._users[entry.principal].begun[job] = entry
+
+    def put_back(self, job: str) -> None:
+        """Let a job wait again that nobody has begun to prepare; it keeps its place in the line."""
+        entry = self._entries[job]
+        del self._users[entry.principal].begun[job]
+        entry.stage = "waiting"
+        self._stand(entry)
 
     def search(self, job: str) -> None:
         """Take in that a job is being searched; a paused one is held."""
@@ -191,7 +200,7 @@ class JobQueue:
     def _candidates(self) -> Iterator[_Entry]:
         """Yield what could have a place: of each user what has begun, and as many that wait as there are places."""
         for principal, user in self._users.items():
-            if self._has_no_time(principal):
+            if self.has_no_time(principal):
                 yield from (entry for entry in user.begun.values() if entry.stage == "preparing")
                 continue
             yield from (entry for entry in user.begun.values() if not entry.is_paused or entry.stage == "preparing")
@@ -205,7 +214,8 @@ class JobQueue:
         can_take_up = bool(user.waiting) and not self.is_paused and "preparing" not in stages
         return self._is_full(principal, busy) or not ("held" in stages or can_take_up)
 
-    def _has_no_time(self, principal: str | None) -> bool:
+    def has_no_time(self, principal: str | None) -> bool:
+        """Tell whether a user may use no more task time today."""
         return self.is_exhausted or principal in self.exhausted
 
     def _is_full(self, principal: str | None, busy: int) -> bool:
@@ -227,6 +237,13 @@ class JobQueue:
     def queued_by_user(self) -> dict[str | None, int]:
         """Return how many jobs of each user wait, paused ones included."""
         return {principal: self.queued_of(principal) for principal in self._users}
+
+    @property
+    def ready(self) -> int:
+        """How many jobs wait for nothing but a place: none of a paused queue, nor of users without task time."""
+        if self.is_paused:
+            return 0
+        return sum(len(user.waiting) for name, user in self._users.items() if not self.has_no_time(name))
 
     def queued_of(self, principal: str | None) -> int:
         """Return how many jobs of a user wait, paused ones included."""
@@ -262,9 +279,9 @@ class JobQueue:
             return None
         principal = entry.principal
         if entry.is_paused:
-            return f"is paused; go on with: coordinator resume {job}"
-        if self._has_no_time(principal):
-            return "waits: the task time that limits allow for a day is used up"
+            return pause_reason(job)
+        if self.has_no_time(principal):
+            return NO_TIME
         if entry.stage == "held":
             return "waits for its user's next turn; others have theirs"
         if self.is_paused:
@@ -312,3 +329,8 @@ class JobQueue:
             user.paused -= 1
         else:
             del user.waiting[bisect_left(user.waiting, entry.key)]
+
+
+def pause_reason(job: str) -> str:
+    """Return what a job waits for that is paused."""
+    return f"is paused; go on with: coordinator resume {job}"

@@ -9,7 +9,7 @@ stored = "100G"              # bytes of tables and results; more are refused
 running = 2
 queued = 1000
 stored = "2G"
-task_time = "24h"            # of the workers' and the coordinator's processors a day; beyond, jobs wait
+task_time = "24h"            # of the workers' processors a day; beyond, jobs wait
 
 [users.ann]                  # one of them, in place of what [user] says
 queued = 5000

@@ -1,4 +1,4 @@
-"""Task time: for how long workers and the coordinator have computed for each user today. Pure; seconds come in.
+"""Task time: for how long workers have computed islands and tasks for each user today. Pure; seconds come in.
 
 Today is a day of service (`limits.DAY_S`), not of the calendar: whoever sets the clock forward gains nothing.
 """

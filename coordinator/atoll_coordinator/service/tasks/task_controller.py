@@ -69,10 +69,11 @@ class _Blob:
 class TaskController:
     """The tasks of all jobs."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  # who has a say in which tasks run
         self, channel: WorkerChannel, membership: Membership, store: Store, post: Callable[[object], None],
-        rank: Callable[[str], tuple[float, ...]] = lambda job: (),
+        order: Callable[[Collection[str], Collection[str]], Sequence[str]] = lambda waiting, _: tuple(waiting),
         may_follow: Callable[[str], bool] = lambda job: False,
+        charge: Callable[[str, float], object] = lambda job, seconds: None,
     ) -> None:  # fmt: skip
         """Set up.
 
@@ -80,16 +81,19 @@ class TaskController:
             channel: reaches the workers that `membership` knows.
             store: has the tables.
             post: hands outcomes to the loop.
-            rank: of tasks that wait, that of the job of least rank goes first.
+            order: is given the jobs with tasks that wait, in the order in which they came, and those with tasks that
+                run; returns those that may be leased one, the next one first.
             may_follow: tells whether a job may soon want a task that is not known: a worker that has one keeps it.
+            charge: is told of each job for how many seconds workers have run its tasks, or helped with them.
         """
         self.table: Final = TaskTable()
         self._channel = channel
         self._membership = membership
         self._store = store
         self.post: Final = post
-        self._rank = rank
+        self._order = order
         self._may_follow = may_follow
+        self._charge = charge
         self._purposes: dict[str, _Purpose] = {}
         self._blobs: dict[str, _Blob] = {}
         self._prepared: dict[str, bytes] = {}
@@ -126,13 +130,17 @@ class TaskController:
             held.jobs.discard(job)
         self._blobs = {digest: held for digest, held in self._blobs.items() if held.jobs}
 
+    def waits(self, job: str) -> bool:
+        """Tell whether a job has a task that no worker has."""
+        return any(task.worker is None for task in self.table.of_job(job))
+
     def waiting_reason(self, job: str) -> str | None:
         """Return in words what the tasks of a job wait for; None: they do not."""
-        if not any(task.worker is None for task in self.table.of_job(job)):
+        if not self.waits(job):
             return None
         if any(task.worker is not None for task in self.table):
             return "waits for a worker that has no other task"
-        return "waits for a worker: none has joined, or all are lost or leaving"
+        return "waits for a worker: none has joined, or all are lost, leaving or cordoned"
 
     def chunk(self, digest: str, index: int) -> bytes | None:
         """Return a chunk of an input that is not in the store; None: it is not here either."""
@@ -163,7 +171,7 @@ class TaskController:
         running = [task for task in self.table if task.state == "running"]
         if not waiting and not running:
             return
-        waiting.sort(key=lambda task: (*self._rank(task.job), task.waiting_since))
+        waiting = self._in_turn(waiting, running)
         made = plan(waiting, running, self._slots(), self._hosts(self.table), self._hosts(self.table, is_alone=True))
         for worker in made.recalled:
             self._recall(worker)
@@ -173,6 +181,14 @@ class TaskController:
             task.helpers[worker] = now
             if task.worker is not None:
                 self._channel.send(worker, Help(task=task.id, job=task.job, worker=task.worker))
+
+    def _in_turn(self, waiting: Sequence[Task], running: Sequence[Task]) -> list[Task]:
+        """Return the tasks that may be leased now, the next one first."""
+        jobs = dict.fromkeys(task.job for task in waiting), dict.fromkeys(task.job for task in running)
+        ranks = {job: rank for rank, job in enumerate(self._order(*jobs))} if waiting else {}
+        return sorted(
+            (task for task in waiting if task.job in ranks), key=lambda task: (ranks[task.job], task.waiting_since)
+        )
 
     def _lease(self, task: Task, worker: str, now: float, threads: int = 1) -> None:
         self.table.lease(task, worker, now, threads)
@@ -191,7 +207,7 @@ class TaskController:
                 sum(held.islands for held in member.status.holdings) if member.status else 0, helped.get(name),
             )
             for name, member in self._membership.attending()
-            if name not in owners
+            if name not in owners and self._membership.service(name) == "open"
         ]  # fmt: skip
 
     def _hosts(self, tasks: Iterable[Task], *, is_alone: bool = False) -> Counter[str]:
@@ -207,10 +223,22 @@ class TaskController:
                 self._channel.send(worker, Release(task=task.id))
 
     def tick(self, now: float) -> None:
-        """Let time pass: what takes too long ends, what waits is leased."""
+        """Let time pass: users are charged, what takes too long ends, what waits is leased."""
+        for task in self.table:
+            self._count(task, now)
+            for worker in [*task.helpers]:
+                if self._membership.service(worker) == "draining":
+                    self._recall(worker)
         for task in self.table.overdue(now):
             self._fail(task, "time", f"it took longer than {LIMIT_S:,.0f} s and was ended", now)
         self.dispatch(now)
+
+    def _count(self, task: Task, now: float) -> None:
+        """Charge for the time for which a task has run since it was last charged for, helpers included."""
+        if task.began_at is not None:
+            seconds = now - task.began_at - task.charged
+            task.charged += seconds
+            self._charge(task.job, seconds * (1 + len(task.helpers)))
 
     # -------------------------------------------------------------------------------------------- workers
 
@@ -258,6 +286,9 @@ class TaskController:
 
     def lose(self, worker: str, now: float) -> None:
         """Take in that a worker is lost: its tasks go to others at once."""
+        for task in self.table:
+            if task.worker == worker:
+                self._count(task, now)
         for task, why in self.table.lose(worker, now):
             if why is not None:
                 self._conclude_failed(task, "crash", why)
@@ -293,6 +324,8 @@ class TaskController:
         except RemoteProtocolError as error:
             self._fail(task, "error", f"its result cannot be read: {error}", now)
             return
+        # What it ran before its first heartbeat told so; what a coordinator before us has counted is left out.
+        self._charge(task.job, max(0.0, min(last.seconds, now - task.leased_at) - task.charged))
         self._end(task)
         self.post(outcome)
         self.dispatch(now)
@@ -308,6 +341,7 @@ class TaskController:
 
     def _fail(self, task: Task, failure: Failure, sentence: str, now: float) -> None:
         """Take in that a task failed on its worker; it is tried again, or its job learns why not."""
+        self._count(task, now)
         self._release(task)
         why = self.table.fail(task, failure, sentence, now)
         if why is not None:

@@ -40,7 +40,7 @@ class Task:
 
     `is_alone`: memory ran out with it, so that it is tried once more where nothing else runs. `term` counts its
     leases, `threads` is how many it may use there. `waiting_since`, `leased_at` and `said_at`, when its worker was last
-    told, are the bus's seconds.
+    told, are the bus's seconds. `charged` is for how many seconds since `began_at` its user has been charged.
     """
 
     id: str
@@ -56,6 +56,7 @@ class Task:
     leased_at: float = 0.0
     said_at: float = 0.0
     began_at: float | None = None
+    charged: float = 0.0
     helpers: dict[str, float] = field(default_factory=dict)
     losses: int = 0
     failures: list[Failure] = field(default_factory=list)
@@ -111,6 +112,7 @@ class TaskTable:
         """Give a task to a worker, which may use so many threads."""
         task.step("lease")
         task.worker, task.leased_at, task.said_at, task.began_at = worker, now, now, None
+        task.charged = 0.0
         task.term, task.threads = task.term + 1, threads
 
     def begin(self, task: Task, now: float) -> bool:

@@ -49,11 +49,20 @@ class Scene:
     def __init__(self, *workers: str, ranks: dict[str, float] | None = None) -> None:
         self.sent: list[tuple[str, ControlBody]] = []
         self.posted: list[object] = []
+        self.charged: list[tuple[str, float]] = []
+        self.paused: set[str] = set()
         self.now = 0.0
         self._ended: dict[str, str] = {}
         self.membership = Membership()
         self.controller = TaskController(
-            self, self.membership, Store.open(None), self.posted.append, lambda job: ((ranks or {}).get(job, 0.0),)
+            self,
+            self.membership,
+            Store.open(None),
+            self.posted.append,
+            lambda waiting, running: sorted(
+                (job for job in waiting if job not in self.paused), key=lambda job: (ranks or {}).get(job, 0.0)
+            ),
+            charge=lambda job, seconds: self.charged.append((job, seconds)),
         )  # type: ignore[arg-type]
         for worker in workers:
             self.join(worker)
@@ -85,11 +94,14 @@ class Scene:
         self.controller.prepare(job, TABLE, 3, config, self.now)
         self._ended = {**self._ended, job: self.controller.table.of_job(job)[0].id}
 
-    def chunk(self, worker: str, job: str, result: bytes, offset: int = 0, data: bytes | None = None) -> None:
+    def chunk(  # what a worker says
+        self, worker: str, job: str, result: bytes, offset: int = 0, data: bytes | None = None, seconds: float = 0.0
+    ) -> None:  # fmt: skip
         data = result[offset : offset + CHUNK_SIZE] if data is None else data
         body = TaskChunk(
-            task=self.ids[job], digest=hashlib.sha256(result).hexdigest(), size=len(result), offset=offset, data=data
-        )
+            task=self.ids[job], digest=hashlib.sha256(result).hexdigest(), size=len(result), offset=offset, data=data,
+            seconds=seconds,
+        )  # fmt: skip
         self.controller.add_report(worker, TaskReport(body=body), self.now)
         self.controller.table.validate()
 
@@ -424,3 +436,90 @@ def refining(job: str, *workers: str) -> Scene:
         scene.join(worker)
     scene.said()
     return scene
+
+
+# ------------------------------------------------------------------------------- users, pauses and cordons
+
+
+def test_users_are_charged_while_a_task_runs_and_for_what_no_heartbeat_has_told() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    scene.now = 4.0
+    scene.controller.tick(scene.now)
+    assert scene.charged == []  # its process is loading
+    scene.beat("w0", j="running")
+    for scene.now in (6.0, 9.0):
+        scene.controller.tick(scene.now)
+    assert scene.charged == [("j", 2.0), ("j", 3.0)]
+    scene.chunk("w0", "j", PREPARED, seconds=5.5)
+    assert scene.charged[2:] == [("j", 0.5)]
+
+
+def test_no_more_is_charged_for_a_task_than_the_time_since_it_was_leased() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    scene.now = 3.0
+    scene.chunk("w0", "j", PREPARED, seconds=1e6)
+    assert scene.charged == [("j", 3.0)]
+
+
+@pytest.mark.parametrize("end", ["fail", "lose"])
+def test_users_are_charged_for_tasks_without_a_result(end: str) -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    scene.beat("w0", j="running")
+    scene.now = 7.0
+    if end == "fail":
+        scene.fail("w0")
+    else:
+        scene.controller.lose("w0", scene.now)
+    assert scene.charged == [("j", 7.0)]
+
+
+def test_helpers_are_charged_for_as_well() -> None:
+    scene = refining("j", "w0", "w1", "w2")
+    scene.beat("w0", j="running")
+    scene.charged.clear()
+    scene.controller.tick(scene.now)
+    scene.now += 2.0
+    scene.controller.tick(scene.now)
+    assert scene.charged[-1] == ("j", 6.0)
+
+
+def test_tasks_that_may_not_run_are_leased_to_nobody_and_those_that_run_go_on() -> None:
+    scene = Scene("w0")
+    scene.prepare("a")
+    scene.paused = {"a", "b"}
+    scene.prepare("b")
+    scene.join("w1")
+    scene.controller.tick(scene.now)
+    assert [(worker, body.job) for worker, body in scene.said(Lease)] == [("w0", "a")]
+    assert (scene.controller.waits("a"), scene.controller.waits("b")) == (False, True)
+    scene.paused = set()
+    scene.controller.tick(scene.now)
+    assert [(worker, body.job) for worker, body in scene.said(Lease)] == [("w1", "b")]
+
+
+def test_cordoned_and_drained_workers_get_no_tasks_but_end_the_one_that_they_have() -> None:
+    scene = Scene("w0", "w1", "w2")
+    scene.prepare("a")
+    scene.membership.set_cordons({"w0": True, "w1": False})
+    scene.prepare("b")
+    scene.prepare("c")
+    scene.controller.tick(scene.now)
+    assert [(worker, body.job) for worker, body in scene.said(Lease)] == [("w0", "a"), ("w2", "b")]
+    scene.chunk("w0", "a", PREPARED)
+    assert scene.leased_to() == []
+    scene.membership.set_cordons({})
+    scene.controller.tick(scene.now)
+    assert scene.leased_to() == ["w0"]
+
+
+def test_a_drained_worker_is_recalled_from_helping() -> None:
+    scene = refining("j", "w0", "w1")
+    scene.beat("w0", j="running")
+    scene.controller.tick(scene.now)
+    assert [worker for worker, _ in scene.said(Help)] == ["w1"]
+    scene.membership.set_cordons({"w1": True})
+    scene.controller.tick(scene.now)
+    assert scene.said() == [("w1", Release(task=scene.ids["j"]))]
