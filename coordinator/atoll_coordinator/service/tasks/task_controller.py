@@ -46,6 +46,9 @@ from atoll_core.wire.values import decode_value
 INLINE: Final = 64 * 1024
 """Inputs of at most so many bytes travel with the lease."""
 
+HELP_AFTER_S: Final = 1.0
+"""A task that has run for so long is helped with: a helper's process takes about as long to be ready."""
+
 SETTLED_S: Final = 2.5
 """After so long a heartbeat must show what was leased before, or the lease was lost: heartbeats come once a second."""
 
@@ -172,7 +175,8 @@ class TaskController:
         if not waiting and not running:
             return
         waiting = self._in_turn(waiting, running)
-        made = plan(waiting, running, self._slots(), self._hosts(self.table), self._hosts(self.table, is_alone=True))
+        lasting = [task for task in running if task.began_at is not None and now - task.began_at >= HELP_AFTER_S]
+        made = plan(waiting, lasting, self._slots(), self._hosts(self.table), self._hosts(self.table, is_alone=True))
         for worker in made.recalled:
             self._recall(worker)
         for task, worker, threads in made.leases:

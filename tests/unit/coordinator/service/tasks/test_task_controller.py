@@ -5,6 +5,7 @@ import hashlib
 import pytest
 
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks import task_controller
 from atoll_coordinator.service.tasks.outcomes import (
     JobPrepared,
     JobRefined,
@@ -41,6 +42,11 @@ TABLE = "c" * 64
 CONFIG = JobConfig(seed=3)
 PREPARED = prepare(b"x,y", CONFIG.model_dump_json().encode(), prepare_stub)
 REFINED = b'{"warnings": ["made"]}'
+
+
+@pytest.fixture(autouse=True)
+def _helped_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(task_controller, "HELP_AFTER_S", 0.0)
 
 
 class Scene:
@@ -523,3 +529,15 @@ def test_a_drained_worker_is_recalled_from_helping() -> None:
     scene.membership.set_cordons({"w1": True})
     scene.controller.tick(scene.now)
     assert scene.said() == [("w1", Release(task=scene.ids["j"]))]
+
+
+def test_a_task_is_helped_with_once_it_has_run_for_as_long_as_a_helper_takes_to_be_ready(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(task_controller, "HELP_AFTER_S", 1.0)
+    scene = refining("j", "w0", "w1")
+    scene.beat("w0", j="running")
+    assert scene.said(Help) == []
+    scene.now += 1.0
+    scene.controller.tick(scene.now)
+    assert [worker for worker, _ in scene.said(Help)] == ["w1"]
