@@ -2,8 +2,8 @@
 
 ``service_loop`` is the only loop; it hands what the bus brings to ``job_controller`` and ``requests``. Below them,
 ``tasks`` has what is leased to workers, ``workers`` who computes what, ``monitoring`` what people are shown,
-``scheduling`` whose turn it is, ``jobs`` a job, ``search`` an archipelago, and ``store`` what lasts. Imports go down this
-list only.
+``scheduling`` whose turn it is, ``jobs`` a job, ``search`` an archipelago, and ``store`` what lasts. Imports go down
+this list only.
 
 A job: `requests.clients` -> `job_controller.submit` -> `scheduling.job_queue` -> `tasks.task_controller` (prepare) ->
 `job_controller.start_search` -> `workers.scheduling` -> `search.collector` (cut) -> `tasks.task_controller`
