@@ -13,7 +13,7 @@ from typing import get_args
 
 import pytest
 
-from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.open_file import OpenFile
 from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.schema import _prepare
@@ -277,7 +277,14 @@ def test_what_reads_the_store_needs_no_room(name: str) -> None:
     store.add_job(JobRecord("a", "", "{}", "", ""))
     writes = (sqlite3.SQLITE_INSERT, sqlite3.SQLITE_UPDATE, sqlite3.SQLITE_DELETE)
     connection.set_authorizer(lambda action, *_: sqlite3.SQLITE_DENY if action in writes else sqlite3.SQLITE_OK)
-    known: dict[str, object] = {"job": "a", "digest": "", "prefix": "", "island": 0, "jobs": ("a",)}
+    known: dict[str, object] = {
+        "job": "a",
+        "digest": "",
+        "prefix": "",
+        "island": 0,
+        "viewer": Viewer("ann"),
+        "jobs": ("a",),
+    }
     needed = [
         parameter.name
         for parameter in signature(getattr(store, name)).parameters.values()

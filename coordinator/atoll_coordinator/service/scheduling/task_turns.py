@@ -2,13 +2,28 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
-from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.scheduling.fair_share import FairShare, Principal
 
 _RUNNING_S: Final = 1e10
 """Seconds that no age and no priority makes up for: what runs comes before what waits."""
+
+
+class TaskJob(Protocol):
+    """What is asked of a job that has a task; `submitted_at` is in seconds, of which only differences count."""
+
+    @property
+    def id(self) -> str: ...
+
+    @property
+    def submitter(self) -> str | None: ...
+
+    @property
+    def priority(self) -> int: ...
+
+    @property
+    def submitted_at(self) -> float: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +42,7 @@ class TaskTurns:
     def __init__(self) -> None:
         self._fair_share = FairShare()
 
-    def order(self, waiting: Collection[Job], running: Collection[Job]) -> list[str]:
+    def order(self, waiting: Collection[TaskJob], running: Collection[TaskJob]) -> list[str]:
         """Return the ids of jobs with tasks that wait, the next one first.
 
         Tasks that run count as their users' first turns: who has some lets others go before.
