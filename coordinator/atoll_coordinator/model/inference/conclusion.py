@@ -46,7 +46,7 @@ from atoll_coordinator.model.selection.alternatives import Ranking, rank_alterna
 from atoll_coordinator.model.selection.candidates import form
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows, remarks
-from atoll_coordinator.model.selection.rounding import RoundedSystem, round_shown, round_system
+from atoll_coordinator.model.selection.rounding import RoundedSystem, ShownConstants, round_system
 from atoll_coordinator.model.selection.shortcut import predictable_rows
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.error_growth import growth_rate, speed_growth
@@ -359,25 +359,26 @@ def _rounded(
     """
     *few, most = ERROR_DIGITS
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None
+    constants = ShownConstants(comparison, fitted)
     for digits in few:
-        rounded = _with_digits(comparison, fitted, digits, outside)
+        rounded = _with_digits(comparison, fitted, constants, digits, outside)
         if rounded is None:
             continue
         if rounded[1].misfit > limit and exact is None:
-            exact = _with_digits(comparison, fitted, most, outside)
+            exact = _with_digits(comparison, fitted, constants, most, outside)
             limit = math.inf if exact is None else exact[1].misfit + SETTINGS.selection.least_gain
         if rounded[1].misfit <= limit and not outside(rounded[0]):
             return rounded
-    return exact or _with_digits(comparison, fitted, most, outside)
+    return exact or _with_digits(comparison, fitted, constants, most, outside)
 
 
 def _with_digits(
-    comparison: ModelComparison, fitted: FittedModel, digits: int, outside: _Outside
+    comparison: ModelComparison, fitted: FittedModel, constants: ShownConstants, digits: int, outside: _Outside
 ) -> tuple[RoundedSystem, FittedModel] | None:
-    rounded, estimates = round_shown(comparison, fitted, digits), frozenset[int]()
+    rounded, estimates = constants.rounded(digits), frozenset[int]()
     while not (further := outside(rounded)) <= estimates:
         estimates |= further
-        rounded = round_shown(comparison, fitted, digits, estimates)
+        rounded = constants.rounded(digits, estimates)
     fit = fit_starts(comparison, rounded.programs, fitted.fit)
     return None if fit is None else (rounded, comparison.measure(fit))
 

@@ -41,7 +41,7 @@ from atoll_coordinator.model.refinement import (
     Simulation,
 )
 from atoll_coordinator.model.regression.covariance import Known, student_95
-from atoll_coordinator.model.regression.rounding import round_estimates
+from atoll_coordinator.model.regression.rounding import Estimates
 from atoll_coordinator.model.selection.alternatives import rank_alternatives
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
@@ -232,7 +232,7 @@ def _shown_values(comparison: ModelComparison, model: FittedModel) -> FloatArray
         return system.values
     spread = comparison.inflation(model) * bounded_covariance(model.fit)
     is_many = system.count > SETTINGS.effort.beam
-    return round_estimates(system.values, spread, estimates=range(system.count) if is_many else ()).values
+    return Estimates(system.values, spread).rounded(estimates=range(system.count) if is_many else ()).values
 
 
 # ------------------------------------------------------------------------------------------- what is said of it

@@ -16,7 +16,7 @@ from atoll_coordinator.model.refinement import Member, Refined, SimpleNumber, Si
 from atoll_coordinator.model.regression.covariance import covariance_of, estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.regression.rounding import round_constants, round_estimates
+from atoll_coordinator.model.regression.rounding import Estimates, round_constants
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
@@ -100,7 +100,7 @@ def _with_estimates(
     if not places or not math.isfinite(fitted.mse):
         return program, (None,) * len(places), None
     many = range(len(places)) if len(places) > SETTINGS.effort.beam else ()
-    rounding = round_estimates(fitted.program.constants[places], covariance_of(fitted, criterion), estimates=many)
+    rounding = Estimates(fitted.program.constants[places], covariance_of(fitted, criterion)).rounded(estimates=many)
     made = with_constants(program, dict(zip(places, rounding.values.tolist(), strict=True)))
     bounds = least_squares.restrictions.bounds
     together = rounding.together(range(len(places)))

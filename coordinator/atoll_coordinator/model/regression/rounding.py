@@ -16,8 +16,10 @@ expanded.
 
 import math
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -64,6 +66,66 @@ class Decision:
 
 
 @dataclass(frozen=True, eq=False)
+class _Successor:
+    """A decision with the k-th of its open constants decided, too; `numbers` and `nats` are as in the decision.
+
+    It is `made` of those only that go on: of a beam's successors few do.
+    """
+
+    before: Decision
+    k: int
+    number: float
+    numbers: tuple[tuple[int, float], ...]
+    nats: float
+
+    def made(self) -> Decision:
+        """Return the decision; the constants that are open move along."""
+        before, k = self.before, self.k
+        others = [place for place in range(len(before.open)) if place != k]
+        column, variance = before.covariance[others, k], float(before.covariance[k, k])
+        rest = before.covariance[np.ix_(others, others)]
+        spread = rest - np.outer(column, column) / variance
+        diagonal, least = np.diag(spread), np.maximum(_ROUNDING * np.diag(rest), np.finfo(np.float64).tiny)
+        means = before.means[others] + column / variance * (self.number - float(before.means[k]))
+        return Decision(
+            numbers=self.numbers,
+            nats=self.nats,
+            open=tuple(before.open[place] for place in others),
+            means=means,
+            covariance=spread + np.diag(np.maximum(np.maximum((_ROUNDING * means) ** 2, least) - diagonal, 0.0)),
+        )
+
+
+class Considered:
+    """Decisions that were weighed, and the odds of what is held by some of them."""
+
+    def __init__(self, weighed: Sequence[Decision] = ()) -> None:
+        """Weigh these decisions."""
+        self.decisions: Final = weighed
+        self.numbers: Final = [frozenset(decision.numbers) for decision in weighed]
+        most = max((decision.nats for decision in weighed), default=0.0)
+        self._weights: Final = [math.exp(decision.nats - most) for decision in weighed]
+        self._whole: Final = math.fsum(self._weights)
+
+    def odds_of(self, held: Iterable[bool]) -> float:
+        """Return the odds of what some decisions hold, those that are true here, against all others."""
+        share = math.fsum(compress(self._weights, held))
+        return share / max(self._whole - share, 1e-300)
+
+    @cached_property
+    def odds(self) -> dict[tuple[int, float], float]:
+        """The odds of each number of each constant against all decisions without it."""
+        found = dict.fromkeys(number for decision in self.decisions for number in decision.numbers)
+        return {number: self.odds_of([number in numbers for numbers in self.numbers]) for number in found}
+
+    @property
+    def singled_out(self) -> dict[int, float]:
+        """The simple numbers whose odds suffice, by constant."""
+        least = math.exp(SETTINGS.inference.distinct_nats)
+        return {index: value for (index, value), odds in self.odds.items() if odds >= least}
+
+
+@dataclass(frozen=True, eq=False)
 class Rounding:
     """What becomes of constants: their `values` (K,) as they are shown, and the nearest simple number of each.
 
@@ -74,7 +136,7 @@ class Rounding:
     simple: tuple[SimpleNumber | None, ...]
     means: FloatArray
     covariance: FloatArray
-    considered: Sequence[Decision] = ()
+    considered: "Considered"
 
     def together(self, constants: Sequence[int]) -> SimpleTogether | None:
         """Return simple numbers of two and more of these constants that are right together; None if that is unlikely.
@@ -82,10 +144,11 @@ class Rounding:
         Of those that the data single out together the most, else of those that are likelier than everything else.
         Places in it are those in `constants`.
         """
+        decided = self.considered.numbers
         combinations = dict.fromkeys(tuple(number for number in decision.numbers if number[0] in constants)
-                                     for decision in self.considered)  # fmt: skip
+                                     for decision in self.considered.decisions)  # fmt: skip
         odds = {
-            key: _odds(self.considered, [{*key} <= {*decision.numbers} for decision in self.considered])
+            key: self.considered.odds_of([numbers.issuperset(key) for numbers in decided])
             for key in combinations
             if len(key) > 1
         }
@@ -108,38 +171,44 @@ class Rounding:
         )
 
 
-def round_estimates(
-    means: FloatArray,
-    covariance: FloatArray,
-    digits: int = ERROR_DIGITS[0],
-    estimates: Collection[int] = (),
-) -> Rounding:
-    """Return fitted constants, `means` (K,) with this `covariance`, as they are shown.
+class Estimates:
+    """Fitted constants, and what is considered of them: once, in however many digits they are shown."""
 
-    Estimates are rounded to so many digits of their standard errors, one after another, each where it lies once the
-    earlier ones are: so the last of several constants that only together are determined keeps the digits it needs.
-    Simple numbers that are singled out take their place, but for those of the `estimates`, by number.
-    """
-    start = _start(means, covariance)
-    considered = decisions(means, covariance, has_products=True) if len(estimates) < len(means) else []
-    odds = _marginal_odds(considered)
-    numbers = {index: number for index, number in _singled_out(odds).items() if index not in estimates}
-    decision = start
-    for index, number in numbers.items():
-        decision = _decided(decision, decision.open.index(index), number, 0.0)
-    while decision.open:
-        number = _rounded(float(decision.means[0]), math.sqrt(float(decision.covariance[0, 0])), digits)
-        decision = _decided(decision, 0, number, 0.0)
-    values = np.array([value for _, value in decision.numbers])
-    remarks = [
-        _simple_number(*estimate, odds) for estimate in zip(range(len(means)), means, np.diag(covariance), strict=True)
-    ]
-    return Rounding(values, tuple(remarks), means, start.covariance, considered)
+    def __init__(self, means: FloatArray, covariance: FloatArray) -> None:
+        """Know constants by their `means` (K,) and `covariance`."""
+        self._means: Final = means
+        self._covariance: Final = covariance
+
+    @cached_property
+    def considered(self) -> Considered:
+        """The most probable decisions on them."""
+        return Considered(decisions(self._means, self._covariance, has_products=True))
+
+    def rounded(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> Rounding:
+        """Return the constants as they are shown.
+
+        Estimates are rounded to so many digits of their standard errors, one after another, each where it lies once the
+        earlier ones are: so the last of several constants that only together are determined keeps the digits it needs.
+        Simple numbers that are singled out take their place, but for those of the `estimates`, by number.
+        """
+        means, decision = self._means, _start(self._means, self._covariance)
+        covariance = decision.covariance
+        considered = self.considered if len(estimates) < len(means) else Considered()
+        numbers = {index: number for index, number in considered.singled_out.items() if index not in estimates}
+        for index, number in numbers.items():
+            decision = _decided(decision, decision.open.index(index), number)
+        while decision.open:
+            number = _rounded(float(decision.means[0]), math.sqrt(float(decision.covariance[0, 0])), digits)
+            decision = _decided(decision, 0, number)
+        values = np.array([value for _, value in decision.numbers])
+        constants = zip(range(len(means)), means, np.diag(self._covariance), strict=True)
+        remarks = [_simple_number(*constant, considered.odds) for constant in constants]
+        return Rounding(values, tuple(remarks), means, covariance, considered)
 
 
 def find_simple(means: FloatArray, covariance: FloatArray) -> dict[int, float]:
     """Return the simple numbers that the data single out, by the number of the constant."""
-    return _singled_out(_marginal_odds(decisions(means, covariance, has_products=True)))
+    return Estimates(means, covariance).considered.singled_out
 
 
 def round_constants(fitted: Fitted, criterion: RegressionCriterion, least_squares: LeastSquares) -> Model:
@@ -165,31 +234,6 @@ def quadratic_form(away: FloatArray, covariance: FloatArray) -> float:
     return 0.5 * float(away @ inverse(covariance) @ away)
 
 
-def _singled_out(odds: Mapping[tuple[int, float], float]) -> dict[int, float]:
-    """Return the simple numbers whose odds suffice, by constant."""
-    least = math.exp(SETTINGS.inference.distinct_nats)
-    return {index: value for (index, value), value_odds in odds.items() if value_odds >= least}
-
-
-def _marginal_odds(considered: Sequence[Decision]) -> dict[tuple[int, float], float]:
-    """Return the odds of each number of each constant against all decisions without it."""
-    numbers = dict.fromkeys(number for decision in considered for number in decision.numbers)
-    held: dict[tuple[int, float], list[bool]] = {number: [] for number in numbers}
-    for decision in considered:
-        decided_numbers = {*decision.numbers}
-        for number, places in held.items():
-            places.append(number in decided_numbers)
-    return {number: _odds(considered, places) for number, places in held.items()}
-
-
-def _odds(considered: Sequence[Decision], held: Sequence[bool]) -> float:
-    """Return the odds of what is held by some decisions against all others."""
-    most = max(decision.nats for decision in considered)
-    weights = [math.exp(decision.nats - most) for decision in considered]
-    share = math.fsum(weight for weight, is_held in zip(weights, held, strict=True) if is_held)
-    return share / max(math.fsum(weights) - share, 1e-300)
-
-
 def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool = False) -> list[Decision]:
     """Return the most probable decisions on constants with these `means` (K,) and `covariance`, none among them.
 
@@ -197,12 +241,13 @@ def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool =
     """
     all_decisions = beam = [_start(means, covariance)]
     while beam:
-        following: dict[tuple[tuple[int, float], ...], Decision] = {}
+        following: dict[tuple[tuple[int, float], ...], _Successor] = {}
         for successor in (successor for decision in beam for successor in _next(decision, has_products=has_products)):
             known = following.get(successor.numbers)
             if known is None or successor.nats > known.nats:
                 following[successor.numbers] = successor
-        beam = sorted(following.values(), key=lambda decision: -decision.nats)[: SETTINGS.effort.beam]
+        best = sorted(following.values(), key=lambda successor: -successor.nats)[: SETTINGS.effort.beam]
+        beam = [successor.made() for successor in best]
         all_decisions = [*all_decisions, *beam]
     return [
         replace(decision, nats=decision.nats + _of_share(len(decision.numbers), len(means)))
@@ -225,13 +270,13 @@ def _start(means: FloatArray, covariance: FloatArray) -> Decision:
     return Decision((), 0.0, tuple(range(len(means))), means, spread)
 
 
-def _next(decision: Decision, *, has_products: bool) -> Iterator[Decision]:
+def _next(decision: Decision, *, has_products: bool) -> Iterator[_Successor]:
     """Yield `decision` with one more constant decided."""
     others = [number for _, number in decision.numbers] if has_products else []
     for k in range(len(decision.open)):
         gains = _gains(float(decision.means[k]), math.sqrt(float(decision.covariance[k, k])), others)
         best = sorted(gains, key=lambda number: -gains[number])[: SETTINGS.effort.beam]
-        yield from _all_decided(decision, k, {number: gains[number] for number in best})
+        yield from (_successor(decision, k, number, gains[number]) for number in best)
 
 
 def _gains(value: float, error: float, others: Sequence[float] = ()) -> dict[float, float]:
@@ -264,28 +309,15 @@ def _priced(numbers: Mapping[float, float], value: float, error: float, least: f
     return {number: -length - 0.5 * ((number - value) / error) ** 2 - least for number, length in numbers.items()}
 
 
-def _decided(decision: Decision, k: int, number: float, nats: float) -> Decision:
+def _successor(decision: Decision, k: int, number: float, gain: float) -> _Successor:
+    """Return what makes `decision` with the k-th of the open constants fixed at a number of so many nats."""
+    numbers = tuple(sorted((*decision.numbers, (decision.open[k], number))))
+    return _Successor(decision, k, number, numbers, decision.nats + gain)
+
+
+def _decided(decision: Decision, k: int, number: float) -> Decision:
     """Return `decision` with the k-th of the open constants fixed; the others move along."""
-    return next(_all_decided(decision, k, {number: nats}))
-
-
-def _all_decided(decision: Decision, k: int, numbers: Mapping[float, float]) -> Iterator[Decision]:
-    """Yield `decision` with the k-th of the open constants fixed at each of `numbers`, which have these nats."""
-    others = [place for place in range(len(decision.open)) if place != k]
-    column, mean = decision.covariance[others, k], float(decision.means[k])
-    rest, variance = decision.covariance[np.ix_(others, others)], float(decision.covariance[k, k])
-    spread = rest - np.outer(column, column) / variance
-    diagonal, least = np.diag(spread), np.maximum(_ROUNDING * np.diag(rest), np.finfo(np.float64).tiny)
-    slopes, still_open = column / variance, tuple(decision.open[place] for place in others)
-    for number, nats in numbers.items():
-        means = decision.means[others] + slopes * (number - mean)
-        yield Decision(
-            numbers=tuple(sorted((*decision.numbers, (decision.open[k], number)))),
-            nats=decision.nats + nats,
-            open=still_open,
-            means=means,
-            covariance=spread + np.diag(np.maximum(np.maximum((_ROUNDING * means) ** 2, least) - diagonal, 0.0)),
-        )
+    return _successor(decision, k, number, 0.0).made()
 
 
 def _rounded(value: float, error: float, digits: int) -> float:

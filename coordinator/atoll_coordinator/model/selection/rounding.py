@@ -7,10 +7,12 @@ of the constants, which tells what simple numbers the data single out and how ma
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import accumulate, pairwise
+from typing import Final
 
 from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
-from atoll_coordinator.model.regression.rounding import Rounding, find_simple, quadratic_form, round_estimates
+from atoll_coordinator.model.regression.rounding import Estimates, Rounding, find_simple, quadratic_form
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.system import System
@@ -54,33 +56,42 @@ def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Progr
     )
 
 
-def round_shown(
-    comparison: ModelComparison, model: FittedModel, digits: int, estimates: Collection[int] = ()
-) -> RoundedSystem:
-    """Return the programs of `model`, all constants fitted, with constants as they are shown.
+class ShownConstants:
+    """The constants of a fitted system as they are shown, in any number of digits; what is simple is found once."""
 
-    Args:
-        comparison: where it was fitted.
-        model: its structure is the one that is shown.
-        digits: of their standard errors to which estimates are rounded.
-        estimates: fitted numbers, by index, whose place no simple number takes although one is singled out.
-    """
-    system = model.fit.system
-    if not system.count:
-        return RoundedSystem(model.programs, tuple(() for _ in model.programs))
-    rounding = _rounding(comparison, model, digits, estimates)
-    values = rounding.values.tolist() if system.sharing is None else _tidied(system.by_place(rounding.values)[0])
-    programs, _ = _decided(comparison, model.programs, dict(enumerate(values)))
-    simple = iter(_multiplied(system, rounding.simple))
-    counts = [
-        0 if index in comparison.fixed else len(constant_places(program)) for index, program in enumerate(programs)
-    ]
-    ends = [0, *accumulate(counts)]
-    return RoundedSystem(
-        tuple(programs),
-        tuple(tuple(next(simple) for _ in range(count)) for count in counts),
-        tuple(_in_one_equation(system, rounding, *span) for span in pairwise(ends)),
-    )
+    def __init__(self, comparison: ModelComparison, model: FittedModel) -> None:
+        """Show the structure of `model`, all constants fitted in this comparison."""
+        self._comparison: Final = comparison
+        self._model: Final = model
+
+    def rounded(self, digits: int, estimates: Collection[int] = ()) -> RoundedSystem:
+        """Return the programs with constants as they are shown.
+
+        Args:
+            digits: of their standard errors to which estimates are rounded.
+            estimates: fitted numbers, by index, whose place no simple number takes although one is singled out.
+        """
+        comparison, programs, system = self._comparison, self._model.programs, self._model.fit.system
+        if not system.count:
+            return RoundedSystem(programs, tuple(() for _ in programs))
+        is_many = system.count > SETTINGS.effort.beam
+        rounding = self._estimates.rounded(digits, range(system.count) if is_many else estimates)
+        values = rounding.values.tolist() if system.sharing is None else _tidied(system.by_place(rounding.values)[0])
+        changed, _ = _decided(comparison, programs, dict(enumerate(values)))
+        simple = iter(_multiplied(system, rounding.simple))
+        counts = [
+            0 if index in comparison.fixed else len(constant_places(program)) for index, program in enumerate(changed)
+        ]
+        ends = [0, *accumulate(counts)]
+        return RoundedSystem(
+            tuple(changed),
+            tuple(tuple(next(simple) for _ in range(count)) for count in counts),
+            tuple(_in_one_equation(system, rounding, *span) for span in pairwise(ends)),
+        )
+
+    @cached_property
+    def _estimates(self) -> Estimates:
+        return Estimates(self._model.fit.system.values, _covariance(self._comparison, self._model))
 
 
 def _in_one_equation(system: System, rounding: Rounding, first: int, last: int) -> SimpleTogether | None:
@@ -103,12 +114,6 @@ def _multiplied(system: System, simple: Sequence[SimpleNumber | None]) -> Iterat
     for place, number in enumerate(system.columns[0].tolist()):
         remark, multiple = simple[number], 1.0 if system.sharing is None else float(system.sharing.multiples[place])
         yield None if remark is None else replace(remark, value=remark.value * multiple)
-
-
-def _rounding(comparison: ModelComparison, model: FittedModel, digits: int, estimates: Collection[int]) -> Rounding:
-    means, spread = model.fit.system.values, _covariance(comparison, model)
-    is_many = len(means) > SETTINGS.effort.beam
-    return round_estimates(means, spread, digits, range(len(means)) if is_many else estimates)
 
 
 def _covariance(comparison: ModelComparison, model: FittedModel) -> FloatArray:

@@ -29,7 +29,7 @@ from atoll_coordinator.model.refinement import (
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.regression.rounding import round_estimates
+from atoll_coordinator.model.regression.rounding import Estimates
 from atoll_coordinator.model.selection.candidates import CandidateSet, form
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.path_ensembles import settle, simulate_ensemble
@@ -193,7 +193,7 @@ def _rounded(program: Program, values: FloatArray, covariance: FloatArray) -> Pr
     places = constant_places(program)
     if not places:
         return program
-    rounded = round_estimates(values, covariance, estimates=range(len(places))).values
+    rounded = Estimates(values, covariance).rounded(estimates=range(len(places))).values
     return with_constants(program, dict(zip(places, rounded.tolist(), strict=True)))
 
 

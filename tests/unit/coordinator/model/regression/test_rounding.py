@@ -7,7 +7,8 @@ import pytest
 
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.rounding import decisions, round_constants, round_estimates
+from atoll_coordinator.model.regression import rounding
+from atoll_coordinator.model.regression.rounding import Estimates, decisions, round_constants
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, simple_numbers
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem, Target
@@ -18,7 +19,7 @@ ODDS = math.exp(SETTINGS.inference.distinct_nats)
 
 
 def shown(value, error):
-    rounding = round_estimates(np.array([value]), np.array([[error * error]]))
+    rounding = Estimates(np.array([value]), np.array([[error * error]])).rounded()
     return float(rounding.values[0]), rounding.simple[0]
 
 
@@ -75,7 +76,7 @@ def test_a_change_of_unit_changes_no_decision_between_decimals(factor):
 def test_constants_that_are_determined_together_are_singled_out_together():
     """Neither is known to a tenth alone, but their difference to a millionth."""
     covariance = 0.05**2 * np.ones((2, 2)) + np.diag([0.0, 1e-12])
-    rounding = round_estimates(np.array([2.03, 3.03]), covariance)
+    rounding = Estimates(np.array([2.03, 3.03]), covariance).rounded()
     moved = rounding.values - np.array([2.03, 3.03])
     assert moved[1] == pytest.approx(moved[0], abs=1e-6)
 
@@ -83,14 +84,14 @@ def test_constants_that_are_determined_together_are_singled_out_together():
 def test_the_last_of_correlated_estimates_keeps_the_digits_that_it_needs():
     covariance = 0.05**2 * np.ones((2, 2)) + np.diag([0.0, 1e-10])
     means = np.array([2.0314159, 3.0271828])
-    rounding = round_estimates(means, covariance, estimates=(0, 1))
+    rounding = Estimates(means, covariance).rounded(estimates=(0, 1))
     away = rounding.values - means
     assert str(rounding.values[0]) == "2.031"
     assert 0.5 * away @ np.linalg.solve(covariance, away) < 0.01
 
 
 def test_one_constant_stays_an_estimate_while_another_becomes_simple():
-    rounding = round_estimates(np.array([2.000001, 3.000001]), np.diag([1e-12, 1e-12]), estimates=(1,))
+    rounding = Estimates(np.array([2.000001, 3.000001]), np.diag([1e-12, 1e-12])).rounded(estimates=(1,))
     assert rounding.values.tolist() == [2.0, 3.000001]
     assert rounding.simple[1].value == 3.0
 
@@ -121,7 +122,7 @@ def test_simple_numbers_speak_for_each_other_and_estimates_against_one_that_is_a
     odds = []
     for beside in ([], *others):
         means, errors = np.array([(0.5003, 0.008), *beside]).T
-        odds.append(round_estimates(means, np.diag(errors**2)).simple[0].odds)
+        odds.append(Estimates(means, np.diag(errors**2)).rounded().simple[0].odds)
     alone, among_simple, among_estimates = odds
     assert among_simple > 1.5 * alone
     assert among_estimates < 0.5 * alone
@@ -129,15 +130,15 @@ def test_simple_numbers_speak_for_each_other_and_estimates_against_one_that_is_a
 
 def test_a_constant_is_simple_as_a_factor_of_another():
     """0.9 (1/9 + f) is 0.1 + 0.9 f; 1/9 by itself is no simple number."""
-    rounding = round_estimates(np.array([0.9001, 0.11112]), np.diag([2e-4, 5e-5]) ** 2)
+    rounding = Estimates(np.array([0.9001, 0.11112]), np.diag([2e-4, 5e-5]) ** 2).rounded()
     assert rounding.values.tolist() == pytest.approx([0.9, 1.0 / 9.0], rel=1e-12)
-    assert round_estimates(np.array([0.11112]), np.array([[5e-5**2]])).values[0] == 0.11112
+    assert Estimates(np.array([0.11112]), np.array([[5e-5**2]])).rounded().values[0] == 0.11112
 
 
 def test_simple_numbers_are_judged_together_where_each_alone_stays_an_estimate():
     means, errors = np.array([0.9004, 0.1114]), np.array([8e-4, 4e-4])
     covariance = np.outer(errors, errors) * np.array([[1.0, -0.6], [-0.6, 1.0]])
-    rounding = round_estimates(means, covariance)
+    rounding = Estimates(means, covariance).rounded()
     assert rounding.simple[1].odds < ODDS
     rounded = rounding.together([0, 1])
     assert rounded.constants == (0, 1)
@@ -149,7 +150,7 @@ def test_simple_numbers_are_judged_together_where_each_alone_stays_an_estimate()
 
 
 def test_the_places_of_simple_numbers_are_those_in_the_equation():
-    rounding = round_estimates(np.array([3.7281, 2.00001, 5.00001]), np.diag([1e-4, 1e-5, 1e-5]) ** 2)
+    rounding = Estimates(np.array([3.7281, 2.00001, 5.00001]), np.diag([1e-4, 1e-5, 1e-5]) ** 2).rounded()
     rounded = rounding.together([2, 0, 1])
     assert rounded.constants == (0, 2)
     assert rounded.values == (5.0, 2.0)
@@ -164,14 +165,14 @@ def test_simple_numbers_are_rarely_false_where_all_constants_have_random_digits(
         truth = np.exp(random.uniform(-2.0, 2.0, 3))
         errors = truth * 10.0 ** random.uniform(-3.0, -1.0, 3)
         covariance = np.corrcoef(random.normal(size=(3, 8))) * np.outer(errors, errors)
-        rounding = round_estimates(random.multivariate_normal(truth, covariance), covariance)
+        rounding = Estimates(random.multivariate_normal(truth, covariance), covariance).rounded()
         shown = zip(rounding.values, rounding.simple, strict=True)
         false += sum(near is not None and near.value == value for value, near in shown)
     assert false <= 6
 
 
 def test_constants_that_only_their_sum_is_known_of_are_no_division_by_zero():
-    rounding = round_estimates(np.array([1.0, 2.0, 3.0]), 0.01 * np.ones((3, 3)))
+    rounding = Estimates(np.array([1.0, 2.0, 3.0]), 0.01 * np.ones((3, 3))).rounded()
     assert np.isfinite(rounding.values).all()
 
 
@@ -180,3 +181,27 @@ def test_no_number_is_near_an_estimate_that_overflows(mean):
     with np.errstate(all="ignore"):  # as in the processes that refine
         considered = decisions(np.array([2.0, mean]), np.diag([1e-6, 1.0]))
     assert {index for decision in considered for index, _ in decision.numbers} == {0}
+
+
+def test_what_is_considered_of_constants_is_weighed_once_for_all_digits(monkeypatch):
+    weighed = []
+    monkeypatch.setattr(rounding, "decisions", lambda *given, **how: weighed.append(given) or decisions(*given, **how))
+    estimates = Estimates(np.array([0.79314, 3.0012]), np.diag([0.0031, 0.003]) ** 2)
+    values = [estimates.rounded(digits).values.tolist() for digits in (2, 3, 5)]
+    assert values == [[0.7931, 3.0], [0.79314, 3.0], [0.79314, 3.0]]
+    assert estimates.rounded(2, estimates=(1,)).values.tolist() == [0.7931, 3.0012]
+    assert len(weighed) == 1
+
+
+def test_decisions_that_go_on_are_those_of_most_nats_whatever_their_order():
+    """A pair of constants is decided in two orders; one of them stays, and the others moved as they are conditioned."""
+    covariance = 0.02**2 * np.array([[1.0, 0.5, 0.0], [0.5, 1.0, 0.5], [0.0, 0.5, 1.0]])
+    means = np.array([2.01, 3.01, 0.7])
+    considered = decisions(means, covariance)
+    assert len({decision.numbers for decision in considered}) == len(considered)
+    for decision in considered:
+        fixed, left = [index for index, _ in decision.numbers], list(decision.open)
+        moved = np.array([value for _, value in decision.numbers]) - means[fixed]
+        inverse = np.linalg.inv(covariance[np.ix_(fixed, fixed)])
+        expected = means[left] + covariance[np.ix_(left, fixed)] @ inverse @ moved
+        assert decision.means == pytest.approx(expected)

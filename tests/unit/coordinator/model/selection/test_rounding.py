@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.selection.rounding import round_shown, round_system
+from atoll_coordinator.model.selection.rounding import ShownConstants, round_system
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import constant_places, structure
@@ -46,7 +46,7 @@ def test_a_simple_number_that_is_merely_within_the_error_is_not_taken():
     error = math.sqrt(covariance(model.fit)[0, 0])
     assert 5e-4 < error < 4e-3
     assert round_system(decay, model) == model.programs
-    rounded = round_shown(decay, model, 2)
+    rounded = ShownConstants(decay, model).rounded(2)
     (value,) = np.abs(rounded.programs[0].constants[constant_places(rounded.programs[0])])
     ((simple,),) = rounded.simple
     assert value != 0.05
@@ -82,7 +82,7 @@ def test_all_constants_of_a_system_are_decided_together(seed):
 def test_what_is_shown_misses_the_measurements_by_little_more():
     for rate, noise in ((0.0496, 0.03), (0.05, 0.001)):
         _, decay, model = decayed(rate, noise)
-        rounded = round_shown(decay, model, 2)
+        rounded = ShownConstants(decay, model).rounded(2)
         held = decay.system(rounded.programs, [range(len(rounded.programs[0]))])
         fixed = decay.estimator.fit(held, None, 30)
         assert abs(decay.measure(fixed).misfit - model.misfit) < 2.0
@@ -96,7 +96,7 @@ def test_a_fixed_equation_is_shown_as_it_is():
     programs = round_system(comparison, model)
     assert programs[1] == known
     assert 3.0 in np.abs(programs[0].constants).tolist()
-    assert [len(simple) for simple in round_shown(comparison, model, 2).simple] == [
+    assert [len(simple) for simple in ShownConstants(comparison, model).rounded(2).simple] == [
         len(constant_places(model.programs[0])),
         0,
     ]
