@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import compress
 from typing import Final
 
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
@@ -168,8 +169,8 @@ class RankedCandidates:
         """
         comparison, effort = self._comparison, SETTINGS.effort
         new: dict[bytes, Program] = {}
-        for program in self._short(programs, most):
-            if structure(program) not in self._known:
+        for program in self._brief(programs, most):
+            if program is not None and structure(program) not in self._known:
                 new.setdefault(structure(program), program)
         self._known |= new.keys()
         least_squares = LeastSquares(self._problem, restrictions=comparison.restrictions(0))
@@ -181,20 +182,21 @@ class RankedCandidates:
         steps, (short, longer, _) = effort.brief_steps, SETTINGS.shooting.lengths
         models = comparison.fit_all([(program,) for program in started], steps, (short,))
         models, until = models[: effort.kept], comparison.estimator.work + effort.work
-        sums = eliminate_all(comparison, self._problem, libraries, until)
-        models += [model for model in sums if any(self._short(model.programs, most))]
+        sums = list(eliminate_all(comparison, self._problem, libraries, until))
+        briefs = self._brief([model.programs[0] for model in sums], most)
+        models += [model for model, brief in zip(sums, briefs, strict=True) if brief is not None]
         chosen = {structure(model.programs[0]): model.programs[0] for model in models}
         models = comparison.fit_all([(program,) for program in chosen.values()], steps, (longer,))
         self._models = comparison.distinct(sorted([*self._models, *models], key=lambda model: model.nats), 0)
         self._started += started
 
-    def _short(self, programs: Iterable[Program], most: float) -> Iterator[Program]:
-        """Yield programs in a short writing, as far as their length is below `most`; constants alone tell of many."""
-        price = self._whole.constant_nats
-        few = [program for program in programs if price * len(constant_places(program)) < most]
-        for brief in _written(self._comparison, few, is_shortest=False):
-            if self._whole.length(brief) < most:
-                yield brief
+    def _brief(self, programs: Iterable[Program], most: float) -> list[Program | None]:
+        """Return programs in a short writing, None of those of `most` nats or more; constants alone tell of many."""
+        given, price = list(programs), self._whole.constant_nats
+        are_few = [price * len(constant_places(program)) < most for program in given]
+        written = iter(_written(self._comparison, list(compress(given, are_few)), is_shortest=False))
+        briefs = [next(written) if is_few else None for is_few in are_few]
+        return [None if brief is None or not self._whole.length(brief) < most else brief for brief in briefs]
 
     @property
     def programs(self) -> list[Program]:

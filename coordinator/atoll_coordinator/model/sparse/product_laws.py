@@ -31,6 +31,8 @@ from atoll_core.expression.writing.shortest import collected
 _DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
 _RIVALS_OF_A_BATCH: Final = 16
 """Programs that are compared with laws: each takes a millisecond or two."""
+_WRITTEN_OF_A_BATCH: Final = 16
+"""Programs whose products are looked for, the same ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +57,24 @@ class _Search:
 
     terms: tuple[Product, ...]
     is_tested: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Written:
+    """A program without x/x, of which no sum of products is made, and the products that it sums up.
+
+    `terms` are None where it is no sum of products.
+    """
+
+    program: Program
+    terms: tuple[Product, ...] | None
+
+    @classmethod
+    def of(cls, degree: int, program: Program) -> "_Written":
+        """Return what becomes of a program; products are of this degree at most."""
+        written = collected(program)
+        terms = products_of(written, degree)
+        return cls(written, None if terms is None else tuple(terms))
 
 
 def _law(regression: Regression, search: _Search) -> tuple[Law, ...]:
@@ -288,9 +308,9 @@ def _with_noise(
     if not tried:
         return
     largest, is_tested = tried[-1]
-    written = [collected(program) for program in others]  # without x/x, of which no sum of products is made
-    summed = [products_of(program, SETTINGS.sparse.degree) for program in written]
-    own = dict.fromkeys(tuple(terms) for terms in summed if terms and set(terms) <= set(largest))
+    made = spread.map(_WRITTEN, lambda: SETTINGS.sparse.degree, others, _WRITTEN_OF_A_BATCH)
+    written = [one for one in made if one is not None]
+    own = dict.fromkeys(one.terms for one in written if one.terms and set(one.terms) <= set(largest))
     begun = dict.fromkeys((*(tuple(terms) for terms, _ in tried), *list(own)[: SETTINGS.effort.beam]))
     parts = _Windows(measured, target, half, tuple(largest))
     searches = [_Search(terms, is_tested) for terms in begun]
@@ -298,7 +318,7 @@ def _with_noise(
     laws = sorted((law for laws in candidates for law in laws or () if len(law.program) <= MAX_NODES), key=_nats)
     if not laws:
         return
-    functions = [program for program, terms in zip(written, summed, strict=True) if terms is None]
+    functions = [one.program for one in written if one.terms is None]
     nats = spread.map(_RIVALS, lambda: form, functions, _RIVALS_OF_A_BATCH, parts=lambda: parts)
     rival = min((one for one in nats if one is not None), default=math.inf)
     structures: set[bytes] = set()
@@ -367,6 +387,9 @@ def _factor(sides: FloatArray, integrals: FloatArray, variances: FloatArray) -> 
     return math.fsum((sides * integrals / variances).tolist()) / squares if squares > 0.0 else 1.0
 
 
+_WRITTEN: Final[BatchFunction[int, Program, _Written]] = BatchFunction(
+    "products in sums", int, Program, _Written, _Written.of
+)
 _SUMS: Final[BatchFunction[Regression, _Search, tuple[Law, ...]]] = BatchFunction(
     "sums of products", _Windows, _Search, tuple[Law, ...], _law, lambda parts: Regression(parts.form(), parts.largest)
 )

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.criteria import RegressionCriterion
-from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression import rounding
+from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.rounding import Estimates, decisions, round_constants
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, simple_numbers
 from atoll_coordinator.settings import SETTINGS
