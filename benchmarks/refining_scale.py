@@ -1,7 +1,8 @@
 """How refining scales: batches of real jobs timed here, and what 1 to 256 workers would make of them.
 
 ``python -m benchmarks.refining_scale FOLDER/*.pickle`` refines kept pools (``benchmarks.corpus --keep-pools FOLDER``)
-as if many took batches, computes each batch in this process, and notes its processor seconds and those between batches.
+as if so many as ``--batches-for`` took batches (of these there are two for each, as far as items suffice), computes
+each batch in this process, and notes its processor seconds and those between batches.
 Then the trace is played on simulated workers, batches given out in order: one core does what lies between batches, each
 batch takes `OVERHEAD_S` more, and `LATENCY_S` on the way there and back. Speed-up and efficiency are those of the sum
 of all seconds over the workers' span; what the span consists of is named.
@@ -26,7 +27,7 @@ from atoll_coordinator.model import pipeline
 from atoll_coordinator.model.batches import FUNCTIONS, Batches, Spread
 from atoll_coordinator.model.deadline import Deadline
 from benchmarks.corpus.pools import KeptPool
-from benchmarks.harness.command_line import option, program
+from benchmarks.harness.command_line import option, program, whole
 
 Made = TypeVar("Made")
 
@@ -121,9 +122,12 @@ class RecordedSpread(Spread):
         return self._recorder.fork(calls)
 
 
-def recorded(kept: KeptPool) -> tuple[Trace, Counter[str]]:
-    """Return the trace of refining, and how often the time between batches was spent in which stage."""
-    recorder, stages, is_over = Recorder(), Counter[str](), threading.Event()
+def recorded(kept: KeptPool, workers: int = max(WORKERS)) -> tuple[Trace, Counter[str]]:
+    """Return the trace of refining, and how often the time between batches was spent in which stage.
+
+    Batches are as small as for so many `workers`.
+    """
+    recorder, stages, is_over = Recorder(workers), Counter[str](), threading.Event()
     refining = threading.get_ident()
 
     @contextmanager
@@ -285,12 +289,17 @@ def _of_function(name: str, calls: Sequence[Mapped]) -> tuple[str, ...]:
     return name, str(len(calls)), str(len(seconds)), f"{sum(seconds):.2f}", f"{median:.1f}", f"{longest:.2f}"
 
 
-@program("benchmarks.refining_scale", __doc__, option("files", type=Path, nargs="+", metavar="FILE"))
+@program(
+    "benchmarks.refining_scale",
+    __doc__,
+    option("files", type=Path, nargs="+", metavar="FILE"),
+    option("--batches-for", type=whole, default=max(WORKERS), metavar="WORKERS", help="who takes batches (256)"),
+)
 def main(options: Namespace) -> None:
     """Print a report of each kept pool."""
     for file in options.files:
         kept: KeptPool = pickle.loads(file.read_bytes())
-        say(report(file.stem, *recorded(kept)))
+        say(report(file.stem, *recorded(kept, options.batches_for)))
 
 
 if __name__ == "__main__":

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from atoll_coordinator.model.batches import FUNCTIONS, Spread
 from atoll_coordinator.model.selection.candidates import RankedCandidates
 from atoll_coordinator.model.structure.term_libraries import libraries
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.operators import BY_NAME
-from atoll_core.expression.program import structure
+from atoll_core.expression.program import Program, structure
 from tests.unit.coordinator.model.shooting.made import SWING, compare, measurements_of, recording
 
 TIMES = 0.1 * np.arange(40.0)
@@ -90,3 +91,31 @@ def test_what_is_too_long_to_matter_is_no_candidate(alone):
     assert {structure(program) for program in candidates.programs} >= {
         structure(program) for program in programs("0.5*y", "-2.5*x")
     }
+
+
+class Counted:
+    """Batches computed here, as if two others took them; which functions were asked for."""
+
+    workers = 2
+    threads = 1
+
+    def __init__(self):
+        self.asked = []
+
+    def map(self, function, context, items, cancel_after=None):
+        del cancel_after
+        self.asked.append(function)
+        return [FUNCTIONS[function](context, item) for item in items]
+
+
+def test_sums_of_libraries_are_written_in_one_call_of_batches(alone):
+    comparison, problem = alone
+    given = programs("0.5*y"), list(libraries([0, 1], ARITHMETIC))
+    here = RankedCandidates(comparison, problem)
+    here.add(*given, most=1000.0)
+    batches = Counted()
+    comparison.spread = Spread(batches)
+    there = RankedCandidates(comparison, problem)
+    there.add(*given, most=1000.0)
+    assert batches.asked.count("writings") == 1  # a single program is written here
+    assert list(map(Program.to_bytes, there.programs)) == list(map(Program.to_bytes, here.programs))
