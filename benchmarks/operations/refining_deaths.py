@@ -1,6 +1,6 @@
 """One result for any number of workers, and for any deaths while it is refined: noisy jobs under seeded kills.
 
-``python -m benchmarks.operations.refining_deaths --kills 200`` has one noisy job done by 1, 2, 3 and 7 worker processes,
+``python -m benchmarks.operations.refining_deaths --kills 200`` has a noisy job done by 1, 2, 3 and 7 worker processes,
 says how long that takes, then has it done again and again by as many as the last, of which one is killed (SIGKILL)
 every second or two while the job is refined, and compares all of result.json but times and versions. Jobs are of two
 states (Lotka and Volterra, 5 % of noise), three (a food chain, 5 %) and seven (yeast glycolysis, 1 %). Returns 1 when
