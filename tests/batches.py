@@ -16,6 +16,8 @@ def compute(function: str, context: bytes, item: bytes) -> bytes:
 class ScatteredBatches:
     """Computes batches out of order, some of them twice, so many at a time; by an `executor` if there is one."""
 
+    threads = 1
+
     def __init__(self, workers: int, executor: Executor | None = None, *, is_over: bool = False) -> None:
         self.workers = workers
         self.calls: list[tuple[str, int]] = []
