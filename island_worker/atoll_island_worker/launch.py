@@ -1,11 +1,11 @@
 """What the program does once its command line is understood: one worker in this process, or several that it watches."""
 
 import argparse
+import contextlib
 import os
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -27,8 +27,10 @@ def work_together(connect: "Destination", names: Sequence[str], options: argpars
     from atoll_island_worker.tasks.task_server import TaskServer
 
     end = time.monotonic() + options.lifetime if options.lifetime is not None else None
-    start = partial(_fork, TaskServer()) if can_fork() else _start
-    with ExitReasons() as exit_reasons:
+    with contextlib.ExitStack() as held:
+        # First of all, since it is forked: of what is loaded and opened below it is to have nothing.
+        start = partial(_fork, held.enter_context(contextlib.closing(TaskServer()))) if can_fork() else _start
+        exit_reasons = held.enter_context(ExitReasons())
         if can_fork():
             with exiting():
                 if options.parent is not None:
@@ -91,6 +93,6 @@ def work(
         from atoll_core.compilation.progress import WarmUpDisplay
         from atoll_island_worker.worker import run_worker
 
-        on_signal = partial(draining, parent) if options.grace > 0.0 else lambda leave: nullcontext()
+        on_signal = partial(draining, parent) if options.grace > 0.0 else lambda leave: contextlib.nullcontext()
         show = WarmUpDisplay() if sys.stderr.isatty() and options.parent is None else None  # else it is in the log
         return run_worker(connect, name, options.wait, options.lifetime, options.grace, on_signal, show, tasks)

@@ -31,7 +31,7 @@ TABLE = (ROOT / "docs" / "operations.md").read_text("utf-8").partition("## What 
 ROWS = {
     cells[0]: cells
     for line in TABLE.splitlines()
-    if line.startswith("| `") or line.startswith("| any") or line.startswith("| child")
+    if line.startswith("| `") or line.startswith("| any") or line.startswith("| task")
     for cells in [[cell.strip() for cell in line.strip("|").split("|")]]
 }
 SLURM = "#!/bin/sh\nexit 0\n"

@@ -51,6 +51,10 @@ class TaskServer(Starter):
                 return start_process(connection)
         return _ForkedTask(codes)
 
+    def close(self) -> None:
+        """Close this process's end; the server ends when nobody has one any more."""
+        self._ours.close()
+
 
 class _ForkedTask:
     """A task process that the server has forked: it says itself which number it has, the server how it ended."""

@@ -100,6 +100,7 @@ class Programs:
     def serve(self, bus: SimulatedBus, store: Any, dependencies: Dependencies) -> Service:
         """Return a coordinator that is about to start."""
         service = Service(bus, store, expected_workers=self.expected, dependencies=dependencies)
+        service.controller.tasks.help_after_s = 0.0  # tasks take milliseconds here
 
         def step(event: Event) -> None:
             self.step_service(bus, event, service, store)

@@ -90,6 +90,7 @@ class TaskController:
             charge: is told of each job for how many seconds workers have run its tasks, or helped with them.
         """
         self.table: Final = TaskTable()
+        self.help_after_s = HELP_AFTER_S
         self._channel = channel
         self._membership = membership
         self._store = store
@@ -175,7 +176,7 @@ class TaskController:
         if not waiting and not running:
             return
         waiting = self._in_turn(waiting, running)
-        lasting = [task for task in running if task.began_at is not None and now - task.began_at >= HELP_AFTER_S]
+        lasting = [task for task in running if task.began_at is not None and now - task.began_at >= self.help_after_s]
         made = plan(waiting, lasting, self._slots(), self._hosts(self.table), self._hosts(self.table, is_alone=True))
         for worker in made.recalled:
             self._recall(worker)

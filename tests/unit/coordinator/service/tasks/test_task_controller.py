@@ -5,7 +5,6 @@ import hashlib
 import pytest
 
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.tasks import task_controller
 from atoll_coordinator.service.tasks.outcomes import (
     JobPrepared,
     JobRefined,
@@ -13,7 +12,7 @@ from atoll_coordinator.service.tasks.outcomes import (
     PreparationFailed,
     RefiningFailed,
 )
-from atoll_coordinator.service.tasks.task_controller import INLINE, SETTLED_S, TaskController
+from atoll_coordinator.service.tasks.task_controller import HELP_AFTER_S, INLINE, SETTLED_S, TaskController
 from atoll_coordinator.service.tasks.task_table import LIMIT_S, MAX_LOSSES
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.tasks.preparing import PreparationOutcome, prepare
@@ -44,11 +43,6 @@ PREPARED = prepare(b"x,y", CONFIG.model_dump_json().encode(), prepare_stub)
 REFINED = b'{"warnings": ["made"]}'
 
 
-@pytest.fixture(autouse=True)
-def _helped_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(task_controller, "HELP_AFTER_S", 0.0)
-
-
 class Scene:
     """A controller, what it sends and posts, and workers that a test speaks for."""
 
@@ -69,7 +63,8 @@ class Scene:
                 (job for job in waiting if job not in self.paused), key=lambda job: (ranks or {}).get(job, 0.0)
             ),
             charge=lambda job, seconds: self.charged.append((job, seconds)),
-        )  # type: ignore[arg-type]
+        )
+        self.controller.help_after_s = 0.0  # type: ignore[arg-type]
         for worker in workers:
             self.join(worker)
 
@@ -531,13 +526,11 @@ def test_a_drained_worker_is_recalled_from_helping() -> None:
     assert scene.said() == [("w1", Release(task=scene.ids["j"]))]
 
 
-def test_a_task_is_helped_with_once_it_has_run_for_as_long_as_a_helper_takes_to_be_ready(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(task_controller, "HELP_AFTER_S", 1.0)
+def test_a_task_is_helped_with_once_it_has_run_for_as_long_as_a_helper_takes_to_be_ready() -> None:
     scene = refining("j", "w0", "w1")
+    scene.controller.help_after_s = HELP_AFTER_S
     scene.beat("w0", j="running")
     assert scene.said(Help) == []
-    scene.now += 1.0
+    scene.now += HELP_AFTER_S
     scene.controller.tick(scene.now)
     assert [worker for worker, _ in scene.said(Help)] == ["w1"]
