@@ -93,7 +93,7 @@ class JobController:
         self._store = store
         self._turns: Final = TaskTurns()
         self.tasks: Final = TaskController(
-            channel, self.workers.membership, store, post, self._order, self._may_follow, self._charge
+            channel, self.workers.membership, post, self._order, self._may_follow, self._charge
         )
         self._channel = channel
         self._writer = writer

@@ -5,13 +5,13 @@ workers still have of the same tasks.
 """
 
 import hashlib
+import json
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from atoll_coordinator.service.monitoring.breakages import what_to_send
-from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.dispatch import Slot, plan
 from atoll_coordinator.service.tasks.outcomes import (
     JobPrepared,
@@ -72,8 +72,8 @@ class _Blob:
 class TaskController:
     """The tasks of all jobs."""
 
-    def __init__(  # noqa: PLR0913  # who has a say in which tasks run
-        self, channel: WorkerChannel, membership: Membership, store: Store, post: Callable[[object], None],
+    def __init__(  # who has a say in which tasks run
+        self, channel: WorkerChannel, membership: Membership, post: Callable[[object], None],
         order: Callable[[Collection[str], Collection[str]], Sequence[str]] = lambda waiting, _: tuple(waiting),
         may_follow: Callable[[str], bool] = lambda job: False,
         charge: Callable[[str, float], object] = lambda job, seconds: None,
@@ -82,7 +82,6 @@ class TaskController:
 
         Args:
             channel: reaches the workers that `membership` knows.
-            store: has the tables.
             post: hands outcomes to the loop.
             order: is given the jobs with tasks that wait, in the order in which they came, and those with tasks that
                 run; returns those that may be leased one, the next one first.
@@ -93,7 +92,6 @@ class TaskController:
         self.help_after_s = HELP_AFTER_S
         self._channel = channel
         self._membership = membership
-        self._store = store
         self.post: Final = post
         self._order = order
         self._may_follow = may_follow
@@ -337,7 +335,7 @@ class TaskController:
 
     def _outcome(self, task: Task, purpose: _Purpose, result: bytes) -> object:
         if purpose.function == "refine":
-            return JobRefined(task.job, result.decode("utf-8", "replace"))
+            return JobRefined(task.job, _result_text(task.job, result))
         made = decode_value(result, PreparationOutcome)
         if not made.is_prepared:
             return PreparationFailed(task.job, "data", made.sentence)
@@ -370,3 +368,15 @@ class TaskController:
         for worker in holders:
             self._channel.send(worker, Release(task=task.id))
         task.helpers.clear()
+
+
+def _result_text(job: str, result: bytes) -> str:
+    """Return a job's result as text; raises RemoteProtocolError where it is no JSON, or that of another job."""
+    try:
+        text = result.decode()
+        content = json.loads(text)
+    except ValueError as error:
+        raise RemoteProtocolError(f"it is no JSON ({error})") from error
+    if not isinstance(content, dict) or content.get("job") != job:
+        raise RemoteProtocolError("it is not that of its job")
+    return text

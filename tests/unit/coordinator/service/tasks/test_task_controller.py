@@ -4,7 +4,6 @@ import hashlib
 
 import pytest
 
-from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.outcomes import (
     JobPrepared,
     JobRefined,
@@ -40,7 +39,7 @@ from tests.simulation.harness.simulated_cluster import prepare as prepare_stub
 TABLE = "c" * 64
 CONFIG = JobConfig(seed=3)
 PREPARED = prepare(b"x,y", CONFIG.model_dump_json().encode(), prepare_stub)
-REFINED = b'{"warnings": ["made"]}'
+REFINED = b'{"job": "j", "warnings": ["made"]}'
 
 
 class Scene:
@@ -57,7 +56,6 @@ class Scene:
         self.controller = TaskController(
             self,
             self.membership,
-            Store.open(None),
             self.posted.append,
             lambda waiting, running: sorted(
                 (job for job in waiting if job not in self.paused), key=lambda job: (ranks or {}).get(job, 0.0)
@@ -534,3 +532,13 @@ def test_a_task_is_helped_with_once_it_has_run_for_as_long_as_a_helper_takes_to_
     scene.now += HELP_AFTER_S
     scene.controller.tick(scene.now)
     assert [worker for worker, _ in scene.said(Help)] == ["w1"]
+
+
+@pytest.mark.parametrize("result", [b"{", b"\xff", b"[]", b'{"job": "another"}'])
+def test_a_result_that_is_none_of_its_job_is_made_again_and_then_given_up(result: bytes) -> None:
+    scene = refining("j", "w0")
+    scene.chunk("w0", "j", result)
+    assert [body.function for _, body in scene.said(Lease)] == ["refine"]
+    scene.chunk("w0", "j", result)
+    (failed,) = [item for item in scene.posted if isinstance(item, RefiningFailed)]
+    assert "its result cannot be read" in failed.refinement.warnings[0]
