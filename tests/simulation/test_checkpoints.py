@@ -373,13 +373,8 @@ def test_a_worker_that_leaves_hands_over_and_nothing_is_computed_twice() -> None
 
 
 def test_a_worker_whose_lifetime_is_over_leaves() -> None:
-    from atoll_island_worker.worker import Worker
-
     world = world_of(workers=1, seed=1)
-    bus, stub = world.network.bus("brief"), world.compute(world.network, "brief", 1, slowness=5.0)
-    brief = Worker(bus, stub, "brief", 60.0, lifetime_s=2.0)
-    bus.handle_with(brief.step)
-    brief.start()
+    brief = world.start_worker("brief", slowness=5.0, lifetime_s=2.0)
     assert comparable(world.run(config())) == undisturbed()
     assert brief.exit_code == 0
 
