@@ -8,9 +8,13 @@ its own: one is kept free of other tasks for it, and of helpers.
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 from atoll_coordinator.service.tasks.task_table import Task
 from atoll_core.wire.messages.tasks import TaskFunction
+
+MOST_THREADS: Final = 2
+"""Of a task: Python runs one at a time between kernels, so that further cores of a host are used by helpers."""
 
 HELPED: frozenset[TaskFunction] = frozenset({"refine"})
 """Functions whose work comes in batches."""
@@ -63,7 +67,7 @@ def plan(
             left.remove(slot)
             made.recalled += [slot.worker] if slot.helps is not None else []
             idle = sum(other.host == slot.host and other.helps is None for other in left)
-            made.leases.append((task, slot.worker, 1 if task.is_alone else 1 + idle))
+            made.leases.append((task, slot.worker, 1 if task.is_alone else min(1 + idle, MOST_THREADS)))
             busy[slot.host] += 1
         if task.is_alone and left:
             free = slot or min(left, key=lambda one: (busy[one.host], one.host))
@@ -72,6 +76,8 @@ def plan(
             left = [one for one in left if one.host != host]
     helped = sorted((task for task in running if task.function in HELPED and not task.is_alone), key=_need)
     idle_slots = [slot for slot in left if slot.helps is None]
+    if len(idle_slots) == 1 and len(helped) == 1 and helped[0].threads > 1 and busy_hosts[idle_slots[0].host]:
+        return made  # a thread of the task has that worker's core, for which nothing need become bytes
     while idle_slots and helped:
         for task in helped:
             if idle_slots:

@@ -99,3 +99,13 @@ def test_what_must_be_alone_has_no_helpers_and_no_neighbours() -> None:
     alone.state = "running"
     made = plan([task("u")], [alone, running("r")], [slot("w2", "a"), slot("w3", "b")], Counter({"a": 1}), {"a"})
     assert (leases(made), made.helps) == ([("u", "w3", 1)], [])
+
+
+def test_the_only_other_worker_of_a_host_whose_core_a_task_has_by_a_thread_does_not_help() -> None:
+    two = task("a")
+    assert leases(plan([two], [], [slot("w0"), slot("w1"), slot("w2")], Counter())) == [("a", "w0", 2)]
+    one = running("b")
+    one.threads = 2
+    assert helps(plan([], [one], [slot("w1")], Counter({"lab": 1}))) == []
+    assert helps(plan([], [one], [slot("w1", "other")], Counter({"lab": 1}))) == [("b", "w1")]
+    assert helps(plan([], [one], [slot("w1"), slot("w2")], Counter({"lab": 1}))) == [("b", "w1"), ("b", "w2")]
