@@ -49,9 +49,6 @@ ALLOWED = {
     ("weak_form.py", "np.cumsum"): "of whole numbers",
     ("checks.py", ".sum"): "counts",
     ("migration.py", ".sum"): "counts",
-    ("product_laws.py", "np.prod"): "of factors, row by row, one after another",
-    ("product_laws.py", ".sum"): "a method of ours",
-    ("regression.py", ".sum"): "a method of ours",
     ("regression.py", "scipy"): "a probability, which is compared with a level; no sum of ours depends on it",
 }
 
