@@ -18,7 +18,10 @@ FEEDS_THE_SEARCH = [
     COORDINATOR / "data",
     COORDINATOR / "service/jobs",
     COORDINATOR / "model/cholesky.py",
-    *(SPARSE / name for name in ("product_laws.py", "regression.py", "weak_form.py", "products.py", "kernels")),
+    *(
+        SPARSE / name
+        for name in ("product_laws.py", "regression.py", "elimination.py", "weak_form.py", "products.py", "kernels")
+    ),
     *(SPARSE / "rates" / name for name in ("rate_rows.py", "screening.py")),
     ROOT / "common/atoll_core/data",
     ROOT / "common/atoll_core/search",
