@@ -157,10 +157,9 @@ def test_every_kind_of_fault_strikes_and_is_undone(kind: Kind) -> None:
 def test_a_task_that_meets_something_is_done_all_the_same(
     monkeypatch: pytest.MonkeyPatch, kind: Kind, met: str
 ) -> None:
-    monkeypatch.setattr(
-        "atoll_coordinator.service.tasks.dispatch.MOST_THREADS", 1
-    )  # else a thread takes the place of help
     """That of preparing, of which a second failure would be the job's; and helpers of refining get batches."""
+    # Else a thread would take the place of the only helper.
+    monkeypatch.setattr("atoll_coordinator.service.tasks.dispatch.MOST_THREADS", 1)
     run = ScheduleRun(disturbed(Fault(0.0, kind, "", 15.0, 1.0)))
     outcome = run.play()
     assert not outcome.wrong, told(outcome)
