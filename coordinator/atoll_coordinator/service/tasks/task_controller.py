@@ -72,7 +72,7 @@ class _Blob:
 class TaskController:
     """The tasks of all jobs."""
 
-    def __init__(  # who has a say in which tasks run
+    def __init__(
         self, channel: WorkerChannel, membership: Membership, post: Callable[[object], None],
         order: Callable[[Collection[str], Collection[str]], Sequence[str]] = lambda waiting, _: tuple(waiting),
         may_follow: Callable[[str], bool] = lambda job: False,
