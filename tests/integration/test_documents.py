@@ -32,6 +32,7 @@ from atoll.cli.result_files import REPORT, write_report, write_result
 from atoll.terminal.output import say
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.result.result import Result
+from atoll_coordinator.service.scheduling.limits import Limits, read_limits
 from atoll_core.config import DataConfig
 from tests.integration.test_processes import started
 from tests.unit import documents
@@ -269,6 +270,13 @@ class Reader:
         assert read_table([Path("block.csv")], DataConfig()).names == (*block.text.splitlines()[0].split(","),)
 
     def _toml(self, block: Block) -> None:
+        if tomllib.loads(block.text).keys() <= Limits.model_fields.keys():
+            Path("limits.toml").write_text(block.text, "utf-8")
+            assert (
+                read_limits(Path("limits.toml")).model_dump(exclude_unset=True).keys()
+                == tomllib.loads(block.text).keys()
+            )
+            return
         Path("job.toml").write_text(block.text, "utf-8")
         config = config_of(parse(["run", "x.csv", "--config", "job.toml"]))
         assert config.model_dump(mode="json", exclude_defaults=True) == tomllib.loads(block.text)
