@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.options.values import job_id
-from atoll.client.client import Client
+from atoll.client.client import Client, connected
 from atoll.client.configure import configure
 from atoll.client.options import OPTIONS, Repeated
 from atoll.terminal.output import as_json, note, say
@@ -20,6 +20,7 @@ from atoll_core.hints import similar_file
 from atoll_core.wire.addresses import Destination, destination
 from atoll_core.wire.messages.views import JobView
 from atoll_core.wire.security.credentials import credentials_of
+from atoll_core.wire.topics import is_id
 
 if TYPE_CHECKING:
     from atoll_coordinator.result.result import Result
@@ -116,6 +117,37 @@ def config_of(options: argparse.Namespace) -> JobConfig:
     given = {name: getattr(options, name) for name in OPTIONS}
     values = {name: Repeated(value) if isinstance(value, list) else value for name, value in given.items()}
     return configure(values, options.config)
+
+
+def is_saved(name: str, options: argparse.Namespace) -> bool:
+    """Tell whether `name` is that of a saved result; else it is that of a job, of the coordinator that is named.
+
+    Raises:
+        UsageError: it may be that of a job, and no coordinator is named.
+    """
+    path = Path(name)
+    if path.exists() or not is_id(name):
+        return True
+    if options.connect or os.environ.get("ATOLL_CONNECT"):
+        return False
+    found_nothing = f"{name} is no saved result, and no coordinator was named to look for such a job"
+    raise UsageError(f"{found_nothing}; give PATH/result.json, or --connect tcp/HOST:PORT")
+
+
+def result_of(name: str, options: argparse.Namespace) -> "Result":
+    """Return a saved result, or that of a job of a coordinator; of a running job, the best so far.
+
+    Raises:
+        UsageError: there is no such file, or it holds no result.
+        RefusedError: there is no such job, or it has no result yet.
+        UnreachableError: no coordinator answers.
+    """
+    from atoll_coordinator.result.result import Result
+
+    if is_saved(name, options):
+        return Result.load(name)
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        return Result.of(client.result(client.resolve(name)))
 
 
 def address_of(options: argparse.Namespace) -> Destination:

@@ -7,7 +7,6 @@ from atoll.terminal.output import as_json, note
 from atoll_core.errors import UsageError
 
 if TYPE_CHECKING:
-    from atoll.report.markup import Element
     from atoll_coordinator.result.result import Result
 
 REPORT: Final = "report.html"
@@ -40,15 +39,19 @@ def write_result(folder: Path, result: "Result") -> Path:
     return path
 
 
-def write_report(path: Path, result: "Result") -> "Element":
-    """Write a result as a page, say where, and return the page; raises UsageError when it cannot be written."""
-    from atoll.model.files import write_text
-    from atoll.report.page import as_text, build_page
+def write_report(path: Path, result: "Result") -> None:
+    """Write a result as a page, and say where; raises UsageError when it cannot be written."""
+    from atoll.tasks.analyses import Report, answer
 
-    page = build_page(result)
-    write_text(path, as_text(page))
+    write_page(path, answer(result, Report()).text)
+
+
+def write_page(path: Path, page: str) -> None:
+    """Write a page, and say where; raises UsageError when it cannot be written."""
+    from atoll.model.files import write_text
+
+    write_text(path, page)
     note(f"report in {path}")
-    return page
 
 
 def _publish(draft: Path, path: Path) -> None:

@@ -10,7 +10,7 @@ import sys
 import time
 import uuid
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final, TypeVar
 
@@ -31,10 +31,14 @@ from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages import clients as messages
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, CHUNK_SIZE, MAX_PAGE_JOBS, chunk_count
+from atoll_core.wire.messages.tasks import AnalysisFunction
 from atoll_core.wire.messages.views import FINAL_STATES, CoordinatorView, EventView, JobView, WorkerService, WorkerView
 
 ANSWER_LIMIT_S: Final = 10.0
 """How long any other question may remain without an answer."""
+
+IDLE_LIMIT_S: Final = 60.0
+"""How long an answer is waited for that no worker makes: a cluster that grows has started one by then."""
 
 CANCEL_LIMIT_S: Final = 10.0
 """How long a job that was cancelled is waited for."""
@@ -44,6 +48,7 @@ MAX_CHANGES: Final = 256
 
 _TRIES: Final = 3
 _PAUSE_S: Final = 0.1
+_LONGEST_PAUSE_S: Final = 1.0
 _ERRORS: Final[dict[messages.FailureKind, type[AtollError]]] = {
     "data": DataError,
     "no-table": TableMissingError,
@@ -56,7 +61,7 @@ _Question = (
     messages.Upload | messages.Submit | messages.Jobs | messages.FindJob | messages.Status | messages.Workers
     | messages.GetQueueDepth | messages.GetResult | messages.Cancel | messages.Delete | messages.GetEvents
     | messages.Follow | messages.Pause | messages.SetPriority | messages.Share | messages.Retry | messages.SetWorker
-    | messages.SetQueue
+    | messages.SetQueue | messages.Analyse
 )  # fmt: skip
 
 
@@ -226,6 +231,47 @@ class Client:
             contents: dict[str, object] = json.loads(text)
         return contents
 
+    def analyse(
+        self, job: str, function: AnalysisFunction, question: bytes, table: bytes | None = None,
+        say: Callable[[str], object] = lambda reason: None,
+    ) -> bytes:  # fmt: skip
+        """Return what a worker answers to a question about the result of `job`; see `atoll.tasks.analyses`.
+
+        Args:
+            job: one that has ended.
+            function: of which kind the question is.
+            question: as bytes.
+            table: measurements that take the place of those of the result.
+            say: is told what the answer waits for, whenever that is something else.
+
+        Raises:
+            UnreachableError: no worker has begun with it within `IDLE_LIMIT_S`.
+            RefusedError: there is no such job, or no result.
+            AtollError: the analysis broke.
+        """
+        digest = None if table is None else self.upload(table)
+        what = f"the analysis of job {job}"
+        parts: list[bytes] = []
+        waits_for, since, pause = None, self.now(), _PAUSE_S
+        while True:
+            body = messages.Analyse(job=job, function=function, question=question, table=digest, index=len(parts))
+            answer = self._ask(body, messages.AnalysisAnswer, what)
+            if answer.data is not None:
+                parts.append(answer.data)
+                if sum(map(len, parts)) >= answer.size:
+                    return _whole(parts, answer.digest)
+                continue
+            parts.clear()
+            if answer.waits_for is None:
+                since = self.now()
+            elif self.now() - since > IDLE_LIMIT_S:
+                raise UnreachableError(f"{what} was not begun within {IDLE_LIMIT_S:.0f} s: it {answer.waits_for}")
+            elif answer.waits_for != waits_for:
+                say(answer.waits_for)
+            waits_for = answer.waits_for
+            self.pause(pause)
+            pause = min(2.0 * pause, _LONGEST_PAUSE_S)
+
     def cancel(self, job: str) -> JobView:
         """End `job`, keeping its best equations."""
         return self._ask(messages.Cancel(job=job), messages.JobStatus, f"the end of job {job}").job
@@ -326,6 +372,13 @@ class Client:
         """Keep a change that comes while something else is waited for."""
         if isinstance(event, Message) and self._changes is not None:
             self._changes.append(event.payload)
+
+
+def _whole(parts: list[bytes], digest: str) -> bytes:
+    whole = b"".join(parts)
+    if hashlib.sha256(whole).hexdigest() != digest:
+        raise RefusedError("the answer was damaged on its way; ask again")
+    return whole
 
 
 @contextmanager

@@ -1,8 +1,9 @@
 """The identifiability of the constants of a model: profiles of all of them, and what is known of them together."""
 
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -12,8 +13,10 @@ from atoll.experiments.measured import measured_of
 from atoll.experiments.profiles import Profile, profile
 from atoll.experiments.relations import directions
 from atoll.experiments.systems import Constant, Fitted, constants_of, equations_of, fit_shown
+from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.result.result import Result
+from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
 
@@ -31,8 +34,12 @@ _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
 }
 
 
-def identify(result: Result, table: Table | None = None, level: float = 0.95) -> Identifiability:
+def identify(
+    result: Result, table: Table | None = None, level: float = 0.95, spread: Spread | None = None
+) -> Identifiability:
     """Return what the data (None: those of the result) determine of the constants of a model, by intervals of a level.
+
+    The profiles of constants are independent of one another; `spread` spreads them.
 
     Raises:
         UsageError: the level is none, the model has no constants or too many, or there are no measurements.
@@ -51,7 +58,7 @@ def identify(result: Result, table: Table | None = None, level: float = 0.95) ->
     from scipy import special
 
     quantile = float(special.stdtrit(fitted.degrees_of_freedom, 0.5 + level / 2.0))
-    fitted, profiles = _profiled(fitted, count, quantile)
+    fitted, profiles = _profiled(_Profiler(fitted, quantile, result, table), count, spread or Spread())
     signs = np.array([constant.sign for constant in constants])
     with np.errstate(invalid="ignore"):
         errors = np.sqrt(np.diag(covariance(fitted.fit))).tolist()
@@ -76,19 +83,74 @@ def _reading(constant: Constant, fitted: Fitted) -> tuple[int, bool, int, str]:
     return fitted.equations.variables.index(constant.variable), not constant.is_written, number, constant.name
 
 
-def _profiled(fitted: Fitted, count: int, quantile: float) -> tuple[Fitted, list[Profile]]:
+@dataclass(frozen=True)
+class _Parts:
+    """What travels of a `_Profiler`: its result as JSON, the bytes of its table, and the rest."""
+
+    result: str
+    table: bytes | None
+    quantile: float
+    restarts: tuple[FloatArray, ...]
+
+    def profiler(self) -> "_Profiler":
+        result = Result.of(json.loads(self.result))
+        table = None if self.table is None else Table.from_bytes(self.table)
+        made = _Profiler(fit_shown(measured_of(result, table), result), self.quantile, result, table)
+        for values in self.restarts:
+            made = made.from_values(values) or made
+        return made
+
+
+@dataclass(frozen=True, eq=False)
+class _Profiler:
+    """The fit of a result to a table that profiles are of, followed until the root of the deviance is `quantile`.
+
+    `restarts` are the values (P,) of constants from which it was fitted again, one after the other.
+    """
+
+    fitted: Fitted
+    quantile: float
+    result: Result
+    table: Table | None
+    restarts: tuple[FloatArray, ...] = ()
+
+    def profile(self, index: int) -> Profile:
+        """Return the profile of a constant."""
+        return profile(self.fitted, index, self.quantile)
+
+    def from_values(self, values: FloatArray) -> "_Profiler | None":
+        """Return the fit from other values of the constants; None where it is no better."""
+        fit = self.fitted.again(self.fitted.fit.system.with_values(values), self.fitted.fit.starts)
+        if fit is None or self.fitted.deviance(fit) >= 0.0:
+            return None
+        return replace(self, fitted=replace(self.fitted, fit=fit), restarts=(*self.restarts, values))
+
+    def parts(self) -> _Parts:
+        """Return what travels."""
+        table = None if self.table is None else self.table.to_bytes()
+        return _Parts(self.result.to_json(), table, self.quantile, self.restarts)
+
+    def itself(self) -> "_Profiler":
+        """Return it as it is."""
+        return self
+
+
+_PROFILE: Final = BatchFunction("profile", _Parts, int, Profile, _Profiler.profile, _Parts.profiler)
+
+
+def _profiled(profiler: _Profiler, count: int, spread: Spread) -> tuple[Fitted, list[Profile]]:
     """Return the profiles of all constants, and the fit that they are of: a better one where a profile has met it."""
     for _ in range(_RESTARTS + 1):
-        profiles = [profile(fitted, index, quantile) for index in range(count)]
+        made = spread.map(_PROFILE, profiler.itself, range(count), parts=profiler.parts)
+        profiles = [likelihood for likelihood in made if likelihood is not None]
         lowest = min(profiles, key=lambda likelihood: float(likelihood.deviances.min()))
         if lowest.deviances.min() > -_BETTER:
-            return fitted, profiles
-        values = lowest.path[int(np.argmin(lowest.deviances))]
-        better = fitted.again(fitted.fit.system.with_values(values), fitted.fit.starts)
-        if better is None or fitted.deviance(better) >= 0.0:
-            return fitted, profiles
-        fitted = replace(fitted, fit=better)
-    return fitted, profiles
+            break
+        better = profiler.from_values(lowest.path[int(np.argmin(lowest.deviances))])
+        if better is None:
+            break
+        profiler = better
+    return profiler.fitted, profiles
 
 
 def _profiled_constant(constant: Constant, likelihood: Profile, error: float, quantile: float) -> ProfiledConstant:

@@ -28,6 +28,7 @@ from atoll_coordinator.service.jobs.job import (
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import JobViews
+from atoll_coordinator.service.monitoring.queue_depth import queue_depth
 from atoll_coordinator.service.monitoring.views import job_result, outcomes_of, result_text
 from atoll_coordinator.service.scheduling.job_queue import NO_TIME, JobQueue, pause_reason
 from atoll_coordinator.service.scheduling.limits import DAY_S, Limits
@@ -39,6 +40,7 @@ from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.analyses import Analysis
 from atoll_coordinator.service.tasks.task_controller import TaskController
 from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
@@ -49,7 +51,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.logs import about
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Submit
+from atoll_core.wire.messages.clients import Analyse, QueueDepth, Submit
 from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
 from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.views import WorkerService
@@ -93,7 +95,7 @@ class JobController:
         self._store = store
         self._turns: Final = TaskTurns()
         self.tasks: Final = TaskController(
-            channel, self.workers.membership, post, self._order, self._may_follow, self._charge
+            channel, self.workers.membership, post, self._order, self._may_follow, self._charge, self._turns.forget
         )
         self._channel = channel
         self._writer = writer
@@ -242,6 +244,35 @@ class JobController:
             raise RefusedError(f"job {job_id} has ended and cannot be {what}; coordinator retry submits it again")
         return job
 
+    def analyse(self, asked: Analyse, user: str | None, now: float) -> Analysis:
+        """Return a question about the result of a job with what has come of it; the first to ask has it answered.
+
+        Raises:
+            RefusedError: The job has no result, or not yet; or the user has asked too much.
+            TableMissingError: The table has been deleted.
+        """
+        known = self.tasks.analyses.ask(asked, now)
+        if known is not None:
+            return known
+        if asked.job in self.jobs:
+            raise RefusedError(f"job {asked.job} has not ended; ask about its result when it has")
+        if self.queue.has_no_time(user):
+            raise RefusedError(f"the question {NO_TIME}; ask tomorrow, or analyse the saved result yourself")
+        text = self._store.result(asked.job)
+        if text is None:
+            raise RefusedError(f"job {asked.job} has ended without a result, so there is nothing to ask about")
+        size = self._store.blob_size(asked.table) if asked.table is not None else 0
+        if asked.table is not None and not size:
+            raise TableMissingError("the table of the question has not been uploaded; upload it, then ask again")
+        return self.tasks.analyse(asked, text.encode(), size, user, now)
+
+    def queue_depth(self) -> QueueDepth:
+        """Return how much work waits."""
+        queue = self.queue
+        return queue_depth(
+            self.begun.values(), queue.queued, queue.ready, queue.limits.total.running, self.tasks.analyses.open_count
+        )
+
     def cancel(self, job_id: str, now: float) -> None:
         """End a job and keep what it has found; without effect when it has ended."""
         self._change(job_id, "cancelling", now, Job.cancel)
@@ -385,20 +416,24 @@ class JobController:
         return job is not None and job.state in ("queued", "preparing")
 
     def _order(self, waiting: Collection[str], running: Collection[str]) -> list[str]:
-        """Return the jobs whose tasks that wait may be leased, the next one first."""
-        ready = [self.jobs[job] for job in waiting if job in self.jobs and self._may_run(self.jobs[job])]
-        return self._turns.order(ready, [self.jobs[job] for job in running if job in self.jobs])
+        """Return whose tasks that wait may be leased, jobs and questions about them, the next one first."""
+        ready = [one for one in map(self._of_turn, waiting) if one is not None and self._may_run(one)]
+        return self._turns.order(ready, [one for one in map(self._of_turn, running) if one is not None])
 
-    def _may_run(self, job: Job) -> bool:
-        """Tell whether tasks of a job may be leased; what runs already runs on."""
-        return not (job.is_paused or self.queue.has_no_time(job.submitter))
+    def _of_turn(self, turn: str) -> Job | Analysis | None:
+        return self.jobs.get(turn) or self.tasks.analyses.get(turn)
 
-    def _charge(self, job_id: str, seconds: float) -> None:
-        """Charge the user of a job for what workers have done for it."""
-        job = self.jobs.get(job_id)
-        if job is not None:
-            self._task_time.charge(job.submitter, seconds)
-            self._turns.charge(job.submitter, seconds)
+    def _may_run(self, turn: Job | Analysis) -> bool:
+        """Tell whether tasks of a job, or of a question, may be leased; what runs already runs on."""
+        is_paused = isinstance(turn, Job) and turn.is_paused
+        return not (is_paused or self.queue.has_no_time(turn.submitter))
+
+    def _charge(self, turn: str, seconds: float) -> None:
+        """Charge the user of a job, or who has asked a question, for what workers have done for it."""
+        charged = self._of_turn(turn)
+        if charged is not None:
+            self._task_time.charge(charged.submitter, seconds)
+            self._turns.charge(charged.submitter, seconds)
 
     def add_report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -660,6 +695,7 @@ class JobController:
     def forget_ended(self, job_id: str, reason: str) -> None:
         """Delete a job that has ended."""
         self.events.flush()  # or its last events would be written after its end
+        self.tasks.cancel(job_id)
         self._store.delete_job(job_id)
         self.events.record("deleted", f"job {job_id} is deleted: {reason}")
 

@@ -15,7 +15,6 @@ from typing import Final
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.monitoring.followers import Followers
 from atoll_coordinator.service.monitoring.metrics import LAG_S, UPDATE_S, Metrics
-from atoll_coordinator.service.monitoring.queue_depth import queue_depth
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
@@ -238,11 +237,10 @@ class Service:
         self._metrics.set_process(self.view(), self._store.size_bytes(), len(self._followers), self._questions.refused)
         self._metrics.set_dropped_lines(self._worker_logs.dropped)
         self._metrics.set_workers(member.state for member in members)
-        begun, queue = self.controller.begun.values(), self.controller.queue
+        begun, queue, depth = self.controller.begun.values(), self.controller.queue, self.controller.queue_depth()
         counts: Tally[tuple[str | None, JobState]] = Tally((job.submitter, job.state) for job in begun)
         counts.update({(user, "queued"): number for user, number in queue.queued_by_user().items()})
         self._metrics.set_jobs(counts)
-        depth = queue_depth(begun, queue.queued, queue.ready, queue.limits.total.running)
         tasks = tuple(self.controller.tasks.table)
         states: Tally[tuple[str, ...]] = Tally((task.function, task.state) for task in tasks)
         self._metrics.set_tasks(depth.tasks_ready, states, sum(len(task.helpers) for task in tasks))

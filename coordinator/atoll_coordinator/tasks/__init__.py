@@ -1,8 +1,4 @@
-"""The tasks that workers run in processes of their own: preparing a table, refining a job.
+"""The tasks of a search, from bytes to bytes: ``preparing`` a table and ``refining`` a job.
 
-``functions`` names them and what each needs loaded; ``preparing`` and ``refining`` are the functions, from bytes to
-bytes; ``team`` gives batches of a task's work to other workers that help with it; ``process`` is the program that a
-worker starts, which runs one task after another. Nothing here knows the service or the bus.
-
-A lease comes to a worker -> its process gets a `atoll_core.tasks.frames.Run` -> `functions.run` -> `Finished`.
+`atoll.tasks` runs them; ``defaults`` fills in what a configuration leaves open until the data are known.
 """

@@ -48,7 +48,7 @@ MAX_MEMORY: Final = 1 << 30
 _PROGRAM: Final = """
 import sys
 descriptor, level, version, *sys.path = sys.argv[1:]
-from atoll_coordinator.tasks.process import main
+from atoll.tasks.process import main
 main(int(descriptor), int(level), version)
 """
 

@@ -146,7 +146,7 @@ class _Server:
             self._forget_forks()
             os.close(sentinel)
             telling.close()
-            importlib.import_module("atoll_coordinator.tasks.process").main(descriptor, level, version())
+            importlib.import_module("atoll.tasks.process").main(descriptor, level, version())
             return 0
 
         try:
@@ -179,5 +179,5 @@ class _Server:
 
 def _load(function: str) -> None:
     with contextlib.suppress(Exception):  # whoever runs the task meets it, and says it
-        importlib.import_module("atoll_coordinator.tasks.functions").FUNCTIONS[function].load()
+        importlib.import_module("atoll.tasks.functions").FUNCTIONS[function].load()
     gc.freeze()  # what is loaded is shared by all processes, as long as the search for garbage does not write to it

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from atoll_coordinator.tasks.functions import load_refinement
+from atoll.tasks.functions import load_refinement
 from tests.unit.documents import ROOT
 
 CALLED = {

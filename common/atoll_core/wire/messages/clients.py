@@ -17,7 +17,11 @@ from atoll_core.wire.messages.limits import (
     Seconds,
     Sentence,
 )
+from atoll_core.wire.messages.tasks import AnalysisFunction
 from atoll_core.wire.messages.views import CoordinatorView, EventView, JobView, WorkerService, WorkerView, Workforce
+
+MAX_QUESTION = 64 * 1024
+"""Most bytes of a question about a result, such as the equations of rivals."""
 
 
 class Upload(Frozen):
@@ -97,6 +101,21 @@ class GetResult(Frozen):
 
     kind: Literal["get-result"] = "get-result"
     job: Id
+
+
+class Analyse(Frozen):
+    """Have a worker answer a `question` about the result of a job that has ended, and give chunk `index` of the answer.
+
+    Until it is there, asking again is what keeps it wanted. `table` is the digest of uploaded measurements that take
+    the place of those of the result.
+    """
+
+    kind: Literal["analyse"] = "analyse"
+    job: Id
+    function: AnalysisFunction
+    question: Annotated[bytes, Field(max_length=MAX_QUESTION)]
+    table: Digest | None = None
+    index: Count = 0
 
 
 class Cancel(Frozen):
@@ -203,6 +222,7 @@ class Request(Frozen):
         | Workers
         | GetQueueDepth
         | GetResult
+        | Analyse
         | Cancel
         | Delete
         | GetEvents
@@ -314,6 +334,21 @@ class Result(Frozen):
     json_text: str
 
 
+class AnalysisAnswer(Frozen):
+    """Chunk `index` of the answer to a question about a job, of `size` bytes in all, whose SHA-256 is `digest`.
+
+    Without `data` the answer is not there yet; `waits_for` says in words what for, None while it is made.
+    """
+
+    kind: Literal["analysis-answer"] = "analysis-answer"
+    job: Id
+    index: Count = 0
+    size: Count = 0
+    digest: Digest | Literal[""] = ""
+    data: Annotated[bytes, Field(max_length=CHUNK_SIZE)] | None = None
+    waits_for: Sentence | None = None
+
+
 class Deleted(Frozen):
     """There is no job of this id any more."""
 
@@ -343,6 +378,7 @@ class Answer(Frozen):
         | WorkerList
         | QueueDepth
         | Result
+        | AnalysisAnswer
         | Deleted
         | EventList
         | Following

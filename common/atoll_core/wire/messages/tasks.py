@@ -13,7 +13,10 @@ from pydantic import Field
 from atoll_core.config import Frozen
 from atoll_core.wire.messages.limits import CHUNK_SIZE, Count, Digest, Id, Seconds, Sentence, Term
 
-TaskFunction = Literal["prepare", "refine"]
+AnalysisFunction = Literal["analyse", "profile", "suggest", "report"]
+"""What can be asked of the result of a job."""
+
+TaskFunction = Literal["prepare", "refine", AnalysisFunction]
 TaskState = Literal["fetching", "waiting", "running", "done", "failed", "helping"]
 """Of a task on its worker: inputs are on their way; its process is loading; it runs; its result is kept; or it is that
 of another worker, which is helped."""

@@ -121,7 +121,7 @@ _JOB: Final = (
     *(_job_options(heading) for heading in GROUPS),
 )
 
-_RESULT: Final = _value("result", "RESULT", "PATH/result.json, or its folder")
+_RESULT: Final = _value("result", "RESULT", "PATH/result.json, its folder, or the id of a job of a coordinator")
 _GROUP: Final = _value("--group", "NAME", "the group of trajectories whose constants are taken, if any")
 _UNTIL: Final = _value("--until", "T", "last time (default: that of the first trajectory, or the file's)")
 _HOLD: Final = _repeatable("--hold", "u=1", "value of an input (default: 0)")
@@ -301,8 +301,9 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         *_CONNECT,
         _JSON,
     )),
-    "simulate": ("simulate the model of a saved result from any initial state; CSV with bands", (
+    "simulate": ("simulate the model of a result from any initial state; CSV with bands", (
         _RESULT,
+        *_CONNECT,
         _value(
             "--initial", "x=1,y=3|FILE",
             "initial state; or a data file: its first row, its times, its inputs (default: as measured)",
@@ -320,8 +321,9 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         _OUTPUT,
         _switch("--json", "write JSON: status, message, columns"),
     )),
-    "analyse": ("fixed points, limit cycles, basins and bifurcations of the model of a saved result", (
+    "analyse": ("fixed points, limit cycles, basins and bifurcations of the model of a result", (
         _RESULT,
+        *_CONNECT,
         _repeatable("--box", "x=0:3", "bounds of a state (default: half the measured range more on either side)"),
         _GROUP,
         _HOLD,
@@ -335,14 +337,16 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         _OUTPUT,
         _switch("--json", "write JSON, with all curves"),
     )),
-    "report": ("a saved result as one HTML page that needs neither network nor script", (
-        _value("result", "RESULT", "PATH/result.json, or its folder; several, if you like", nargs="+"),
+    "report": ("a result as one HTML page that needs neither network nor script", (
+        _value("result", "RESULT", "PATH/result.json, its folder, or the id of a job; several, if you like", nargs="+"),
+        *_CONNECT,
         _GROUP,
         _output("the page (default: report.html beside the result)"),
         _value("--pictures", "DIR", "also write every picture as an SVG file of its own"),
     )),
-    "suggest": ("the next experiment: where the candidates of a saved result differ most", (
+    "suggest": ("the next experiment: where the candidates of a result differ most", (
         _RESULT,
+        *_CONNECT,
         _GROUP,
         _repeatable(
             "--box", "x=0:3", "bounds of an initial state or a constant input (default: the range of the data)"
@@ -363,8 +367,9 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         _OUTPUT,
         _switch("--json", "write JSON, with all times"),
     )),
-    "export": ("write the model of a saved result for other programs", (
+    "export": ("write the model of a result for other programs", (
         _RESULT,
+        *_CONNECT,
         _GROUP,
         _value("--format", None, "what to write; see docs/export.md", required=True, choices=EXPORT_FORMATS),
         _output("write to this file (default: stdout); of petab the folder"),

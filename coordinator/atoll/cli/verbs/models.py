@@ -1,16 +1,21 @@
-"""The verbs that take the model of a saved result: ``simulate``, ``analyse``, ``suggest`` and ``export``."""
+"""The verbs that take the model of a result, saved or a job's: ``simulate``, ``analyse``, ``suggest``, ``export``."""
 
 import argparse
+import json
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
+from atoll.cli.analyses import ask
 from atoll.cli.exit_codes import DONE
 from atoll.cli.options.values import finite_number, if_given, interval, intervals, numbers, whole_number
+from atoll.cli.request import result_of
+from atoll.experiments.space import Request
 from atoll.model.files import write_text
 from atoll.model.model import Model
 from atoll.model.simulation import EarlyEndWarning
 from atoll.model.start import Start, start_of_file, times_of
+from atoll.tasks.analyses import Analyse, Form, Profile, Question, Suggest
 from atoll.terminal.output import as_json, note, say
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
@@ -61,13 +66,16 @@ def analyse(options: argparse.Namespace) -> int:
     bounds, held = intervals(options.box, "--box"), numbers(options.hold, "--hold", "u=1")
     if options.data is not None and not options.identifiability:
         raise UsageError("--data was given without --identifiability, which alone uses it; give both")
-    model = _load(options)
-    analysis = model.analyse(bounds, inputs=held, vary=vary)
-    known = model.identifiability(data=options.data) if options.identifiability else None
+    form: Form = "json" if options.json else "text"
+    questions: list[Question] = [Analyse(box=bounds, inputs=held, vary=vary, form=form)]
+    if options.identifiability:
+        questions.append(Profile(form=form))
+    texts = [answered.text for answered in ask(options, *questions)]
     if options.json:
-        text = as_json(analysis.as_dict() | {"identifiability": None if known is None else known.as_dict()})
+        analysis, *known = map(json.loads, texts)
+        text = as_json(analysis | {"identifiability": known[0] if known else None})
     else:
-        text = str(analysis) if known is None else f"{analysis}\n{known}"
+        text = "\n".join(texts)
     _deliver(text, options.output)
     return DONE
 
@@ -83,17 +91,17 @@ def _vary(parameter: str | None, bounds: str | None) -> tuple[str, tuple[float, 
 
 def suggest(options: argparse.Namespace) -> int:
     """Suggest experiments for ``options.result``. Return the exit code."""
-    suggestions = _load(options).suggest(
-        intervals(options.box, "--box"),
+    request = Request(
+        bounds=intervals(options.box, "--box"),
         duration=if_given(finite_number, options.duration, "--duration"),
         samples=if_given(whole_number, options.samples, "--samples"),
         cost=options.cost,
         count=whole_number(options.count, "--count"),
         rivals=[_rival(text) for text in options.rival],
         seed=whole_number(options.seed, "--seed"),
-        data=options.data,
     )
-    _deliver(as_json(suggestions.as_dict()) if options.json else str(suggestions), options.output)
+    (suggested,) = ask(options, Suggest(request=request, form="json" if options.json else "text"))
+    _deliver(suggested.text, options.output)
     return DONE
 
 
@@ -138,7 +146,7 @@ def export(options: argparse.Namespace) -> int:
 def _result(options: argparse.Namespace) -> Result:
     """Return the result, which need not be a model unless a group or other equations are chosen."""
     if options.group is None and options.candidate is None and not options.pick:
-        return Result.load(options.result)
+        return result_of(options.result, options)
     return _chosen(_load(options), options).result
 
 
@@ -189,7 +197,7 @@ def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArra
 
 def _load(options: argparse.Namespace) -> Model:
     """Return the model of ``options.result``, that of ``options.group`` if named; raises UsageError."""
-    model = Model.load(options.result)
+    model = Model(result_of(options.result, options))
     return model if options.group is None else model.of_group(options.group)
 
 

@@ -7,7 +7,7 @@ from atoll_core.config import JobConfig
 from atoll_core.wire.messages.clients import QueueDepth
 
 
-def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int) -> QueueDepth:
+def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int, analyses: int = 0) -> QueueDepth:
     """Return how many jobs are in which state, and what could be computed at once.
 
     Of a job whose data are not prepared yet it is not known how many equations it has: it counts with the islands of
@@ -19,6 +19,7 @@ def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int) -> Q
         queued: how many do.
         ready: how many of these wait for nothing else: neither they nor the queue are paused.
         places: how many jobs may be prepared and searched at once.
+        analyses: how many questions about results have no answer yet.
     """
     jobs = tuple(begun)
     states = [job.state for job in jobs]
@@ -33,6 +34,6 @@ def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int) -> Q
         preparing=states.count("preparing"),
         running=states.count("running"),
         refining=states.count("refining"),
-        tasks_ready=islands + tasks,
-        workers_wanted=islands + wanted + soon,
+        tasks_ready=islands + tasks + analyses,
+        workers_wanted=islands + wanted + soon + analyses,
     )

@@ -5,7 +5,6 @@ from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.monitoring.followers import Followers
-from atoll_coordinator.service.monitoring.queue_depth import queue_depth
 from atoll_coordinator.service.requests.admission import Admission
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
@@ -14,6 +13,8 @@ from atoll_coordinator.service.store.jobs import Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.messages.clients import (
+    Analyse,
+    AnalysisAnswer,
     Cancel,
     Delete,
     Deleted,
@@ -59,12 +60,12 @@ MAX_RESULT_BYTES: Final = 1024 * 1024
 _SHOWN: Final = 5
 
 Body = (
-    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | Deleted | EventList | Following
-    | Failure
+    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | AnalysisAnswer
+    | Deleted | EventList | Following | Failure
 )  # fmt: skip
 Told = Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetEvents
 Asked = (
-    Upload | Submit | Cancel | Delete | Pause | SetPriority | Share | Retry | SetWorker | SetQueue | Told
+    Upload | Submit | Analyse | Cancel | Delete | Pause | SetPriority | Share | Retry | SetWorker | SetQueue | Told
 )  # fmt: skip
 
 
@@ -138,6 +139,8 @@ class ClientRequests:
                 return Deleted(job=body.job)
             case Pause() | SetPriority() | Share():
                 return self._change(body)
+            case Analyse():
+                return self._analyse(body, submitter, viewer)
             case SetWorker():
                 self._controller.set_worker(body.worker, body.service, self._now())
                 return self._workers(Workers(prefix=body.worker, limit=1), viewer)
@@ -161,6 +164,23 @@ class ClientRequests:
             )  # fmt: skip
         self._controller.submit(self._admission.admit(body, submitter), self._now(), submitter)
         return self._status(body.job)
+
+    def _analyse(self, body: Analyse, user: str | None, viewer: Viewer | None) -> Body:
+        """Answer a question about the result of a job, or say that its answer is not there yet."""
+        if self._store.job(body.job) is None:
+            return _unknown(body.job)
+        if body.table is not None and not self.uploads.has(body.table, user, viewer):
+            raise TableMissingError("the table of the question has not been uploaded; upload it, then ask again")
+        asked = self._controller.analyse(body, user, self._now())
+        if asked.failed is not None:
+            return Failure(failure="internal", sentence=asked.failed[:4000])
+        if asked.answer is None:
+            return AnalysisAnswer(job=body.job, waits_for=self._controller.tasks.waiting_reason(body.job))
+        first = body.index * CHUNK_SIZE
+        return AnalysisAnswer(
+            job=body.job, index=body.index, digest=asked.digest, size=len(asked.answer),
+            data=asked.answer[first : first + CHUNK_SIZE],
+        )  # fmt: skip
 
     def _change(self, body: Pause | SetPriority | Share) -> Body:
         if self._controller.shown.view(body.job, self._now()) is None:
@@ -192,10 +212,7 @@ class ClientRequests:
             case Workers():
                 return self._workers(body, viewer)
             case GetQueueDepth():
-                queue = self._controller.queue
-                return queue_depth(
-                    self._controller.begun.values(), queue.queued, queue.ready, queue.limits.total.running
-                )
+                return self._controller.queue_depth()
             case GetResult():
                 return self._result(body.job)
             case GetEvents():

@@ -16,7 +16,7 @@ from atoll_core.wire.messages.tasks import TaskFunction
 MOST_THREADS: Final = 2
 """Of a task: Python runs one at a time between kernels, so that further cores of a host are used by helpers."""
 
-HELPED: frozenset[TaskFunction] = frozenset({"refine"})
+HELPED: frozenset[TaskFunction] = frozenset({"refine", "profile"})
 """Functions whose work comes in batches."""
 
 

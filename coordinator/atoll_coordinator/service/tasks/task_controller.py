@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from atoll_coordinator.service.monitoring.breakages import what_to_send
+from atoll_coordinator.service.tasks.analyses import Analyses, Analysis, key_of
 from atoll_coordinator.service.tasks.dispatch import Slot, plan
 from atoll_coordinator.service.tasks.outcomes import (
     JobPrepared,
@@ -29,6 +30,7 @@ from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.tasks.frames import Failure
+from atoll_core.wire.messages.clients import Analyse
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.tasks import (
     Help,
@@ -53,14 +55,6 @@ SETTLED_S: Final = 2.5
 """After so long a heartbeat must show what was leased before, or the lease was lost: heartbeats come once a second."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Purpose:
-    """What a task is for: the configuration of its job, which a sentence on what breaks needs."""
-
-    function: TaskFunction
-    config: JobConfig
-
-
 @dataclass(slots=True)
 class _Blob:
     """An input that is not in the store, and the jobs whose it is: jobs with the same data have the same."""
@@ -72,23 +66,26 @@ class _Blob:
 class TaskController:
     """The tasks of all jobs."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  # what decides whose turn it is
         self, channel: WorkerChannel, membership: Membership, post: Callable[[object], None],
         order: Callable[[Collection[str], Collection[str]], Sequence[str]] = lambda waiting, _: tuple(waiting),
         may_follow: Callable[[str], bool] = lambda job: False,
-        charge: Callable[[str, float], object] = lambda job, seconds: None,
+        charge: Callable[[str, float], object] = lambda turn, seconds: None,
+        forget: Callable[[str], object] = lambda turn: None,
     ) -> None:  # fmt: skip
         """Set up.
 
         Args:
             channel: reaches the workers that `membership` knows.
             post: hands outcomes to the loop.
-            order: is given the jobs with tasks that wait, in the order in which they came, and those with tasks that
-                run; returns those that may be leased one, the next one first.
+            order: is given those whose turn tasks wait for (`Task.turn`), in the order in which they came, and those of
+                tasks that run; returns those that may be leased one, the next one first.
             may_follow: tells whether a job may soon want a task that is not known: a worker that has one keeps it.
-            charge: is told of each job for how many seconds workers have run its tasks, or helped with them.
+            charge: is told of each turn for how many seconds workers have run its tasks, or helped with them.
+            forget: is told of turns that do not come again but jobs'.
         """
         self.table: Final = TaskTable()
+        self.analyses: Final = Analyses()
         self.help_after_s = HELP_AFTER_S
         self._channel = channel
         self._membership = membership
@@ -96,7 +93,8 @@ class TaskController:
         self._order = order
         self._may_follow = may_follow
         self._charge = charge
-        self._purposes: dict[str, _Purpose] = {}
+        self._forget = forget
+        self._configs: dict[str, JobConfig] = {}
         self._blobs: dict[str, _Blob] = {}
         self._prepared: dict[str, bytes] = {}
         self._near: dict[str, str] = {}
@@ -107,7 +105,7 @@ class TaskController:
         """Have a table prepared; `PreparationBegun`, then `JobPrepared` or `PreparationFailed` is posted."""
         specification = self._input(job, config.model_dump_json().encode())
         inputs = (TaskInput(digest=table, size=size), specification)
-        self._add(job, "prepare", inputs, config.budget.max_time, config, now)
+        self._add(job, "prepare", inputs, config.budget.max_time, now, config)
 
     def refine(self, searched: Searched, config: JobConfig, seconds: float | None, now: float) -> None:
         """Have the result made of what was searched, in so many seconds if that is not None.
@@ -116,7 +114,29 @@ class TaskController:
         """
         job = searched.job
         inputs = (self._input(job, self._prepared[job]), self._input(job, searched.to_bytes()))
-        self._add(job, "refine", inputs, seconds, config, now)
+        self._add(job, "refine", inputs, seconds, now, config)
+
+    def analyse(self, asked: Analyse, result: bytes, table_size: int, user: str | None, now: float) -> Analysis:
+        """Have a question about a job answered, of the job's result as JSON, for a `user`.
+
+        Raises:
+            RefusedError: the user has asked too much already.
+        """
+        self.analyses.check(user)
+        tables = () if asked.table is None else (TaskInput(digest=asked.table, size=table_size),)
+        inputs = (self._input(asked.job, result), self._input(asked.job, asked.question), *tables)
+        analysis = Analysis(task_id(asked.job, asked.function, inputs, None), key_of(asked), asked.job, user, now, now)
+        self.analyses.add(analysis)
+        self._add(asked.job, asked.function, inputs, None, now)
+        return analysis
+
+    def _expire_analyses(self, now: float) -> None:
+        """End the tasks of questions that nobody wants answered any more."""
+        for expired in self.analyses.expire(now):
+            task = self.table.get(expired)
+            if task is not None:
+                self._end(task)
+            self._forget(expired)
 
     def prepared(self, job: str) -> Prepared:
         """Return what preparing a job gave; raises KeyError before it has."""
@@ -126,8 +146,14 @@ class TaskController:
         """End the tasks of a job, also those that run; nothing is posted for them."""
         for task in self.table.of_job(job):
             self._end(task)
+        for analysis in self.analyses.forget_job(job):
+            self._forget(analysis)
+        self._forget_inputs(job)
         self._prepared.pop(job, None)
         self._near.pop(job, None)
+
+    def _forget_inputs(self, job: str) -> None:
+        """Forget what the tasks of a job were given."""
         for held in self._blobs.values():
             held.jobs.discard(job)
         self._blobs = {digest: held for digest, held in self._blobs.items() if held.jobs}
@@ -157,11 +183,13 @@ class TaskController:
         return TaskInput(digest=digest, size=size)
 
     def _add(
-        self, job: str, function: TaskFunction, inputs: tuple[TaskInput, ...], seconds: float | None,
-        config: JobConfig, now: float,
+        self, job: str, function: TaskFunction, inputs: tuple[TaskInput, ...], seconds: float | None, now: float,
+        config: JobConfig | None = None,
     ) -> None:  # fmt: skip
+        """Add a task; `config` is that of its job, which a sentence on what breaks needs."""
         task = Task(task_id(job, function, inputs, seconds), job, function, inputs, seconds, now)
-        self._purposes[task.id] = _Purpose(function, config)
+        if config is not None:
+            self._configs[task.id] = config
         self.table.add(task)
         self.dispatch(now)
 
@@ -187,15 +215,16 @@ class TaskController:
 
     def _in_turn(self, waiting: Sequence[Task], running: Sequence[Task]) -> list[Task]:
         """Return the tasks that may be leased now, the next one first."""
-        jobs = dict.fromkeys(task.job for task in waiting), dict.fromkeys(task.job for task in running)
-        ranks = {job: rank for rank, job in enumerate(self._order(*jobs))} if waiting else {}
+        turns = dict.fromkeys(task.turn for task in waiting), dict.fromkeys(task.turn for task in running)
+        ranks = {turn: rank for rank, turn in enumerate(self._order(*turns))} if waiting else {}
         return sorted(
-            (task for task in waiting if task.job in ranks), key=lambda task: (ranks[task.job], task.waiting_since)
+            (task for task in waiting if task.turn in ranks), key=lambda task: (ranks[task.turn], task.waiting_since)
         )
 
     def _lease(self, task: Task, worker: str, now: float, threads: int = 1) -> None:
         self.table.lease(task, worker, now, threads)
-        self._near[task.job] = worker
+        if not task.is_analysis:
+            self._near[task.job] = worker
         self._channel.send(worker, task.lease())
 
     def _slots(self) -> list[Slot]:
@@ -226,7 +255,8 @@ class TaskController:
                 self._channel.send(worker, Release(task=task.id))
 
     def tick(self, now: float) -> None:
-        """Let time pass: users are charged, what takes too long ends, what waits is leased."""
+        """Let time pass: users are charged, what takes too long or nobody wants ends, what waits is leased."""
+        self._expire_analyses(now)
         for task in self.table:
             self._count(task, now)
             for worker in [*task.helpers]:
@@ -241,7 +271,7 @@ class TaskController:
         if task.began_at is not None:
             seconds = now - task.began_at - task.charged
             task.charged += seconds
-            self._charge(task.job, seconds * (1 + len(task.helpers)))
+            self._charge(task.turn, seconds * (1 + len(task.helpers)))
 
     # -------------------------------------------------------------------------------------------- workers
 
@@ -321,20 +351,24 @@ class TaskController:
         if hashlib.sha256(result).hexdigest() != last.digest:
             task.result.clear()
             raise RemoteProtocolError("the result of a task was damaged on its way")
-        purpose = self._purposes[task.id]
         try:
-            outcome = self._outcome(task, purpose, result)
+            outcome = self._outcome(task, result)
         except RemoteProtocolError as error:
             self._fail(task, "error", f"its result cannot be read: {error}", now)
             return
         # What it ran before its first heartbeat told so; what a coordinator before us has counted is left out.
-        self._charge(task.job, max(0.0, min(last.seconds, now - task.leased_at) - task.charged))
+        self._charge(task.turn, max(0.0, min(last.seconds, now - task.leased_at) - task.charged))
         self._end(task)
-        self.post(outcome)
+        if task.is_analysis:
+            self.analyses.finish(task.id, result)
+        else:
+            self.post(outcome)
         self.dispatch(now)
 
-    def _outcome(self, task: Task, purpose: _Purpose, result: bytes) -> object:
-        if purpose.function == "refine":
+    def _outcome(self, task: Task, result: bytes) -> object:
+        if task.is_analysis:
+            return None
+        if task.function == "refine":
             return JobRefined(task.job, _result_text(task.job, result))
         made = decode_value(result, PreparationOutcome)
         if not made.is_prepared:
@@ -352,15 +386,24 @@ class TaskController:
         self.dispatch(now)
 
     def _conclude_failed(self, task: Task, failure: Failure, why: str) -> None:
-        purpose = self._purposes.pop(task.id)
-        to_send = what_to_send(purpose.config, is_certain=failure == "error")
-        failed = preparation_failed if purpose.function == "prepare" else refinement_failed
+        if task.is_analysis:
+            self.analyses.fail(task.id, f"the analysis broke ({why}); try the saved result, and report it with that")
+            self._forget_unused_inputs(task.job)
+            return
+        to_send = what_to_send(self._configs.pop(task.id), is_certain=failure == "error")
+        failed = preparation_failed if task.function == "prepare" else refinement_failed
         self.post(failed(task.job, why, to_send))
 
     def _end(self, task: Task) -> None:
         self._release(task)
-        self._purposes.pop(task.id, None)
+        self._configs.pop(task.id, None)
         self.table.end(task)
+        if task.is_analysis:
+            self._forget_unused_inputs(task.job)
+
+    def _forget_unused_inputs(self, job: str) -> None:
+        if not self.table.of_job(job):
+            self._forget_inputs(job)
 
     def _release(self, task: Task) -> None:
         """Tell who has a task, or helps with it, that nobody needs it there any more."""

@@ -3,14 +3,17 @@
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 from atoll_core.errors import LocalProtocolError
 from atoll_core.tasks.frames import Failure
-from atoll_core.wire.messages.tasks import Lease, TaskFunction, TaskInput
+from atoll_core.wire.messages.tasks import AnalysisFunction, Lease, TaskFunction, TaskInput
 
 MAX_LOSSES: Final = 5
 """So many workers may be lost with a task; as many deaths fail an archipelago (`workers.crash_loops`)."""
+
+ANALYSES: Final[frozenset[TaskFunction]] = frozenset(get_args(AnalysisFunction))
+"""Functions that answer questions about jobs that have ended."""
 
 LIMIT_S: Final = 3_600.0
 """Far above what preparing or refining takes: a task that takes longer hangs, and is ended."""
@@ -62,6 +65,16 @@ class Task:
     failures: list[Failure] = field(default_factory=list)
     is_alone: bool = False
     result: bytearray = field(default_factory=bytearray)
+
+    @property
+    def is_analysis(self) -> bool:
+        """Whether it answers a question about a job that has ended."""
+        return self.function in ANALYSES
+
+    @property
+    def turn(self) -> str:
+        """Whose turn it waits for: its job's or, of an analysis, its own."""
+        return self.id if self.is_analysis else self.job
 
     def lease(self) -> Lease:
         """Return what the worker is told."""

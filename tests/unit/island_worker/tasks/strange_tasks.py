@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from atoll.tasks.functions import FUNCTIONS, Function
+from atoll.tasks.team import Team
 from atoll_coordinator.model.batches import FUNCTIONS as BATCHES
-from atoll_coordinator.tasks.functions import FUNCTIONS, Function
-from atoll_coordinator.tasks.team import Team
 from atoll_core.logs import fields
 
 _loaded = b""

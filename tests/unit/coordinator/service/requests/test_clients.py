@@ -16,6 +16,7 @@ from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.store.open_file import Room
 from atoll_coordinator.service.store.store import JobRecord, Store
+from atoll_coordinator.service.tasks.analyses import Analyses
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, StoreError
 from atoll_core.wire.codec import decode, encode
@@ -52,6 +53,7 @@ class Tasks:
 
     def __init__(self) -> None:
         self.calls: list[tuple[object, ...]] = []
+        self.analyses = Analyses()
 
     def __getattr__(self, name: str) -> Callable[..., None]:
         return lambda *arguments: self.calls.append((name, *arguments))

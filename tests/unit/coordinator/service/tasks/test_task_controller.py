@@ -4,6 +4,7 @@ import hashlib
 
 import pytest
 
+from atoll_coordinator.service.tasks.analyses import MAX_OPEN, WANTED_S, Analysis
 from atoll_coordinator.service.tasks.outcomes import (
     JobPrepared,
     JobRefined,
@@ -18,7 +19,8 @@ from atoll_coordinator.tasks.preparing import PreparationOutcome, prepare
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig
-from atoll_core.errors import RemoteProtocolError
+from atoll_core.errors import RefusedError, RemoteProtocolError
+from atoll_core.wire.messages.clients import Analyse
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.tasks import (
@@ -50,6 +52,7 @@ class Scene:
         self.posted: list[object] = []
         self.charged: list[tuple[str, float]] = []
         self.paused: set[str] = set()
+        self.forgotten: list[str] = []
         self.now = 0.0
         self._ended: dict[str, str] = {}
         self.membership = Membership()
@@ -61,6 +64,7 @@ class Scene:
                 (job for job in waiting if job not in self.paused), key=lambda job: (ranks or {}).get(job, 0.0)
             ),
             charge=lambda job, seconds: self.charged.append((job, seconds)),
+            forget=self.forgotten.append,
         )
         self.controller.help_after_s = 0.0  # type: ignore[arg-type]
         for worker in workers:
@@ -542,3 +546,81 @@ def test_a_result_that_is_none_of_its_job_is_made_again_and_then_given_up(result
     scene.chunk("w0", "j", result)
     (failed,) = [item for item in scene.posted if isinstance(item, RefiningFailed)]
     assert "its result cannot be read" in failed.refinement.warnings[0]
+
+
+def asked(question: bytes = b"q", job: str = "ended") -> Analyse:
+    return Analyse(job=job, function="report", question=question)
+
+
+def analyse(scene: Scene, question: bytes = b"q") -> Analysis:
+    return scene.controller.analyse(asked(question), b'{"job": "ended"}', 0, "ann", scene.now)
+
+
+def test_a_question_is_leased_with_the_result_and_answered_to_whoever_asks() -> None:
+    scene = Scene("w0")
+    analysis = analyse(scene)
+    ((worker, lease),) = scene.said()
+    assert isinstance(lease, Lease)
+    assert (worker, lease.function, [given.data for given in lease.inputs]) == (
+        "w0", "report", [b'{"job": "ended"}', b"q"]
+    )  # fmt: skip
+    assert analysis.is_open
+    scene.chunk("w0", "ended", b"page", seconds=0.0)
+    assert scene.posted == []
+    assert (analysis.answer, analysis.is_open) == (b"page", False)
+    assert scene.controller.analyses.ask(asked(), 5.0) is analysis
+    assert scene.said() == [("w0", Release(task=lease.task))]
+
+
+def test_a_question_that_nobody_asks_again_is_ended_and_forgotten() -> None:
+    scene = Scene("w0")
+    analysis = analyse(scene)
+    scene.said()
+    scene.now = WANTED_S
+    scene.controller.tick(scene.now)
+    assert scene.said() == []
+    scene.controller.analyses.ask(asked(), scene.now)
+    scene.now = 2.0 * WANTED_S
+    scene.controller.tick(scene.now)
+    assert len(scene.controller.table) == 1
+    scene.now += 1.0
+    scene.controller.tick(scene.now)
+    assert scene.said() == [("w0", Release(task=analysis.id))]
+    assert len(scene.controller.table) == 0
+    assert scene.controller.analyses.ask(asked(), scene.now) is None
+    assert scene.forgotten == [analysis.id]
+
+
+def test_a_question_is_tried_again_and_then_says_why_it_failed() -> None:
+    scene = Scene("w0", "w1")
+    analysis = analyse(scene)
+    scene.controller.lose("w0", scene.now)
+    assert scene.leased_to() == ["w0", "w1"]
+    scene.fail("w1", "ended")
+    assert analysis.is_open
+    scene.fail(scene.leased_to()[0], "ended")
+    assert analysis.failed is not None
+    assert "it broke, twice" in analysis.failed
+
+
+def test_questions_of_a_user_are_bounded_and_go_with_their_job() -> None:
+    scene = Scene()
+    for number in range(MAX_OPEN):
+        analyse(scene, b"%d" % number)
+    with pytest.raises(RefusedError, match=f"^{MAX_OPEN} of your questions"):
+        analyse(scene)
+    scene.controller.cancel("ended")
+    assert len(scene.controller.table) == 0
+    assert [*scene.controller.analyses] == []
+    assert len(scene.forgotten) == MAX_OPEN
+
+
+def test_answers_beyond_what_is_kept_go_first_asked_first_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("atoll_coordinator.service.tasks.analyses.MAX_KEPT", 10)
+    scene = Scene("w0")
+    for number in range(3):
+        scene.now = float(number)
+        analyse(scene, b"%d" % number)
+        scene.chunk("w0", "ended", b"12345")
+    scene.controller.tick(scene.now)
+    assert [analysis.asked_at for analysis in scene.controller.analyses] == [1.0, 2.0]

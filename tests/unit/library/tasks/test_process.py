@@ -6,9 +6,9 @@ from multiprocessing import Pipe
 
 import pytest
 
-from atoll_coordinator.tasks import functions
-from atoll_coordinator.tasks.functions import FUNCTIONS, Function
-from atoll_coordinator.tasks.process import TaskProcess, main
+from atoll.tasks import functions
+from atoll.tasks.functions import FUNCTIONS, Function
+from atoll.tasks.process import TaskProcess, main
 from atoll_core.tasks.frames import Begun, Finished, Run
 from atoll_core.tasks.installation import OTHER_VERSION
 

@@ -217,4 +217,7 @@ def _computed(function: str, context: bytes, item: bytes) -> bytes:
     import atoll_coordinator.model.pipeline  # noqa: F401  # fills the table
     from atoll_coordinator.model.batches import FUNCTIONS
 
+    if function not in FUNCTIONS:
+        import atoll.experiments.identifiability  # noqa: F401  # fills it further
+
     return FUNCTIONS[function](context, item)

@@ -5,9 +5,9 @@ import threading
 
 import pytest
 
+from atoll.tasks import team as module
+from atoll.tasks.team import HOLD_S, Team, compute
 from atoll_coordinator.model.batches import CANCELLED, FUNCTIONS
-from atoll_coordinator.tasks import team as module
-from atoll_coordinator.tasks.team import HOLD_S, Team, compute
 from atoll_core.tasks.frames import Ask, Batch, FromProcess, Give
 
 LIMIT_S = 60.0

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from atoll_core.wire.messages.tasks import TaskFunction
+from atoll_core.wire.messages.tasks import AnalysisFunction, TaskFunction
 
 if TYPE_CHECKING:
-    from atoll_coordinator.tasks.team import Team
+    from atoll.tasks.team import Team
 
 _LOG = logging.getLogger(__name__)
 
@@ -73,7 +73,29 @@ def _refine(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> byt
     return refine(prepared, pools, seconds, partial(refine_all, batches=team))
 
 
+def load_analyses() -> None:
+    """Load what all analyses need; kernels are loaded as they are needed."""
+    import atoll.tasks.analyses  # noqa: F401
+
+
+def _analysis(function: AnalysisFunction) -> Function:
+    def call(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> bytes:
+        from atoll.tasks.analyses import analyse
+        from atoll_coordinator.model.batches import spreading
+        from atoll_coordinator.model.deadline import Deadline
+
+        result, question, *tables = inputs
+        with spreading(team, team.threads, Deadline(seconds)) as spread:
+            return analyse(function, result, question, tables[0] if tables else None, spread)
+
+    return Function(load_analyses, load_analyses, call)
+
+
 FUNCTIONS: Final[Mapping[TaskFunction, Function]] = {
     "prepare": Function(load_preparation, ready_preparation, _prepare),
     "refine": Function(load_refinement, load_refinement, _refine),
+    "analyse": _analysis("analyse"),
+    "profile": _analysis("profile"),
+    "suggest": _analysis("suggest"),
+    "report": _analysis("report"),
 }

@@ -80,7 +80,7 @@ class TaskProcess:
     """Runs the tasks, and computes the batches of others, that come through a pipe."""
 
     def __init__(self, connection: "Connection[FromProcess, ToProcess]", level: int) -> None:
-        from atoll_coordinator.tasks.team import Team
+        from atoll.tasks.team import Team
 
         self._connection = connection
         self._sending = threading.Lock()
@@ -100,19 +100,19 @@ class TaskProcess:
                 case Load() as load:
                     self._load(load)
                 case Batch() as batch:
-                    from atoll_coordinator.tasks.team import compute
+                    from atoll.tasks.team import compute
 
                     self._send(Computed(batch.number, compute(batch)))
                     del batch
 
     def _load(self, load: Load) -> None:
-        from atoll_coordinator.tasks.functions import FUNCTIONS
+        from atoll.tasks.functions import FUNCTIONS
 
         if self._waiting.empty():
             FUNCTIONS[load.function].load()  # type: ignore[index]  # a name of the table, by the type of the message
 
     def _run(self, run: Run) -> None:
-        from atoll_coordinator.tasks.functions import FUNCTIONS
+        from atoll.tasks.functions import FUNCTIONS
 
         about = {"job": run.job or None, "task": run.task[:_SHOWN], "function": run.function}
         try:

@@ -1,0 +1,155 @@
+"""What can be asked of a result: an analysis, what the data determine, experiments to make, a page.
+
+The same question is answered here, of a saved result, or as a task by a worker, of a job that a service has: a pure
+function of the result, the question and, where measurements are given, their table.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+from atoll.experiments.space import Request
+from atoll.model.model import Model
+from atoll.model.parameters import LEVEL
+from atoll.terminal.output import as_json
+from atoll_coordinator.model.batches import Spread
+from atoll_coordinator.result.result import Result
+from atoll_core.data.table import Table
+from atoll_core.errors import AtollError, RefusedError
+from atoll_core.wire.messages.tasks import AnalysisFunction
+from atoll_core.wire.values import decode_value, encode_value
+
+Form = Literal["text", "json"]
+"""As people read it, or as plain data with all curves."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Question:
+    """A question about a result, or about the model of one of its groups of trajectories."""
+
+    group: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analyse(Question):
+    """The dynamics of the model, see `atoll.Model.analyse`."""
+
+    box: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    inputs: Mapping[str, float] = field(default_factory=dict)
+    vary: tuple[str, tuple[float, float]] | None = None
+    form: Form = "text"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile(Question):
+    """What the data determine of each constant, see `atoll.Model.identifiability`."""
+
+    level: float = LEVEL
+    form: Form = "text"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suggest(Question):
+    """The experiments to make next, see `atoll.Model.suggest`."""
+
+    request: Request
+    form: Form = "text"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Question):
+    """The result as one HTML page, and its pictures, as SVG by name, if they are wanted."""
+
+    pictures: bool = False
+
+
+@dataclass(frozen=True)
+class Analysed:
+    """The answer to a question: `text` in its form, and `pictures` by the names of their files."""
+
+    text: str
+    pictures: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The result of the task: what was `analysed`, or why it cannot be; `is_refused`: by what was asked."""
+
+    analysed: Analysed | None = None
+    sentence: str = ""
+    is_refused: bool = False
+
+
+FUNCTIONS: Final[Mapping[type[Question], AnalysisFunction]] = {
+    Analyse: "analyse", Profile: "profile", Suggest: "suggest", Report: "report",
+}  # fmt: skip
+"""The function that answers each kind of question."""
+
+_QUESTIONS: Final[Mapping[AnalysisFunction, type[Question]]] = {name: kind for kind, name in FUNCTIONS.items()}
+
+
+def answer(result: Result, question: Question, table: Table | None = None, spread: Spread | None = None) -> Analysed:
+    """Answer a question about a result.
+
+    Args:
+        result: that of a job.
+        question: of which `FUNCTIONS` has the kind.
+        table: measurements in the place of those that the result has, for profiles and suggestions.
+        spread: spreads the work of profiles.
+
+    Raises:
+        UsageError: a name or a number of the question does not fit the result.
+        AtollError: the model cannot be simulated.
+    """
+    match question:
+        case Analyse():
+            model = _model(result, question)
+            analysis = model.analyse(question.box, inputs=question.inputs, vary=question.vary)
+            return _formed(question.form, analysis.as_dict, analysis.__str__)
+        case Profile():
+            from atoll.experiments.identifiability import identify
+
+            model = _model(result, question)
+            model.require_one_group()
+            known = identify(model.result, table, question.level, spread)
+            return _formed(question.form, known.as_dict, known.__str__)
+        case Suggest():
+            from atoll.experiments.design_search import suggest
+
+            suggested = suggest(_model(result, question).result, question.request, table)
+            return _formed(question.form, suggested.as_dict, suggested.__str__)
+        case Report():
+            from atoll.report.page import as_text, build_page, pictures
+
+            page = build_page(result if question.group is None else _model(result, question).result)
+            return Analysed(as_text(page), pictures(page) if question.pictures else {})
+    raise TypeError(f"{type(question).__name__} is no question about a result")
+
+
+def analyse(
+    function: AnalysisFunction, result: bytes, question: bytes, table: bytes | None, spread: Spread | None = None
+) -> bytes:
+    """Return the encoded `Outcome` of a result, as JSON, an encoded question of `function`, and an uploaded table."""
+    asked: Question = decode_value(question, _QUESTIONS[function])
+    try:
+        rows = None if table is None else Table.from_bytes(table)
+        return encode_value(Outcome(answer(Result.of(json.loads(result)), asked, rows, spread)))
+    except AtollError as error:
+        return encode_value(Outcome(None, error.on_command_line, error.exit_code == RefusedError.exit_code))
+
+
+def answered(outcome: bytes) -> Analysed:
+    """Return what `analyse` has given; raises RefusedError or AtollError with its sentence where it gave none."""
+    made = decode_value(outcome, Outcome)
+    if made.analysed is None:
+        raise (RefusedError if made.is_refused else AtollError)(made.sentence)
+    return made.analysed
+
+
+def _model(result: Result, question: Question) -> Model:
+    return Model(result) if question.group is None else Model(result).of_group(question.group)
+
+
+def _formed(form: Form, as_dict: Callable[[], object], as_text: Callable[[], str]) -> Analysed:
+    return Analysed(as_json(as_dict()) if form == "json" else as_text())
