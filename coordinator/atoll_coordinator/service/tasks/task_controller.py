@@ -261,9 +261,9 @@ class TaskController:
         elif held.state == "helping":
             if worker not in task.helpers:
                 self._channel.send(worker, Release(task=held.task))
-        elif task.worker is None and self._can_adopt(worker, status):
+        elif task.worker is None and self._can_adopt(task, worker, status):
             self._recall(worker)
-            self._lease(task, worker, now)  # a coordinator that was here before has leased it
+            self._lease(task, worker, now)  # a coordinator that was here before has leased it, or its worker is back
         elif task.worker != worker:
             self._channel.send(worker, Release(task=held.task))
         elif held.state == "running":
@@ -272,8 +272,9 @@ class TaskController:
         elif held.state in ("done", "failed"):
             self._say_again(task, worker, now)  # its report was lost, or the lease that has it tried again
 
-    def _can_adopt(self, worker: str, status: WorkerStatus) -> bool:
-        return status.state != "leaving" and self.table.on(worker) is None
+    def _can_adopt(self, task: Task, worker: str, status: WorkerStatus) -> bool:
+        """Tell whether a worker may go on with a task; one that failed is leased anew, alone if memory ran out."""
+        return status.state != "leaving" and self.table.on(worker) is None and not task.failures
 
     def _say_again(self, task: Task, worker: str, now: float) -> None:
         task.said_at = now

@@ -358,6 +358,31 @@ def test_where_memory_ran_out_it_is_tried_again_alone() -> None:
     assert scene.controller.table.get(scene.ids["l"]).worker is not None
 
 
+@pytest.mark.parametrize("state", ["failed", "running"])
+def test_where_memory_ran_out_a_heartbeat_that_comes_behind_that_brings_it_to_no_host_that_is_not_free(
+    state: TaskState,
+) -> None:
+    scene = Scene("w0", "w1")
+    scene.prepare("j")
+    scene.prepare("k")
+    worker = scene.controller.table.get(scene.ids["j"]).worker
+    scene.fail(worker, "j", "memory")
+    scene.said()
+    scene.beat(worker, j=state)  # a worker sends one at once, before it is told to forget the task
+    assert scene.said() == [(worker, Release(task=scene.ids["j"]))]
+    assert scene.controller.table.get(scene.ids["j"]).worker is None
+
+
+def test_what_failed_under_a_former_coordinator_is_taken_over_and_counts() -> None:
+    scene = Scene("w0")
+    scene.paused.add("j")
+    scene.prepare()
+    scene.beat("w0", j="failed")
+    assert scene.leased_to() == ["w0"]  # to which it says again how it failed
+    scene.fail("w0", "j", "time")
+    assert isinstance(scene.posted[0], PreparationFailed)
+
+
 def test_a_lost_worker_costs_its_tasks_nothing_until_there_were_too_many() -> None:
     scene = Scene("w0")
     scene.prepare()
