@@ -100,6 +100,7 @@ class TaskController:
         self._blobs: dict[str, _Blob] = {}
         self._prepared: dict[str, bytes] = {}
         self._near: dict[str, str] = {}
+        self._keeping: set[str] = set()
 
     # ------------------------------------------------------------------------------------------------ jobs
 
@@ -140,7 +141,7 @@ class TaskController:
         """Return in words what the tasks of a job wait for; None: they do not."""
         if not self.waits(job):
             return None
-        if any(task.worker is not None for task in self.table):
+        if self._keeping or any(task.worker is not None for task in self.table):
             return "waits for a worker that has no other task"
         return "waits for a worker: none has joined, or all are lost, leaving or cordoned"
 
@@ -210,7 +211,7 @@ class TaskController:
                 sum(held.islands for held in member.status.holdings) if member.status else 0, helped.get(name),
             )
             for name, member in self._membership.attending()
-            if name not in owners and self._membership.service(name) == "open"
+            if name not in owners and name not in self._keeping and self._membership.service(name) == "open"
         ]  # fmt: skip
 
     def _hosts(self, tasks: Iterable[Task], *, is_alone: bool = False) -> Counter[str]:
@@ -247,6 +248,7 @@ class TaskController:
 
     def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
         """Take in which tasks a worker has; correct what it should not have, or should and has not."""
+        self._keeping.discard(worker)
         for held in status.tasks:
             self._compare(worker, held, status, now)
         self._correct(worker, {held.task for held in status.tasks}, now)
@@ -258,6 +260,8 @@ class TaskController:
         if task is None:
             if held.state == "helping" or not self._may_follow(held.job):
                 self._channel.send(worker, Release(task=held.task))
+            elif held.state in ("waiting", "running"):
+                self._keeping.add(worker)  # what is leased to it would wait behind that
         elif held.state == "helping":
             if worker not in task.helpers:
                 self._channel.send(worker, Release(task=held.task))
@@ -288,12 +292,13 @@ class TaskController:
             if task.id not in shown and now - task.helpers.get(worker, now) > SETTLED_S:
                 del task.helpers[worker]
 
-    def lose(self, worker: str, now: float) -> None:
-        """Take in that a worker is lost: its tasks go to others at once."""
+    def lose(self, worker: str, now: float, *, had_left: bool = False) -> None:
+        """Take in that a worker is lost, which `had_left` if it had said so: its tasks go to others at once."""
+        self._keeping.discard(worker)
         for task in self.table:
             if task.worker == worker:
                 self._count(task, now)
-        for task, why in self.table.lose(worker, now):
+        for task, why in self.table.lose(worker, now, had_left=had_left):
             if why is not None:
                 self._conclude_failed(task, "crash", why)
         self.dispatch(now)

@@ -123,14 +123,17 @@ class TaskTable:
         task.step("begin")
         return is_new
 
-    def lose(self, worker: str, now: float) -> list[tuple[Task, str | None]]:
-        """Take in that a worker is lost; return the tasks that it had, and why one of them is not tried again."""
+    def lose(self, worker: str, now: float, *, had_left: bool = False) -> list[tuple[Task, str | None]]:
+        """Take in that a worker is lost; return the tasks that it had, and why one of them is not tried again.
+
+        One that `had_left` said before that it would end, so that no task has ended it, and counts for none.
+        """
         lost: list[tuple[Task, str | None]] = []
         for task in tuple(self._tasks.values()):
             task.helpers.pop(worker, None)
             if task.worker != worker:
                 continue
-            task.losses += 1
+            task.losses += not had_left
             if task.losses >= MAX_LOSSES:
                 lost.append((task, f"its worker was lost, {task.losses} times"))
                 self.end(task)

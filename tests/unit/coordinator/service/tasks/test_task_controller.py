@@ -50,6 +50,7 @@ class Scene:
         self.posted: list[object] = []
         self.charged: list[tuple[str, float]] = []
         self.paused: set[str] = set()
+        self.following: set[str] = set()
         self.now = 0.0
         self._ended: dict[str, str] = {}
         self.membership = Membership()
@@ -60,6 +61,7 @@ class Scene:
             lambda waiting, running: sorted(
                 (job for job in waiting if job not in self.paused), key=lambda job: (ranks or {}).get(job, 0.0)
             ),
+            may_follow=lambda job: job in self.following,
             charge=lambda job, seconds: self.charged.append((job, seconds)),
         )
         self.controller.help_after_s = 0.0  # type: ignore[arg-type]
@@ -216,6 +218,22 @@ def test_a_coordinator_that_starts_again_takes_over_what_workers_have() -> None:
     assert [body.task for _, body in sent if isinstance(body, Release)] == [scene.ids["j"]]  # one task a worker
     scene.chunk("w0", "k", PREPARED)
     assert isinstance(scene.posted[0], JobPrepared)
+    assert scene.leased_to() == ["w0"]
+
+
+def test_nothing_waits_behind_what_a_worker_keeps_of_a_former_coordinators_leases() -> None:
+    scene = Scene("w0")
+    scene.following.add("j")
+    scene._ended["j"] = "d" * 64  # its data are prepared again before this is wanted
+    scene.beat("w0", j="running")
+    scene.prepare("k")
+    assert scene.said() == []
+    assert scene.controller.waiting_reason("k") == "waits for a worker that has no other task"
+    scene.join("w1")
+    assert scene.leased_to() == ["w1"]
+    scene.prepare("l")
+    assert scene.said() == []
+    scene.beat("w0", j="done")
     assert scene.leased_to() == ["w0"]
 
 

@@ -92,6 +92,15 @@ def test_a_task_whose_worker_is_lost_waits_again_until_it_has_cost_too_many() ->
     assert list(table) == [other]
 
 
+def test_workers_that_had_said_that_they_leave_cost_a_task_nothing_however_many() -> None:
+    one = task()
+    table = table_with(one)
+    for number in range(2 * MAX_LOSSES):
+        table.lease(one, "w", 0.0)
+        assert table.lose("w", float(number), had_left=True) == [(one, None)]
+    assert one.losses == 0
+
+
 def test_a_helper_that_is_lost_costs_the_task_nothing() -> None:
     one = task()
     table = table_with(one)
