@@ -161,7 +161,7 @@ class TaskController:
         self, job: str, function: TaskFunction, inputs: tuple[TaskInput, ...], seconds: float | None,
         config: JobConfig, now: float,
     ) -> None:  # fmt: skip
-        task = Task(task_id(job, function, inputs, seconds), job, function, inputs, seconds, now)
+        task = Task(task_id(job, function, inputs), job, function, inputs, seconds, now)
         self._purposes[task.id] = _Purpose(function, config)
         self.table.add(task)
         self.dispatch(now)
@@ -307,7 +307,9 @@ class TaskController:
         """Take in what came of a task; raises RemoteProtocolError when it cannot be."""
         body = report.body
         task = self.table.get(body.task)
-        if task is None or task.worker != worker:
+        if task is None:
+            return  # a heartbeat says whose it is, which may want it soon
+        if task.worker != worker:
             self._channel.send(worker, Release(task=body.task))
             return
         match body:

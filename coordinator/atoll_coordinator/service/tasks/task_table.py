@@ -27,9 +27,13 @@ TASK_TRANSITIONS: Final[Mapping[State, Mapping[Step, State]]] = {
 """State of a task -> what happens -> its next state. `lose`: its worker is lost; `retry`: it failed there."""
 
 
-def task_id(job: str, function: TaskFunction, inputs: Sequence[TaskInput], seconds: float | None) -> str:
-    """Return the SHA-256 that names a task: of its job, function, digests of inputs and the time it may take."""
-    words = [job, function, *(given.digest for given in inputs), "" if seconds is None else seconds.hex()]
+def task_id(job: str, function: TaskFunction, inputs: Sequence[TaskInput]) -> str:
+    """Return the SHA-256 that names a task: of its job, function and digests of inputs.
+
+    The time that it may take is left out: what is left of `--max-time` is another after a restart of the coordinator,
+    which takes over what workers have of the task all the same.
+    """
+    words = [job, function, *(given.digest for given in inputs)]
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 

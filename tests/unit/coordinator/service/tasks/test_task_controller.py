@@ -221,6 +221,24 @@ def test_a_coordinator_that_starts_again_takes_over_what_workers_have() -> None:
     assert scene.leased_to() == ["w0"]
 
 
+def test_refining_is_taken_over_though_less_of_its_time_is_left_then() -> None:
+    before = refining("j", "w0", seconds=20.0)
+    after = refining("j", "w1", seconds=19.5)
+    assert after.ids["j"] == before.ids["j"]
+
+
+def test_what_is_done_before_its_job_is_prepared_again_is_kept_until_then() -> None:
+    scene = Scene("w0")
+    scene.following.add("j")
+    scene._ended["j"] = "d" * 64
+    scene.chunk("w0", "j", REFINED)
+    scene.beat("w0", j="done")
+    assert scene.said() == []
+    scene.following.clear()  # its job has ended
+    scene.beat("w0", j="done")
+    assert scene.said() == [("w0", Release(task="d" * 64))]
+
+
 def test_nothing_waits_behind_what_a_worker_keeps_of_a_former_coordinators_leases() -> None:
     scene = Scene("w0")
     scene.following.add("j")
@@ -467,12 +485,12 @@ def test_tasks_go_out_by_the_rank_of_their_jobs_and_say_for_what_they_wait() -> 
     assert scene.controller.waiting_reason("early") is None
 
 
-def refining(job: str, *workers: str) -> Scene:
+def refining(job: str, *workers: str, seconds: float | None = None) -> Scene:
     """Return a scene in which the first worker has a job's refining."""
     scene = Scene(workers[0])
     scene.prepare(job)
     scene.chunk(workers[0], job, PREPARED)
-    scene.controller.refine(Searched(job, ()), CONFIG, None, scene.now)
+    scene.controller.refine(Searched(job, ()), CONFIG, seconds, scene.now)
     scene._ended = {**scene._ended, job: scene.controller.table.of_job(job)[0].id}
     for worker in workers[1:]:
         scene.join(worker)

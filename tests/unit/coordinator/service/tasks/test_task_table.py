@@ -33,12 +33,11 @@ def table_with(*tasks: Task) -> TaskTable:
 def test_a_task_is_named_by_all_that_decides_its_result() -> None:
     other = INPUT.model_copy(update={"digest": "b" * 64})
     names = {
-        task_id("j", "prepare", (INPUT,), None), task_id("k", "prepare", (INPUT,), None),
-        task_id("j", "refine", (INPUT,), None), task_id("j", "prepare", (other,), None),
-        task_id("j", "prepare", (INPUT, other), None), task_id("j", "prepare", (INPUT,), 1.0),
+        task_id("j", "prepare", (INPUT,)), task_id("k", "prepare", (INPUT,)), task_id("j", "refine", (INPUT,)),
+        task_id("j", "prepare", (other,)), task_id("j", "prepare", (INPUT, other)),
     }  # fmt: skip
-    assert len(names) == 6
-    assert task_id("j", "prepare", (INPUT,), None) in names
+    assert len(names) == 5
+    assert task_id("j", "prepare", (INPUT,)) in names
 
 
 def test_steps_are_those_of_the_table() -> None:
