@@ -164,7 +164,15 @@ class TaskController:
         task = Task(task_id(job, function, inputs), job, function, inputs, seconds, now)
         self._purposes[task.id] = _Purpose(function, config)
         self.table.add(task)
+        self._adopt_kept(task, now)
         self.dispatch(now)
+
+    def _adopt_kept(self, task: Task, now: float) -> None:
+        """Leave a task to the worker that has kept it since a coordinator before us leased it there, if one has."""
+        for worker, member in self._membership.attending():
+            status = member.status
+            if status is not None and self._can_adopt(task, worker, status) and _has(status, task):
+                self._adopt(task, worker, now)
 
     # --------------------------------------------------------------------------------------------- leases
 
@@ -258,16 +266,12 @@ class TaskController:
         """Take in how far a worker is with a task; have it forget what is not its own."""
         task = self.table.get(held.task)
         if task is None:
-            if held.state == "helping" or not self._may_follow(held.job):
-                self._channel.send(worker, Release(task=held.task))
-            elif held.state in ("waiting", "running"):
-                self._keeping.add(worker)  # what is leased to it would wait behind that
+            self._let_keep(worker, held)
         elif held.state == "helping":
             if worker not in task.helpers:
                 self._channel.send(worker, Release(task=held.task))
-        elif task.worker is None and self._can_adopt(task, worker, status):
-            self._recall(worker)
-            self._lease(task, worker, now)  # a coordinator that was here before has leased it, or its worker is back
+        elif self._can_adopt(task, worker, status):
+            self._adopt(task, worker, now)  # a coordinator that was here before has leased it, or its worker is back
         elif task.worker != worker:
             self._channel.send(worker, Release(task=held.task))
         elif held.state == "running":
@@ -276,9 +280,22 @@ class TaskController:
         elif held.state in ("done", "failed"):
             self._say_again(task, worker, now)  # its report was lost, or the lease that has it tried again
 
+    def _let_keep(self, worker: str, held: TaskStatus) -> None:
+        """Leave to a worker what may be wanted soon, and have it forget what nobody needs."""
+        if held.state == "helping" or not self._may_follow(held.job):
+            self._channel.send(worker, Release(task=held.task))
+        elif held.state in ("waiting", "running"):
+            self._keeping.add(worker)  # what is leased to it would wait behind that
+
     def _can_adopt(self, task: Task, worker: str, status: WorkerStatus) -> bool:
         """Tell whether a worker may go on with a task; one that failed is leased anew, alone if memory ran out."""
-        return status.state != "leaving" and self.table.on(worker) is None and not task.failures
+        is_free = task.worker is None and not task.failures
+        return is_free and status.state != "leaving" and self.table.on(worker) is None
+
+    def _adopt(self, task: Task, worker: str, now: float) -> None:
+        self._recall(worker)
+        self._keeping.discard(worker)
+        self._lease(task, worker, now)
 
     def _say_again(self, task: Task, worker: str, now: float) -> None:
         task.said_at = now
@@ -376,6 +393,11 @@ class TaskController:
         for worker in holders:
             self._channel.send(worker, Release(task=task.id))
         task.helpers.clear()
+
+
+def _has(status: WorkerStatus, task: Task) -> bool:
+    """Tell whether a worker had a task as its own when it last said so."""
+    return any(held.task == task.id and held.state != "helping" for held in status.tasks)
 
 
 def _result_text(job: str, result: bytes) -> str:

@@ -239,6 +239,23 @@ def test_what_is_done_before_its_job_is_prepared_again_is_kept_until_then() -> N
     assert scene.said() == [("w0", Release(task="d" * 64))]
 
 
+@pytest.mark.parametrize("state", ["running", "done"])
+def test_who_has_kept_a_task_gets_it_though_others_are_free(state: TaskState) -> None:
+    name = refining("j", "w0").ids["j"]
+    scene = Scene("w0")
+    scene.following.add("j")
+    scene._ended["j"] = name
+    scene.beat("w0", j=state)
+    scene.join("a0")
+    scene.prepare("j")
+    assert scene.leased_to() == ["a0"]
+    scene.chunk("a0", "j", PREPARED)
+    scene.controller.refine(Searched("j", ()), CONFIG, None, scene.now)
+    assert scene.leased_to() == ["w0"]
+    scene.beat("w0", j=state)
+    assert scene.controller.table.get(name).worker == "w0"
+
+
 def test_nothing_waits_behind_what_a_worker_keeps_of_a_former_coordinators_leases() -> None:
     scene = Scene("w0")
     scene.following.add("j")
