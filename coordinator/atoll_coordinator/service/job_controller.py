@@ -447,19 +447,19 @@ class JobController:
             self._task_time.begin_day(_day_of(self._store))
 
     def _rest(self, now: float) -> None:
-        """Let jobs rest whose tasks wait and may not run.
+        """Let jobs rest whose tasks wait: no time passes for those to be refined, as for islands without workers.
 
-        Those to be prepared give their places back, and no time passes for those to be refined.
+        Those to be prepared that may not run give their places back.
         """
         seconds = now - self._rested_at if self._rested_at is not None else 0.0
         self._rested_at = now
         for job in tuple(self.begun.values()):
-            if not self._may_run(job) and self.tasks.waits(job.id):
+            if job.state in ("preparing", "refining") and self.tasks.waits(job.id):
                 with self.guarded(job.id, "letting a job rest", now):
-                    if job.state == "preparing":
-                        self._put_back(job)
-                    elif job.state == "refining":
+                    if job.state == "refining":
                         job.wait_to_be_refined(seconds)
+                    elif not self._may_run(job):
+                        self._put_back(job)
 
     def _put_back(self, job: Job) -> None:
         self._store.update_job(job.id, state="queued")

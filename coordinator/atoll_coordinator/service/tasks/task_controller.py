@@ -21,7 +21,7 @@ from atoll_coordinator.service.tasks.outcomes import (
     preparation_failed,
     refinement_failed,
 )
-from atoll_coordinator.service.tasks.task_table import LIMIT_S, Task, TaskTable, task_id
+from atoll_coordinator.service.tasks.task_table import Task, TaskTable, task_id
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.tasks.preparing import PreparationOutcome, Prepared
@@ -242,7 +242,7 @@ class TaskController:
                 if self._membership.service(worker) == "draining":
                     self._recall(worker)
         for task in self.table.overdue(now):
-            self._fail(task, "time", f"it took longer than {LIMIT_S:,.0f} s and was ended", now)
+            self._fail(task, "time", f"it took longer than {task.limit_s:,.0f} s and was ended", now)
         self.dispatch(now)
 
     def _count(self, task: Task, now: float) -> None:

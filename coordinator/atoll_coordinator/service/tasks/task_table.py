@@ -13,7 +13,8 @@ MAX_LOSSES: Final = 5
 """So many workers may be lost with a task; as many deaths fail an archipelago (`workers.crash_loops`)."""
 
 LIMIT_S: Final = 3_600.0
-"""Far above what preparing or refining takes: a task that takes longer hangs, and is ended."""
+"""Far above what preparing or refining takes: a task that takes longer hangs, and is ended, unless its job was given
+more time."""
 
 State = Literal["waiting", "leased", "running", "ended"]
 Step = Literal["lease", "begin", "lose", "retry", "end"]
@@ -73,6 +74,11 @@ class Task:
             task=self.id, term=self.term, job=self.job, function=self.function, inputs=self.inputs,
             seconds=self.seconds, threads=self.threads,
         )  # fmt: skip
+
+    @property
+    def limit_s(self) -> float:
+        """How many seconds after its lease it is taken for hung."""
+        return max(LIMIT_S, self.seconds or 0.0)
 
     def step(self, step: Step) -> None:
         """Go to the next state by the table."""
@@ -162,7 +168,8 @@ class TaskTable:
 
     def overdue(self, now: float) -> list[Task]:
         """Return the tasks that have taken too long."""
-        return [task for task in self._tasks.values() if task.worker is not None and now - task.leased_at > LIMIT_S]
+        held = (task for task in self._tasks.values() if task.worker is not None)
+        return [task for task in held if now - task.leased_at > task.limit_s]
 
     def end(self, task: Task) -> None:
         """Take in that a task has ended: done, failed for good, or needed by nobody."""

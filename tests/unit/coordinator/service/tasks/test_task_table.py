@@ -141,6 +141,15 @@ def test_what_takes_too_long_is_never_tried_again() -> None:
     assert len(table) == 0
 
 
+def test_a_task_of_a_job_that_was_given_longer_may_take_longer() -> None:
+    one = task()
+    one.seconds = 3.0 * LIMIT_S
+    table = table_with(one)
+    table.lease(one, "w", 0.0)
+    assert table.overdue(3.0 * LIMIT_S) == []
+    assert table.overdue(3.0 * LIMIT_S + 1.0) == [one]
+
+
 def test_a_table_that_is_wrong_says_so() -> None:
     one, other = task("a"), task("b")
     table = table_with(one, other)
