@@ -248,6 +248,13 @@ def test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart(lab: Lab
     assert view(again.ask("ann", messages.Pause(job="second", paused=False))).state == "preparing"
 
 
+def test_a_job_that_ends_in_the_line_waits_for_nothing_any_more(lab: Lab) -> None:
+    lab.submit("ann", "first")
+    assert view(lab.submit("ann", "second")).reason
+    lab.ask("ann", messages.Pause(job="second"))
+    assert view(lab.ask("ann", messages.Cancel(job="second"))).reason is None
+
+
 def test_what_has_ended_is_neither_paused_nor_given_a_priority(lab: Lab) -> None:
     lab.submit("ann", "mine")
     lab.fail("mine")
