@@ -364,8 +364,11 @@ class TaskController:
         made = decode_value(result, PreparationOutcome)
         if not made.is_prepared:
             return PreparationFailed(task.job, "data", made.sentence)
+        prepared = made.prepared
+        if hashlib.sha256(made.data).hexdigest() != prepared.blob or len(made.data) != prepared.size:
+            raise RemoteProtocolError("its dataset is not the one that it names")  # workers would ask for that for ever
         self._prepared[task.job] = made.encoded
-        return JobPrepared(task.job, made.prepared, made.data)
+        return JobPrepared(task.job, prepared, made.data)
 
     def _fail(self, task: Task, failure: Failure, sentence: str, now: float) -> None:
         """Take in that a task failed on its worker; it is tried again, or its job learns why not."""

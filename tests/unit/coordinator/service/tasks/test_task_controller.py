@@ -33,7 +33,7 @@ from atoll_core.wire.messages.tasks import (
 )
 from atoll_core.wire.messages.views import WorkerState
 from atoll_core.wire.messages.workers import ControlBody, WorkerStatus
-from atoll_core.wire.values import encode_value
+from atoll_core.wire.values import decode_value, encode_value
 from tests.simulation.harness.simulated_cluster import prepare as prepare_stub
 
 TABLE = "c" * 64
@@ -345,6 +345,18 @@ def test_a_result_that_is_no_result_counts_as_a_mistake_of_the_task() -> None:
     assert isinstance(failed, PreparationFailed)
     assert failed.fault == "internal"
     assert "cannot be read" in failed.sentence
+
+
+def test_a_dataset_that_is_not_the_one_that_is_named_counts_as_a_mistake_of_the_task() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    made = decode_value(PREPARED, PreparationOutcome)
+    for _ in range(2):
+        assert scene.posted == []
+        scene.chunk("w0", "j", encode_value(PreparationOutcome(made.encoded, made.data + b"x")))
+    (failed,) = scene.posted
+    assert isinstance(failed, PreparationFailed)
+    assert "not the one that it names" in failed.sentence
 
 
 def test_a_worker_speaks_for_its_own_task_only() -> None:
