@@ -231,6 +231,21 @@ def test_a_job_that_is_paused_before_it_is_refined_waits_and_ends_as_it_would_ha
     assert comparable(world.result()) == comparable(World(workers=1, seed=1).run(config(1, max_time=60.0), VARIABLE))
 
 
+def test_no_time_passes_for_a_job_whose_refining_waits_for_a_worker() -> None:
+    with hurried():
+        world = World(workers=1, seed=1, slowness=5.0)
+        world.submit(config(1, max_time=60.0), VARIABLE)
+        until(world, "running")
+        world.client.pause(1.0)
+        world.client.set_worker("w0", "cordoned")
+        until(world, "refining")
+        world.client.pause(100.0)
+        world.client.set_worker("w0", "open")
+        assert world.finish().state == "done"
+        assert not world.result()["warnings"]
+    assert comparable(world.result()) == comparable(World(workers=1, seed=1).run(config(1, max_time=60.0), VARIABLE))
+
+
 def test_tasks_are_charged_to_users_and_end_their_task_time() -> None:
     with hurried():
         world = World(workers=0, seed=1)

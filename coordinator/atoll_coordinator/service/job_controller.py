@@ -388,10 +388,10 @@ class JobController:
         """Tell whether a worker has a task that has not ended."""
         return self.tasks.table.on(worker) is not None
 
-    def lose_tasks(self, worker: str, now: float) -> None:
-        """Take in that a worker is lost: others get its tasks."""
+    def lose_tasks(self, worker: str, now: float, *, had_left: bool) -> None:
+        """Take in that a worker is lost, which `had_left` if it had said that it would: others get its tasks."""
         with self.breakages.tolerated("taking tasks from a worker that is lost"):
-            self.tasks.lose(worker, now)
+            self.tasks.lose(worker, now, had_left=had_left)
 
     def stalls(self, job_id: str) -> tuple[str, ...]:
         """Return why archipelagos of a job stand still, in words, by variable."""
@@ -482,19 +482,19 @@ class JobController:
             self._task_time.begin_day(_day_of(self._store))
 
     def _rest(self, now: float) -> None:
-        """Let jobs rest whose tasks wait and may not run.
+        """Let jobs rest whose tasks wait: no time passes for those to be refined, as for islands without workers.
 
-        Those to be prepared give their places back, and no time passes for those to be refined.
+        Those to be prepared that may not run give their places back.
         """
         seconds = now - self._rested_at if self._rested_at is not None else 0.0
         self._rested_at = now
         for job in tuple(self.begun.values()):
-            if not self._may_run(job) and self.tasks.waits(job.id):
+            if job.state in ("preparing", "refining") and self.tasks.waits(job.id):
                 with self.guarded(job.id, "letting a job rest", now):
-                    if job.state == "preparing":
-                        self._put_back(job)
-                    elif job.state == "refining":
+                    if job.state == "refining":
                         job.wait_to_be_refined(seconds)
+                    elif not self._may_run(job):
+                        self._put_back(job)
 
     def _put_back(self, job: Job) -> None:
         self._store.update_job(job.id, state="queued")

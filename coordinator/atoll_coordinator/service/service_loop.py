@@ -421,7 +421,7 @@ class Service:
             raise
         if not isinstance(key, topics.ClientKey):
             self._answer(event)
-        elif not self._questions.add(key.client, event):
+        elif not self._questions.add(key.client, event, len(event.payload)):
             self._bus.reply(event, None)
         elif len(self._questions) == 1:
             self._bus.post(_Turn())

@@ -331,7 +331,7 @@ class TaskRunner:
         match body:
             case GivenBatch():
                 if body.context:
-                    self._contexts.add(body.digest, body.context)
+                    self._contexts.add(hashlib.sha256(body.context).hexdigest(), body.context)
                 context = self._contexts.get(body.digest)
                 if context is None:
                     raise RemoteProtocolError(f"a batch came with the context {body.digest}, which is not here")

@@ -38,10 +38,10 @@ class TaskInput(Frozen):
 
 
 class Lease(Frozen):
-    """Run this task and push its result; said again, push the result again. `task` is the digest of all the rest.
+    """Run this task and push its result; said again, push the result again.
 
-    A higher `term` has it tried again where it failed before. `seconds`: how long it may take, None: any time.
-    `threads`: how many it may use.
+    `task` is the digest of job, function and inputs. A higher `term` has it tried again where it failed before.
+    `seconds`: how long it may take, None: any time. `threads`: how many it may use.
     """
 
     kind: Literal["lease"] = "lease"

@@ -76,7 +76,8 @@ def _queue_line(view: CoordinatorView | None) -> str:
     if view is None:
         return "the coordinator says nothing of its queue"
     manner = "is paused; jobs are taken up again after: coordinator queue resume" if view.paused else "is open"
-    return f"the queue {manner}; {view.under_way} jobs are under way, {view.queued} wait"
+    jobs = "1 job is" if view.under_way == 1 else f"{view.under_way} jobs are"
+    return f"the queue {manner}; {jobs} under way, {view.queued} {'waits' if view.queued == 1 else 'wait'}"
 
 
 def _set_worker(options: argparse.Namespace, service: WorkerService, sentence: str) -> int:

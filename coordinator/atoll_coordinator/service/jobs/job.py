@@ -180,7 +180,7 @@ class Job:
         return self._refine_if_cut(now)
 
     def wait_to_be_refined(self, seconds: float) -> None:
-        """Take in that it has waited for so long to be refined, by a person's wish or a limit: that does not count."""
+        """Take in that it has waited for so long to be refined: that does not count."""
         if self.refining_since is not None:
             self.refining_since += seconds
 
@@ -205,8 +205,8 @@ class Job:
     def spent_seconds(self, now: float) -> float:
         """Return what has gone by of `--max-time`: preparing, searching and refining.
 
-        Waiting for the job's turn, for a process to load or compile what preparing needs, and for workers until
-        islands are placed, does not count.
+        Waiting for the job's turn, for a process to load or compile what preparing needs, for workers until islands are
+        placed, and for one that refines, does not count.
         """
         if self.state == "preparing":
             return self._preparing_seconds(now)

@@ -94,7 +94,7 @@ class JobViews:
     def last_view(self, job: Job, now: float) -> JobView:
         """Return the view of a job that ends now."""
         view = self._live_view(job, now).model_copy(
-            update={"workers": 0, "stalls": (), "ahead": None, "paused": False, "held": False}
+            update={"reason": job.reason, "workers": 0, "stalls": (), "ahead": None, "paused": False, "held": False}
         )
         return view if job.result_text is None else with_equations(view, job.result_text)
 

@@ -130,7 +130,7 @@ class ClientRequests:
             case Submit():
                 return self._submit(body, submitter, viewer)
             case Retry():
-                return self._submit(self._controller.again(body.job, body.again), submitter, None)
+                return self._submit(self._controller.again(body.job, body.again), submitter, viewer)
             case Cancel():
                 self._controller.cancel(body.job, self._now())
                 return self._status(body.job)

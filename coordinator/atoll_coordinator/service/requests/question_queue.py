@@ -14,6 +14,9 @@ asks again after a pause by itself."""
 MAX_WAITING: Final = 4096
 """Questions of all clients that may wait: at 5 ms each, twice what the patience of a client (10 s) would bear."""
 
+MAX_BYTES: Final = 256 * 1024**2
+"""Of all questions that wait: sixty-four chunks of tables."""
+
 T = TypeVar("T")
 
 
@@ -23,21 +26,23 @@ class QuestionQueue(Generic[T]):
     def __init__(self) -> None:
         self.refused = 0
         """How many were refused, since too many waited already."""
-        self._lines: OrderedDict[str, deque[T]] = OrderedDict()
-        self._waiting = 0
+        self._lines: OrderedDict[str, deque[tuple[T, int]]] = OrderedDict()
+        self._waiting = self._bytes = 0
 
     def __len__(self) -> int:
         return self._waiting
 
-    def add(self, client: str, question: T) -> bool:
-        """Let a question wait; return False when too many do."""
+    def add(self, client: str, question: T, size: int = 0) -> bool:
+        """Let a question of `size` bytes wait; return False when too many do."""
         line = self._lines.get(client, deque())
-        if len(line) >= MAX_OF_CLIENT or self._waiting >= MAX_WAITING:
+        is_full = self._waiting >= MAX_WAITING or self._bytes + size > MAX_BYTES
+        if is_full or len(line) >= MAX_OF_CLIENT:
             self.refused += 1
             return False
-        line.append(question)
+        line.append((question, size))
         self._lines[client] = line
         self._waiting += 1
+        self._bytes += size
         return True
 
     def take(self) -> T | None:
@@ -45,8 +50,9 @@ class QuestionQueue(Generic[T]):
         if not self._lines:
             return None
         client, line = self._lines.popitem(last=False)
-        question = line.popleft()
+        question, size = line.popleft()
         self._waiting -= 1
+        self._bytes -= size
         if line:
             self._lines[client] = line
         return question

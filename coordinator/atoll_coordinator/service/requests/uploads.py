@@ -94,7 +94,8 @@ class Uploads:
     def _delete_expired(self) -> None:
         now = self._now()
         self._check_at = now + CHECK_INTERVAL_S
-        self._heard = {digest: self._heard.get(digest, now) for digest in self._store.unused_blobs()}
+        going_on = {digest for (digest, _), shown in self._shown.items() if shown.chunks}  # of others' tables, perhaps
+        self._heard = {digest: self._heard.get(digest, now) for digest in going_on.union(self._store.unused_blobs())}
         expired = [digest for digest, heard in self._heard.items() if now - heard > LEASE_S]
         self._shown = {key: shown for key, shown in self._shown.items() if key[0] in self._heard.keys() - expired}
         if expired:

@@ -161,6 +161,8 @@ def _complaint(error: ValidationError) -> str:
         known = _known(path[:-1])
         return f"have {place}, which is unknown; known here: {', '.join(known)}{did_you_mean(path[-1], known)}"
     what = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    if first["type"] == "model_type":
+        what = f"a table of its own, such as [{place}],"
     return f"have {first.get('input')!r} as {place}, but {what} was expected"
 
 

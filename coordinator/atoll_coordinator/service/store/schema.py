@@ -128,6 +128,9 @@ def connect(directory: Path | None) -> sqlite3.Connection:
     """
     file = directory / FILE_NAME if directory else None
     with translated(file):
+        if file is not None:
+            with contextlib.suppress(OSError):  # of which SQLite tells
+                file.touch(mode=0o600)  # what users have measured is nobody else's, nor what SQLite puts beside it
         connection = sqlite3.connect(
             file or ":memory:", isolation_level=None, check_same_thread=False, timeout=BUSY_LIMIT_S
         )

@@ -22,7 +22,7 @@ from atoll_coordinator.service.tasks.outcomes import (
     preparation_failed,
     refinement_failed,
 )
-from atoll_coordinator.service.tasks.task_table import LIMIT_S, Task, TaskTable, task_id
+from atoll_coordinator.service.tasks.task_table import Task, TaskTable, task_id
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.tasks.preparing import PreparationOutcome, Prepared
@@ -98,6 +98,7 @@ class TaskController:
         self._blobs: dict[str, _Blob] = {}
         self._prepared: dict[str, bytes] = {}
         self._near: dict[str, str] = {}
+        self._keeping: set[str] = set()
 
     # ------------------------------------------------------------------------------------------------ jobs
 
@@ -125,7 +126,7 @@ class TaskController:
         self.analyses.check(user)
         tables = () if asked.table is None else (TaskInput(digest=asked.table, size=table_size),)
         inputs = (self._input(asked.job, result), self._input(asked.job, asked.question), *tables)
-        analysis = Analysis(task_id(asked.job, asked.function, inputs, None), key_of(asked), asked.job, user, now, now)
+        analysis = Analysis(task_id(asked.job, asked.function, inputs), key_of(asked), asked.job, user, now, now)
         self.analyses.add(analysis)
         self._add(asked.job, asked.function, inputs, None, now)
         return analysis
@@ -166,7 +167,7 @@ class TaskController:
         """Return in words what the tasks of a job wait for; None: they do not."""
         if not self.waits(job):
             return None
-        if any(task.worker is not None for task in self.table):
+        if self._keeping or any(task.worker is not None for task in self.table):
             return "waits for a worker that has no other task"
         return "waits for a worker: none has joined, or all are lost, leaving or cordoned"
 
@@ -187,11 +188,19 @@ class TaskController:
         config: JobConfig | None = None,
     ) -> None:  # fmt: skip
         """Add a task; `config` is that of its job, which a sentence on what breaks needs."""
-        task = Task(task_id(job, function, inputs, seconds), job, function, inputs, seconds, now)
+        task = Task(task_id(job, function, inputs), job, function, inputs, seconds, now)
         if config is not None:
             self._configs[task.id] = config
         self.table.add(task)
+        self._adopt_kept(task, now)
         self.dispatch(now)
+
+    def _adopt_kept(self, task: Task, now: float) -> None:
+        """Leave a task to the worker that has kept it since a coordinator before us leased it there, if one has."""
+        for worker, member in self._membership.attending():
+            status = member.status
+            if status is not None and self._can_adopt(task, worker, status) and _has(status, task):
+                self._adopt(task, worker, now)
 
     # --------------------------------------------------------------------------------------------- leases
 
@@ -239,7 +248,7 @@ class TaskController:
                 sum(held.islands for held in member.status.holdings) if member.status else 0, helped.get(name),
             )
             for name, member in self._membership.attending()
-            if name not in owners and self._membership.service(name) == "open"
+            if name not in owners and name not in self._keeping and self._membership.service(name) == "open"
         ]  # fmt: skip
 
     def _hosts(self, tasks: Iterable[Task], *, is_alone: bool = False) -> Counter[str]:
@@ -263,7 +272,7 @@ class TaskController:
                 if self._membership.service(worker) == "draining":
                     self._recall(worker)
         for task in self.table.overdue(now):
-            self._fail(task, "time", f"it took longer than {LIMIT_S:,.0f} s and was ended", now)
+            self._fail(task, "time", f"it took longer than {task.limit_s:,.0f} s and was ended", now)
         self.dispatch(now)
 
     def _count(self, task: Task, now: float) -> None:
@@ -277,6 +286,7 @@ class TaskController:
 
     def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
         """Take in which tasks a worker has; correct what it should not have, or should and has not."""
+        self._keeping.discard(worker)
         for held in status.tasks:
             self._compare(worker, held, status, now)
         self._correct(worker, {held.task for held in status.tasks}, now)
@@ -286,14 +296,12 @@ class TaskController:
         """Take in how far a worker is with a task; have it forget what is not its own."""
         task = self.table.get(held.task)
         if task is None:
-            if held.state == "helping" or not self._may_follow(held.job):
-                self._channel.send(worker, Release(task=held.task))
+            self._let_keep(worker, held)
         elif held.state == "helping":
             if worker not in task.helpers:
                 self._channel.send(worker, Release(task=held.task))
-        elif task.worker is None and self._can_adopt(worker, status):
-            self._recall(worker)
-            self._lease(task, worker, now)  # a coordinator that was here before has leased it
+        elif self._can_adopt(task, worker, status):
+            self._adopt(task, worker, now)  # a coordinator that was here before has leased it, or its worker is back
         elif task.worker != worker:
             self._channel.send(worker, Release(task=held.task))
         elif held.state == "running":
@@ -302,8 +310,22 @@ class TaskController:
         elif held.state in ("done", "failed"):
             self._say_again(task, worker, now)  # its report was lost, or the lease that has it tried again
 
-    def _can_adopt(self, worker: str, status: WorkerStatus) -> bool:
-        return status.state != "leaving" and self.table.on(worker) is None
+    def _let_keep(self, worker: str, held: TaskStatus) -> None:
+        """Leave to a worker what may be wanted soon, and have it forget what nobody needs."""
+        if held.state == "helping" or not self._may_follow(held.job):
+            self._channel.send(worker, Release(task=held.task))
+        elif held.state in ("waiting", "running"):
+            self._keeping.add(worker)  # what is leased to it would wait behind that
+
+    def _can_adopt(self, task: Task, worker: str, status: WorkerStatus) -> bool:
+        """Tell whether a worker may go on with a task; one that failed is leased anew, alone if memory ran out."""
+        is_free = task.worker is None and not task.failures
+        return is_free and status.state != "leaving" and self.table.on(worker) is None
+
+    def _adopt(self, task: Task, worker: str, now: float) -> None:
+        self._recall(worker)
+        self._keeping.discard(worker)
+        self._lease(task, worker, now)
 
     def _say_again(self, task: Task, worker: str, now: float) -> None:
         task.said_at = now
@@ -317,12 +339,13 @@ class TaskController:
             if task.id not in shown and now - task.helpers.get(worker, now) > SETTLED_S:
                 del task.helpers[worker]
 
-    def lose(self, worker: str, now: float) -> None:
-        """Take in that a worker is lost: its tasks go to others at once."""
+    def lose(self, worker: str, now: float, *, had_left: bool = False) -> None:
+        """Take in that a worker is lost, which `had_left` if it had said so: its tasks go to others at once."""
+        self._keeping.discard(worker)
         for task in self.table:
             if task.worker == worker:
                 self._count(task, now)
-        for task, why in self.table.lose(worker, now):
+        for task, why in self.table.lose(worker, now, had_left=had_left):
             if why is not None:
                 self._conclude_failed(task, "crash", why)
         self.dispatch(now)
@@ -331,7 +354,9 @@ class TaskController:
         """Take in what came of a task; raises RemoteProtocolError when it cannot be."""
         body = report.body
         task = self.table.get(body.task)
-        if task is None or task.worker != worker:
+        if task is None:
+            return  # a heartbeat says whose it is, which may want it soon
+        if task.worker != worker:
             self._channel.send(worker, Release(task=body.task))
             return
         match body:
@@ -373,8 +398,11 @@ class TaskController:
         made = decode_value(result, PreparationOutcome)
         if not made.is_prepared:
             return PreparationFailed(task.job, "data", made.sentence)
+        prepared = made.prepared
+        if hashlib.sha256(made.data).hexdigest() != prepared.blob or len(made.data) != prepared.size:
+            raise RemoteProtocolError("its dataset is not the one that it names")  # workers would ask for that for ever
         self._prepared[task.job] = made.encoded
-        return JobPrepared(task.job, made.prepared, made.data)
+        return JobPrepared(task.job, prepared, made.data)
 
     def _fail(self, task: Task, failure: Failure, sentence: str, now: float) -> None:
         """Take in that a task failed on its worker; it is tried again, or its job learns why not."""
@@ -411,6 +439,11 @@ class TaskController:
         for worker in holders:
             self._channel.send(worker, Release(task=task.id))
         task.helpers.clear()
+
+
+def _has(status: WorkerStatus, task: Task) -> bool:
+    """Tell whether a worker had a task as its own when it last said so."""
+    return any(held.task == task.id and held.state != "helping" for held in status.tasks)
 
 
 def _result_text(job: str, result: bytes) -> str:

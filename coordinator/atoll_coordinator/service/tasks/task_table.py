@@ -16,7 +16,8 @@ ANALYSES: Final[frozenset[TaskFunction]] = frozenset(get_args(AnalysisFunction))
 """Functions that answer questions about jobs that have ended."""
 
 LIMIT_S: Final = 3_600.0
-"""Far above what preparing or refining takes: a task that takes longer hangs, and is ended."""
+"""Far above what preparing or refining takes: a task that takes longer hangs, and is ended, unless its job was given
+more time."""
 
 State = Literal["waiting", "leased", "running", "ended"]
 Step = Literal["lease", "begin", "lose", "retry", "end"]
@@ -30,9 +31,13 @@ TASK_TRANSITIONS: Final[Mapping[State, Mapping[Step, State]]] = {
 """State of a task -> what happens -> its next state. `lose`: its worker is lost; `retry`: it failed there."""
 
 
-def task_id(job: str, function: TaskFunction, inputs: Sequence[TaskInput], seconds: float | None) -> str:
-    """Return the SHA-256 that names a task: of its job, function, digests of inputs and the time it may take."""
-    words = [job, function, *(given.digest for given in inputs), "" if seconds is None else seconds.hex()]
+def task_id(job: str, function: TaskFunction, inputs: Sequence[TaskInput]) -> str:
+    """Return the SHA-256 that names a task: of its job, function and digests of inputs.
+
+    The time that it may take is left out: what is left of `--max-time` is another after a restart of the coordinator,
+    which takes over what workers have of the task all the same.
+    """
+    words = [job, function, *(given.digest for given in inputs)]
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 
@@ -82,6 +87,11 @@ class Task:
             task=self.id, term=self.term, job=self.job, function=self.function, inputs=self.inputs,
             seconds=self.seconds, threads=self.threads,
         )  # fmt: skip
+
+    @property
+    def limit_s(self) -> float:
+        """How many seconds after its lease it is taken for hung."""
+        return max(LIMIT_S, self.seconds or 0.0)
 
     def step(self, step: Step) -> None:
         """Go to the next state by the table."""
@@ -136,14 +146,17 @@ class TaskTable:
         task.step("begin")
         return is_new
 
-    def lose(self, worker: str, now: float) -> list[tuple[Task, str | None]]:
-        """Take in that a worker is lost; return the tasks that it had, and why one of them is not tried again."""
+    def lose(self, worker: str, now: float, *, had_left: bool = False) -> list[tuple[Task, str | None]]:
+        """Take in that a worker is lost; return the tasks that it had, and why one of them is not tried again.
+
+        One that `had_left` said before that it would end, so that no task has ended it, and counts for none.
+        """
         lost: list[tuple[Task, str | None]] = []
         for task in tuple(self._tasks.values()):
             task.helpers.pop(worker, None)
             if task.worker != worker:
                 continue
-            task.losses += 1
+            task.losses += not had_left
             if task.losses >= MAX_LOSSES:
                 lost.append((task, f"its worker was lost, {task.losses} times"))
                 self.end(task)
@@ -168,7 +181,8 @@ class TaskTable:
 
     def overdue(self, now: float) -> list[Task]:
         """Return the tasks that have taken too long."""
-        return [task for task in self._tasks.values() if task.worker is not None and now - task.leased_at > LIMIT_S]
+        held = (task for task in self._tasks.values() if task.worker is not None)
+        return [task for task in held if now - task.leased_at > task.limit_s]
 
     def end(self, task: Task) -> None:
         """Take in that a task has ended: done, failed for good, or needed by nobody."""

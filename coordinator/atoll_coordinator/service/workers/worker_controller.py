@@ -55,7 +55,7 @@ class LiveJobs(Protocol):
 
     def has_task(self, worker: str) -> bool: ...
 
-    def lose_tasks(self, worker: str, now: float) -> None: ...
+    def lose_tasks(self, worker: str, now: float, *, had_left: bool) -> None: ...
 
     def guarded(self, job_id: str, task: str, now: float) -> AbstractContextManager[None]: ...
 
@@ -218,7 +218,7 @@ class WorkerController:
         One that had said that it would leave was not ended by what it computed.
         """
         name = member.hello.name
-        self._lose_tasks(name, now)
+        self._lose_tasks(name, now, had_left=member.is_leaving)
         lost = [archipelago for archipelago in self._open_archipelagos() if name in archipelago.workers]
         if not lost:
             self._events.record("worker-lost", why, worker=name)

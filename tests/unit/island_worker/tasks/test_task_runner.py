@@ -360,6 +360,13 @@ def test_helping_ends_with_what_cannot_be_read_so_that_it_begins_again(scene: Sc
     assert scene.process.said == []
 
 
+def test_a_context_is_known_by_its_own_digest_whatever_who_gives_it_says(scene: Scene) -> None:
+    scene.runner.told(Help(task=B, job="k", worker="peer"))
+    given = GivenBatch(number=7, function="f", digest=digest(b"anothers"), context=b"false", item=b"i")
+    with pytest.raises(RemoteProtocolError, match="which is not here"):
+        scene.runner.answered(Request("batch", B), encode(PullAnswer(body=given)))
+
+
 def test_its_own_task_goes_before_helping(scene: Scene) -> None:
     scene.runner.told(Help(task=B, job="j", worker="w1"))
     scene.give_batch()

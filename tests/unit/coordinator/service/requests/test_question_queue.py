@@ -1,6 +1,6 @@
 """Clients take turns, whatever one of them asks."""
 
-from atoll_coordinator.service.requests.question_queue import MAX_OF_CLIENT, MAX_WAITING, QuestionQueue
+from atoll_coordinator.service.requests.question_queue import MAX_BYTES, MAX_OF_CLIENT, MAX_WAITING, QuestionQueue
 
 
 def test_clients_take_turns_and_each_is_answered_in_its_order() -> None:
@@ -22,3 +22,12 @@ def test_the_questions_of_all_clients_are_bounded() -> None:
     queue = QuestionQueue[int]()
     taken = [queue.add(f"c{number}", number) for number in range(MAX_WAITING + 1)]
     assert taken == [*[True] * MAX_WAITING, False]
+
+
+def test_the_bytes_of_all_questions_are_bounded() -> None:
+    queue = QuestionQueue[int]()
+    assert queue.add("a", 1, MAX_BYTES - 10)
+    assert not queue.add("b", 2, 11)
+    assert queue.add("b", 3, 10)
+    assert (queue.take(), queue.add("c", 4, 11)) == (1, True)
+    assert queue.refused == 1

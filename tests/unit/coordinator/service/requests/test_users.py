@@ -12,6 +12,7 @@ from atoll_coordinator.service.requests import admission
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
+from atoll_coordinator.service.requests.uploads import CHECK_INTERVAL_S, LEASE_S
 from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Times, Total
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, JobConfig
@@ -19,6 +20,7 @@ from atoll_core.wire.codec import decode
 from atoll_core.wire.messages import clients as messages
 from atoll_core.wire.messages.clients import Change, Failure, Following, JobList, JobStatus, Request
 from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.views import Workforce
 from atoll_core.wire.security.role_bindings import RoleBindings
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
@@ -34,6 +36,7 @@ class Lab:
 
     def __init__(self, store: Store, roles: RoleBindings | None = ROLES) -> None:
         self.store = store
+        self.now = NOW
         self.controller: JobController = controller_of(store, Tasks())
         self.controller.recover(NOW)
         self.authorization = Authorization(roles, store)
@@ -46,7 +49,7 @@ class Lab:
         self.controller.changed = self.followers.touch
         self.controller.events.told = lambda kind, job: self.followers.touch(job)
         self.clients = ClientRequests(
-            self.controller, store, self.authorization, deletion, lambda: NOW, followers=self.followers
+            self.controller, store, self.authorization, deletion, lambda: self.now, followers=self.followers
         )
 
     def ask(self, user: str, body: object) -> object:
@@ -175,6 +178,31 @@ def test_whoever_knows_a_digest_alone_has_not_the_table(lab: Lab) -> None:
     assert view(lab.submit("bob", "his", b"secret")).submitter == "bob"
 
 
+def test_a_table_that_another_has_may_take_its_time_to_be_shown(lab: Lab) -> None:
+    table = bytes(CHUNK_SIZE + 1)
+    digest = hashlib.sha256(table).hexdigest()
+    chunks = [table[:CHUNK_SIZE], table[CHUNK_SIZE:]]
+    hers, his = (messages.Uploaded(blob=digest, missing=left) for left in ((), (1,)))
+
+    def show(user: str, index: int) -> object:
+        data = chunks[index]
+        part = {"index": index, "sha256": hashlib.sha256(data).hexdigest(), "data": data}
+        return lab.ask(user, messages.Upload.model_validate({"blob": digest, "size": len(table), **part}))
+
+    show("ann", 0)
+    assert show("ann", 1) == hers
+    lab.ask("ann", messages.Submit(job="mine", name="", config=JobConfig(), table=digest))
+    assert show("bob", 0) == his
+    lab.now += 2 * CHECK_INTERVAL_S
+    lab.clients.uploads.expire()
+    assert show("bob", 1) == hers
+    lab.now += LEASE_S + CHECK_INTERVAL_S
+    lab.clients.uploads.expire()
+    assert lab.ask("bob", messages.Upload(blob=digest, size=len(table))) == messages.Uploaded(
+        blob=digest, missing=(0, 1)
+    )
+
+
 def test_without_a_roster_everything_is_open() -> None:
     with Store.open(None) as store:
         lab = Lab(store, None)
@@ -220,6 +248,13 @@ def test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart(lab: Lab
     assert view(again.ask("ann", messages.Pause(job="second", paused=False))).state == "preparing"
 
 
+def test_a_job_that_ends_in_the_line_waits_for_nothing_any_more(lab: Lab) -> None:
+    lab.submit("ann", "first")
+    assert view(lab.submit("ann", "second")).reason
+    lab.ask("ann", messages.Pause(job="second"))
+    assert view(lab.ask("ann", messages.Cancel(job="second"))).reason is None
+
+
 def test_what_has_ended_is_neither_paused_nor_given_a_priority(lab: Lab) -> None:
     lab.submit("ann", "mine")
     lab.fail("mine")
@@ -244,6 +279,13 @@ def test_a_failed_job_is_tried_again_under_another_id(lab: Lab) -> None:
         again = view(lab.ask("ann", messages.Retry(job="mine", again="second")))
         assert (again.job, again.seed, again.priority, again.submitter) == ("second", 7, 3, "ann")
     assert view(lab.ask("ann", messages.Status(job="mine"))).state == "failed"
+
+
+def test_a_job_is_not_tried_again_under_the_id_of_anothers(lab: Lab) -> None:
+    lab.submit("ann", "mine", b"the same")
+    lab.submit("bob", "his", b"the same")
+    lab.fail("his")
+    assert "is taken" in said(lab.ask("bob", messages.Retry(job="his", again="mine")))
 
 
 def test_a_paused_queue_stays_so_after_a_restart(lab: Lab) -> None:

@@ -42,6 +42,7 @@ def test_an_empty_file_limits_what_is_limited_anyway(tmp_path: Path) -> None:
         ("[user]\nrunning = '2'", "have '2' as user.running, but a valid integer was expected"),
         ("[user]\nstored = '2X'", "have '2X' as user.stored, but a number of bytes such as 500000000, 500M or 2G"),
         ("[user]\ntask_time = 'long'", "have 'long' as user.task_time, but a time such as 90s, 30m or 12h was"),
+        ("[users]\nann = 5", "have 5 as users.ann, but a table of its own, such as [users.ann], was expected"),
         ("[time]\nmost = 0", "have 0 as time.most, but greater than 0 was expected"),
         ("[time]\nmost = '1h'\ndefault = '2h'", "a default of 7200 s at most as long as most, which is 3600 s"),
         ("[time]\nmaximal = '1h'", "have time.maximal, which is unknown; known here: default, most"),

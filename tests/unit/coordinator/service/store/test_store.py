@@ -214,6 +214,14 @@ def test_threads_may_share_a_store(store: Store) -> None:
     assert sorted(terms) == list(range(1, 9))
 
 
+def test_nobody_else_reads_what_is_stored(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        store.put_blob(b"measured")
+        modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.glob(f"{FILE_NAME}*")}
+    assert set(modes.values()) == {0o600}, modes
+    assert len(modes) == 3
+
+
 def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_path: Path) -> None:
     with Store.open(tmp_path) as store:
         cluster, incarnation = store.cluster, store.incarnation

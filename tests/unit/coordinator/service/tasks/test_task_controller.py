@@ -35,7 +35,7 @@ from atoll_core.wire.messages.tasks import (
 )
 from atoll_core.wire.messages.views import WorkerState
 from atoll_core.wire.messages.workers import ControlBody, WorkerStatus
-from atoll_core.wire.values import encode_value
+from atoll_core.wire.values import decode_value, encode_value
 from tests.simulation.harness.simulated_cluster import prepare as prepare_stub
 
 TABLE = "c" * 64
@@ -53,6 +53,7 @@ class Scene:
         self.charged: list[tuple[str, float]] = []
         self.paused: set[str] = set()
         self.forgotten: list[str] = []
+        self.following: set[str] = set()
         self.now = 0.0
         self._ended: dict[str, str] = {}
         self.membership = Membership()
@@ -63,6 +64,7 @@ class Scene:
             lambda waiting, running: sorted(
                 (job for job in waiting if job not in self.paused), key=lambda job: (ranks or {}).get(job, 0.0)
             ),
+            may_follow=lambda job: job in self.following,
             charge=lambda job, seconds: self.charged.append((job, seconds)),
             forget=self.forgotten.append,
         )
@@ -223,6 +225,57 @@ def test_a_coordinator_that_starts_again_takes_over_what_workers_have() -> None:
     assert scene.leased_to() == ["w0"]
 
 
+def test_refining_is_taken_over_though_less_of_its_time_is_left_then() -> None:
+    before = refining("j", "w0", seconds=20.0)
+    after = refining("j", "w1", seconds=19.5)
+    assert after.ids["j"] == before.ids["j"]
+
+
+def test_what_is_done_before_its_job_is_prepared_again_is_kept_until_then() -> None:
+    scene = Scene("w0")
+    scene.following.add("j")
+    scene._ended["j"] = "d" * 64
+    scene.chunk("w0", "j", REFINED)
+    scene.beat("w0", j="done")
+    assert scene.said() == []
+    scene.following.clear()  # its job has ended
+    scene.beat("w0", j="done")
+    assert scene.said() == [("w0", Release(task="d" * 64))]
+
+
+@pytest.mark.parametrize("state", ["running", "done"])
+def test_who_has_kept_a_task_gets_it_though_others_are_free(state: TaskState) -> None:
+    name = refining("j", "w0").ids["j"]
+    scene = Scene("w0")
+    scene.following.add("j")
+    scene._ended["j"] = name
+    scene.beat("w0", j=state)
+    scene.join("a0")
+    scene.prepare("j")
+    assert scene.leased_to() == ["a0"]
+    scene.chunk("a0", "j", PREPARED)
+    scene.controller.refine(Searched("j", ()), CONFIG, None, scene.now)
+    assert scene.leased_to() == ["w0"]
+    scene.beat("w0", j=state)
+    assert scene.controller.table.get(name).worker == "w0"
+
+
+def test_nothing_waits_behind_what_a_worker_keeps_of_a_former_coordinators_leases() -> None:
+    scene = Scene("w0")
+    scene.following.add("j")
+    scene._ended["j"] = "d" * 64  # its data are prepared again before this is wanted
+    scene.beat("w0", j="running")
+    scene.prepare("k")
+    assert scene.said() == []
+    assert scene.controller.waiting_reason("k") == "waits for a worker that has no other task"
+    scene.join("w1")
+    assert scene.leased_to() == ["w1"]
+    scene.prepare("l")
+    assert scene.said() == []
+    scene.beat("w0", j="done")
+    assert scene.leased_to() == ["w0"]
+
+
 def test_who_helps_and_has_a_task_from_before_stops_helping() -> None:
     scene = refining("j", "w0", "w1")
     scene.beat("w0", j="running")
@@ -298,6 +351,18 @@ def test_a_result_that_is_no_result_counts_as_a_mistake_of_the_task() -> None:
     assert "cannot be read" in failed.sentence
 
 
+def test_a_dataset_that_is_not_the_one_that_is_named_counts_as_a_mistake_of_the_task() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    made = decode_value(PREPARED, PreparationOutcome)
+    for _ in range(2):
+        assert scene.posted == []
+        scene.chunk("w0", "j", encode_value(PreparationOutcome(made.encoded, made.data + b"x")))
+    (failed,) = scene.posted
+    assert isinstance(failed, PreparationFailed)
+    assert "not the one that it names" in failed.sentence
+
+
 def test_a_worker_speaks_for_its_own_task_only() -> None:
     scene = Scene("w0", "w1")
     scene.prepare()
@@ -360,6 +425,31 @@ def test_where_memory_ran_out_it_is_tried_again_alone() -> None:
     assert [(one.job, one.worker is not None) for one in scene.controller.table] == [("j", True), ("l", False)]
     scene.chunk(scene.controller.table.get(scene.ids["j"]).worker, "j", PREPARED)
     assert scene.controller.table.get(scene.ids["l"]).worker is not None
+
+
+@pytest.mark.parametrize("state", ["failed", "running"])
+def test_where_memory_ran_out_a_heartbeat_that_comes_behind_that_brings_it_to_no_host_that_is_not_free(
+    state: TaskState,
+) -> None:
+    scene = Scene("w0", "w1")
+    scene.prepare("j")
+    scene.prepare("k")
+    worker = scene.controller.table.get(scene.ids["j"]).worker
+    scene.fail(worker, "j", "memory")
+    scene.said()
+    scene.beat(worker, j=state)  # a worker sends one at once, before it is told to forget the task
+    assert scene.said() == [(worker, Release(task=scene.ids["j"]))]
+    assert scene.controller.table.get(scene.ids["j"]).worker is None
+
+
+def test_what_failed_under_a_former_coordinator_is_taken_over_and_counts() -> None:
+    scene = Scene("w0")
+    scene.paused.add("j")
+    scene.prepare()
+    scene.beat("w0", j="failed")
+    assert scene.leased_to() == ["w0"]  # to which it says again how it failed
+    scene.fail("w0", "j", "time")
+    assert isinstance(scene.posted[0], PreparationFailed)
 
 
 def test_a_lost_worker_costs_its_tasks_nothing_until_there_were_too_many() -> None:
@@ -428,12 +518,12 @@ def test_tasks_go_out_by_the_rank_of_their_jobs_and_say_for_what_they_wait() -> 
     assert scene.controller.waiting_reason("early") is None
 
 
-def refining(job: str, *workers: str) -> Scene:
+def refining(job: str, *workers: str, seconds: float | None = None) -> Scene:
     """Return a scene in which the first worker has a job's refining."""
     scene = Scene(workers[0])
     scene.prepare(job)
     scene.chunk(workers[0], job, PREPARED)
-    scene.controller.refine(Searched(job, ()), CONFIG, None, scene.now)
+    scene.controller.refine(Searched(job, ()), CONFIG, seconds, scene.now)
     scene._ended = {**scene._ended, job: scene.controller.table.of_job(job)[0].id}
     for worker in workers[1:]:
         scene.join(worker)

@@ -33,12 +33,11 @@ def table_with(*tasks: Task) -> TaskTable:
 def test_a_task_is_named_by_all_that_decides_its_result() -> None:
     other = INPUT.model_copy(update={"digest": "b" * 64})
     names = {
-        task_id("j", "prepare", (INPUT,), None), task_id("k", "prepare", (INPUT,), None),
-        task_id("j", "refine", (INPUT,), None), task_id("j", "prepare", (other,), None),
-        task_id("j", "prepare", (INPUT, other), None), task_id("j", "prepare", (INPUT,), 1.0),
+        task_id("j", "prepare", (INPUT,)), task_id("k", "prepare", (INPUT,)), task_id("j", "refine", (INPUT,)),
+        task_id("j", "prepare", (other,)), task_id("j", "prepare", (INPUT, other)),
     }  # fmt: skip
-    assert len(names) == 6
-    assert task_id("j", "prepare", (INPUT,), None) in names
+    assert len(names) == 5
+    assert task_id("j", "prepare", (INPUT,)) in names
 
 
 def test_steps_are_those_of_the_table() -> None:
@@ -92,6 +91,15 @@ def test_a_task_whose_worker_is_lost_waits_again_until_it_has_cost_too_many() ->
     assert list(table) == [other]
 
 
+def test_workers_that_had_said_that_they_leave_cost_a_task_nothing_however_many() -> None:
+    one = task()
+    table = table_with(one)
+    for number in range(2 * MAX_LOSSES):
+        table.lease(one, "w", 0.0)
+        assert table.lose("w", float(number), had_left=True) == [(one, None)]
+    assert one.losses == 0
+
+
 def test_a_helper_that_is_lost_costs_the_task_nothing() -> None:
     one = task()
     table = table_with(one)
@@ -131,6 +139,15 @@ def test_what_takes_too_long_is_never_tried_again() -> None:
     assert table.overdue(LIMIT_S + 1.0) == [one]
     assert table.fail(one, "time", "too long", 1.0) == "too long"
     assert len(table) == 0
+
+
+def test_a_task_of_a_job_that_was_given_longer_may_take_longer() -> None:
+    one = task()
+    one.seconds = 3.0 * LIMIT_S
+    table = table_with(one)
+    table.lease(one, "w", 0.0)
+    assert table.overdue(3.0 * LIMIT_S) == []
+    assert table.overdue(3.0 * LIMIT_S + 1.0) == [one]
 
 
 def test_a_table_that_is_wrong_says_so() -> None:
