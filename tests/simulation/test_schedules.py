@@ -40,7 +40,7 @@ from tests.simulation.soak import ROOT, Tally, chunks, is_real, play
 SEEDS = 20
 """The first ones of those that ``make soak`` plays."""
 
-BLOCK = 10
+BLOCK = 5
 REAL = (99, 199)
 
 
@@ -48,7 +48,9 @@ def told(outcome: Outcome) -> str:
     return "\n".join([outcome.schedule.story(), "", *outcome.story, "", *outcome.wrong])
 
 
-@pytest.mark.parametrize("first", range(0, SEEDS, BLOCK))
+@pytest.mark.parametrize(
+    "first", [pytest.param(first, marks=[pytest.mark.slow] * (first > 0)) for first in range(0, SEEDS, BLOCK)]
+)
 def test_no_schedule_changes_an_answer_stops_a_job_or_leaves_anything(first: int) -> None:
     for seed in range(first, first + BLOCK):
         if not is_real(seed):

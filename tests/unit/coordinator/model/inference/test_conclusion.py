@@ -1,5 +1,6 @@
 """From pools to the refinement that a job shows: chosen, fitted, rounded, assessed and judged by trajectories."""
 
+import functools
 import itertools
 import math
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -117,23 +118,27 @@ def processes():
         yield executor
 
 
-def scattered(batches: Batches | None = None) -> bytes:
-    times = 0.1 * np.arange(30.0)
+def scattered(rows: int, batches: Batches | None = None) -> bytes:
+    times = 0.1 * np.arange(float(rows))
     return encode_value(refined(LOTKA, LOTKA_STARTS, LOTKA_POOL, noise=0.02, times=times, batches=batches))
 
 
 @pytest.fixture(scope="module")
-def computed_here() -> bytes:
+def computed_here():
+    """Return by the rows of a trajectory what one process computes by itself."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(joint_search, "SETTINGS", settings("effort", work=2_000_000))
-        return scattered()
+        yield functools.cache(scattered)
 
 
-@pytest.mark.parametrize("workers", [2, 7, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 3))])
-def test_wherever_and_in_which_order_batches_are_computed_changes_no_bit(workers, computed_here, processes):
+@pytest.mark.parametrize(
+    ("workers", "rows"),
+    [(2, 16), (7, 16), *(pytest.param(count, 30, marks=pytest.mark.slow) for count in (1, 2, 3, 7))],
+)
+def test_wherever_and_in_which_order_batches_are_computed_changes_no_bit(workers, rows, computed_here, processes):
     """By other processes, and by threads of this one; out of order, and some twice."""
     batches = ScatteredBatches(workers, processes if workers == 2 else None)
-    assert scattered(batches) == computed_here
+    assert scattered(rows, batches) == computed_here(rows)
     functions = {function for function, _ in batches.calls}
     assert {"fits", "folds", "sums of products", "writings", "eliminations"} <= functions
 
