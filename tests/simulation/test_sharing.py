@@ -1,6 +1,6 @@
 """Users share places and workers; jobs are paused and workers drained, and every job ends as it does alone."""
 
-from functools import partial
+from functools import cache, partial
 
 import pytest
 
@@ -18,6 +18,7 @@ VARIABLE = next(name for name in "abcdefghijklmnop" if not hits_of(config(1), na
 """A variable whose target is met nowhere: the search goes on to the last epoch."""
 
 
+@cache
 def alone() -> str:
     return comparable(World(workers=1, seed=1).run(config(1), VARIABLE))
 
