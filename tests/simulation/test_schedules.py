@@ -169,8 +169,13 @@ def test_a_task_that_meets_something_is_done_all_the_same(
     assert sum(tasks.helped for tasks in run.participants.tasks.values()) > 1
 
 
-@pytest.mark.parametrize("kind", ["die-before-commit", "die-after-commit"])
-@pytest.mark.parametrize("commit", range(1, 12))
+@pytest.mark.parametrize(
+    ("kind", "commit"),
+    [
+        *(("die-before-commit", commit) for commit in range(1, 12)),
+        *(pytest.param("die-after-commit", commit, marks=[pytest.mark.slow] * (commit > 3)) for commit in range(1, 12)),
+    ],
+)
 def test_the_coordinator_may_die_at_any_commit(kind: Kind, commit: int) -> None:
     outcome = play(disturbed(Fault(0.0, kind, "", 0.5, float(commit))))
     assert not outcome.wrong, told(outcome)

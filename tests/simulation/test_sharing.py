@@ -125,7 +125,7 @@ def test_a_cordoned_worker_keeps_its_islands_and_gets_no_more() -> None:
 
 def test_endless_jobs_of_many_users_have_places_in_turn() -> None:
     with hurried():
-        world = World(workers=2, seed=1, slowness=5.0)
+        world = World(workers=2, seed=1, slowness=10.0)
         queue = world.service.controller.queue
         queue.limits, queue._fair_share = Limits(total=Total(running=2)), FairShare(quantum_s=5.0)
         for user in ("ann", "bob", "cem", "dan"):

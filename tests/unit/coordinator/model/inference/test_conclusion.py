@@ -118,27 +118,33 @@ def processes():
         yield executor
 
 
-def scattered(rows: int, batches: Batches | None = None) -> bytes:
-    times = 0.1 * np.arange(float(rows))
-    return encode_value(refined(LOTKA, LOTKA_STARTS, LOTKA_POOL, noise=0.02, times=times, batches=batches))
+GROWTH = Known(("x",), lambda _, z: [2.0 * z[0] - z[0] ** 2])
+SCATTERED = {
+    "growth": (GROWTH, ([0.1], [0.4], [3.0], [5.0]), {"x": ("x", "1.2*x - x*x")}),
+    "lotka": (LOTKA, LOTKA_STARTS, LOTKA_POOL),
+}
+
+
+def scattered(name: str, batches: Batches | None = None) -> bytes:
+    return encode_value(refined(*SCATTERED[name], noise=0.02, times=0.1 * np.arange(30.0), batches=batches))
 
 
 @pytest.fixture(scope="module")
 def computed_here():
-    """Return by the rows of a trajectory what one process computes by itself."""
+    """Return by the name of a system what one process computes by itself."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(joint_search, "SETTINGS", settings("effort", work=2_000_000))
         yield functools.cache(scattered)
 
 
 @pytest.mark.parametrize(
-    ("workers", "rows"),
-    [(2, 16), (7, 16), *(pytest.param(count, 30, marks=pytest.mark.slow) for count in (1, 2, 3, 7))],
+    ("workers", "name"),
+    [(2, "growth"), (7, "growth"), *(pytest.param(count, "lotka", marks=pytest.mark.slow) for count in (1, 2, 3, 7))],
 )
-def test_wherever_and_in_which_order_batches_are_computed_changes_no_bit(workers, rows, computed_here, processes):
+def test_wherever_and_in_which_order_batches_are_computed_changes_no_bit(workers, name, computed_here, processes):
     """By other processes, and by threads of this one; out of order, and some twice."""
     batches = ScatteredBatches(workers, processes if workers == 2 else None)
-    assert scattered(rows, batches) == computed_here(rows)
+    assert scattered(name, batches) == computed_here(name)
     functions = {function for function, _ in batches.calls}
     assert {"fits", "folds", "sums of products", "writings", "eliminations"} <= functions
 
