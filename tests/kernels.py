@@ -11,7 +11,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
-from atoll_core.compilation.cache import cache_directory
+from atoll_core.compilation.cache import cache_directory, is_compiled
 from atoll_core.compilation.progress import WarmUpDisplay
 from atoll_core.machine.cores import usable_cores
 
@@ -40,8 +40,11 @@ def compile_all(with_generic: bool) -> int:
         return process.returncode
 
     with ThreadPoolExecutor(usable_cores(os.environ)[0]) as pool:
-        works = [pool.submit(run, "for the worker", f"{_WORKER}; {_RUN}", {})]
-        works += [pool.submit(run, "for the coordinator", f"{_COORDINATOR}; {_RUN}", {})]
+        works = []
+        if not is_compiled("atoll_island_worker"):
+            works += [pool.submit(run, "for the worker", f"{_WORKER}; {_RUN}", {})]
+        if not is_compiled("atoll_coordinator"):
+            works += [pool.submit(run, "for the coordinator", f"{_COORDINATOR}; {_RUN}", {})]
         if with_generic:
             works += [pool.submit(run, "for any processor", f"{_WORKER}; {_DATA}; {_RUN}; data()", environment())]
     return next((work.result() for work in works if work.result()), 0)

@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import lfilter
 
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.tasks.preparing import Prepared
@@ -75,7 +74,7 @@ def path(draw: np.random.Generator, times: FloatArray, others: Sequence[FloatArr
     noise = draw.normal(size=rows) * draw.choice([0.01, 0.3, 1.0])
     kinds: list[Callable[[], ArrayLike]] = [
         lambda: np.cumsum(noise),
-        lambda: lfilter([1.0], [1.0, -float(draw.choice([0.5, 0.9, 0.99]))], noise),
+        lambda: _drawn_back(noise, float(draw.choice([0.5, 0.9, 0.99]))),
         lambda: np.exp(np.cumsum(0.1 * noise)),
         lambda: np.cos(0.3 * np.arange(rows) + np.cumsum(0.1 * noise)),
         lambda: np.cumsum(draw.poisson(0.5, rows) - 0.5),
@@ -85,6 +84,13 @@ def path(draw: np.random.Generator, times: FloatArray, others: Sequence[FloatArr
     if others:
         kinds += [lambda: np.cumsum(0.1 * others[-1] + noise), lambda: others[0] + noise]
     return np.asarray(kinds[int(draw.integers(len(kinds)))](), dtype=np.float64)
+
+
+def _drawn_back(noise: FloatArray, kept: float) -> ArrayLike:
+    """Return the walk that keeps such a share of where it is at each step."""
+    from scipy.signal import lfilter  # whose import takes half a second
+
+    return lfilter([1.0], [1.0, -kept], noise)
 
 
 def table_of(draw: np.random.Generator) -> Table:

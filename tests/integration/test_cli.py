@@ -158,15 +158,15 @@ def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
 
         endless = ["--target-error", "1e-300", "--max-epochs", "1000000", "--id", "second"]
         assert coordinator("submit", DATA, *there, "--no-wait", *endless, cwd=tmp_path).stdout == "second\n"
-        jobs = json.loads(coordinator("jobs", "--json", *there, cwd=tmp_path).stdout)
-        assert [job["job"] for job in jobs] == ["first", "second"]
         status = json.loads(coordinator("status", "sec", "--json", *there, cwd=tmp_path).stdout)
         assert status["state"] in ("queued", "preparing", "running")
+        assert coordinator("cancel", "second", *there, cwd=tmp_path).returncode == 0
+        jobs = json.loads(coordinator("jobs", "--json", *there, cwd=tmp_path).stdout)
+        assert [job["job"] for job in jobs] == ["first", "second"]
         names = [
             worker["worker"] for worker in json.loads(coordinator("workers", "--json", *there, cwd=tmp_path).stdout)
         ]
         assert names == ["lab"]
-        assert coordinator("cancel", "second", *there, cwd=tmp_path).returncode == 0
         assert "cancelled" in coordinator("status", "second", *there, cwd=tmp_path).stdout
         assert coordinator("delete", "second", *there, cwd=tmp_path).stdout == "job second is deleted\n"
         assert coordinator("status", "second", *there, cwd=tmp_path).returncode == 2

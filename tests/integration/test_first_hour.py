@@ -33,13 +33,14 @@ QUICK = [
         "two decays",
         "hyperbola",
     ),
-    *("called sint, cost", "called lambda, class", "called None, nan"),
+    *("called sint, cost", "called lambda, class"),
     *("decay, 3 rows", "decay, 4 rows", "decay, 12 rows"),
     *("decay from 1e-30", "decay from 1e30", "decay in nanoseconds", "decay over millions of years"),
     "0 and 1 in turn",
 ]
 LONGER = [
-    *("5 rows a period", "10 rows a period", "called prey, grey, größe", "called dx, x", "relaxation to 20 degrees"),
+    *("5 rows a period", "10 rows a period", "relaxation to 20 degrees"),
+    *("called None, nan", "called prey, grey, größe", "called dx, x"),
     *("1e-30 beside 1e30", "decay, 8 rows", "white noise, 8 rows", "3 rows a period"),
     *("a recording of an enzyme", "a recording of a damped swing"),
 ]

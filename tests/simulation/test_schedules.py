@@ -40,7 +40,7 @@ from tests.simulation.soak import ROOT, Tally, chunks, is_real, play
 SEEDS = 20
 """The first ones of those that ``make soak`` plays."""
 
-BLOCK = 10
+BLOCK = 5
 REAL = (99, 199)
 
 
@@ -48,7 +48,9 @@ def told(outcome: Outcome) -> str:
     return "\n".join([outcome.schedule.story(), "", *outcome.story, "", *outcome.wrong])
 
 
-@pytest.mark.parametrize("first", range(0, SEEDS, BLOCK))
+@pytest.mark.parametrize(
+    "first", [pytest.param(first, marks=[pytest.mark.slow] * (first > 0)) for first in range(0, SEEDS, BLOCK)]
+)
 def test_no_schedule_changes_an_answer_stops_a_job_or_leaves_anything(first: int) -> None:
     for seed in range(first, first + BLOCK):
         if not is_real(seed):
@@ -167,8 +169,13 @@ def test_a_task_that_meets_something_is_done_all_the_same(
     assert sum(tasks.helped for tasks in run.participants.tasks.values()) > 1
 
 
-@pytest.mark.parametrize("kind", ["die-before-commit", "die-after-commit"])
-@pytest.mark.parametrize("commit", range(1, 12))
+@pytest.mark.parametrize(
+    ("kind", "commit"),
+    [
+        *(("die-before-commit", commit) for commit in range(1, 12)),
+        *(pytest.param("die-after-commit", commit, marks=[pytest.mark.slow] * (commit > 3)) for commit in range(1, 12)),
+    ],
+)
 def test_the_coordinator_may_die_at_any_commit(kind: Kind, commit: int) -> None:
     outcome = play(disturbed(Fault(0.0, kind, "", 0.5, float(commit))))
     assert not outcome.wrong, told(outcome)

@@ -1,6 +1,6 @@
 """Users share places and workers; jobs are paused and workers drained, and every job ends as it does alone."""
 
-from functools import partial
+from functools import cache, partial
 
 import pytest
 
@@ -18,6 +18,7 @@ VARIABLE = next(name for name in "abcdefghijklmnop" if not hits_of(config(1), na
 """A variable whose target is met nowhere: the search goes on to the last epoch."""
 
 
+@cache
 def alone() -> str:
     return comparable(World(workers=1, seed=1).run(config(1), VARIABLE))
 
@@ -124,7 +125,7 @@ def test_a_cordoned_worker_keeps_its_islands_and_gets_no_more() -> None:
 
 def test_endless_jobs_of_many_users_have_places_in_turn() -> None:
     with hurried():
-        world = World(workers=2, seed=1)
+        world = World(workers=2, seed=1, slowness=10.0)
         queue = world.service.controller.queue
         queue.limits, queue._fair_share = Limits(total=Total(running=2)), FairShare(quantum_s=5.0)
         for user in ("ann", "bob", "cem", "dan"):

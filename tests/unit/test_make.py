@@ -32,8 +32,8 @@ def test_every_target_is_explained_and_prepares_the_environment(target: str) -> 
 
 @needs_make
 @pytest.mark.parametrize("target", ["test", "test-all", "test-wheel"])
-def test_tests_run_two_files_at_a_time_for_each_core(target: str) -> None:
-    number = 2 * usable_cores(os.environ)[0]
+def test_tests_run_three_files_at_a_time_for_two_cores(target: str) -> None:
+    number = (3 * usable_cores(os.environ)[0] + 1) // 2
     assert f" -n {number} --dist loadfile" in make("--dry-run", target, f"BIN={Path(sys.executable).parent}").stdout
 
 

@@ -5,6 +5,7 @@ worker is forked from this process after the server, as `atoll_island_worker.lau
 first.
 """
 
+import importlib
 import logging
 import os
 import queue
@@ -15,10 +16,10 @@ from atoll_core.tasks.frames import Ended, Failed, Finished, Run, Said
 from atoll_island_worker.processes.fork_server import Forked
 from atoll_island_worker.tasks import task_process
 from atoll_island_worker.tasks.task_server import TaskServer
-from tests.unit.island_worker.tasks import strange_tasks
 
-KNOWING = task_process._PROGRAM.replace("from atoll", f"import {strange_tasks.__name__}\nfrom atoll", 1)
-"""The program of a task process that knows the strange functions."""
+FUNCTIONS = "tests.unit.island_worker.tasks.strange_tasks"
+KNOWING = task_process._PROGRAM.replace("from atoll", f"import {FUNCTIONS}\nfrom atoll", 1)
+"""The program of a task process that knows the strange functions, which take long to import."""
 
 
 def work(server: TaskServer | None, function: str, inputs: tuple[bytes, ...]) -> int:
@@ -44,6 +45,7 @@ def main(kind: str, function: str, *inputs: str) -> int:
     given = tuple(map(os.fsencode, inputs))
     if kind == "interpreter":
         return work(None, function, given)
+    importlib.import_module(FUNCTIONS)  # what is forked from here knows them, too
     server = TaskServer()
     worker = Forked(lambda: work(server, function, given))
     sys.stdout.write(f"{worker.pid}\n")

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from atoll_coordinator.model.inference import attractor
 from atoll_coordinator.model.inference.attractor import _block_means, _welch, along, look_for_chaos
@@ -188,6 +187,8 @@ def test_means_are_of_whole_blocks():
 
 
 def test_means_are_compared_as_welch_does():
+    from scipy import stats
+
     draw = np.random.default_rng(3)
     ours, theirs = draw.normal(0.0, 1.0, (3, 5)), draw.normal(0.6, 2.0, (3, 9))
     expected = stats.ttest_ind(ours, theirs, axis=1, equal_var=False).pvalue
@@ -196,6 +197,8 @@ def test_means_are_compared_as_welch_does():
 
 
 def test_one_block_has_no_variance_and_equal_numbers_no_difference():
+    from scipy import stats
+
     one, four = np.array([[0.5]]), np.array([[0.0, 1.0, 2.0, 5.0]])
     t, degrees_of_freedom = (0.5 - 2.0) / (four.std(ddof=1) / 2.0), 3.0
     assert _welch(one, four) == pytest.approx([2.0 * stats.t.cdf(t, degrees_of_freedom)])
@@ -203,6 +206,8 @@ def test_one_block_has_no_variance_and_equal_numbers_no_difference():
 
 
 def test_states_behind_one_that_does_not_change_are_compared_as_well():
+    from scipy import stats
+
     ours, theirs = np.array([[2.0, 2.0], [0.0, 1.0]]), np.array([[2.0, 2.0], [5.0, 6.0]])
     assert _welch(ours, theirs) == pytest.approx([1.0, stats.ttest_ind(ours[1], theirs[1], equal_var=False).pvalue])
 

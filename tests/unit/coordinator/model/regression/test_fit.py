@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
 from atoll_coordinator.model.refinement import decode_members
@@ -47,6 +46,8 @@ def test_a_linear_fit_is_that_of_the_normal_equations():
 
 def test_the_variance_of_few_errors_is_over_what_constants_leave_of_them():
     """Of five rows a line leaves three: errors would be 23 % too small over all rows."""
+    from scipy import stats
+
     rows = np.arange(5.0)[None]
     target = Target("y", "y", 2.0 * rows[0] + 1.0 + np.array([0.1, -0.2, 0.05, 0.2, -0.1]), 0.0, 1.0)
     sought = Problem(("x",), rows, target)

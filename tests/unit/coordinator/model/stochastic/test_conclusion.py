@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import ProcessRecording
@@ -57,6 +56,8 @@ def test_equations_of_a_process_keep_to_bounds_and_have_the_variables_that_they_
 
 def test_the_log_likelihood_of_a_step_is_that_of_its_density_also_on_trajectories_that_were_held_out() -> None:
     """Two states whose steps are known exactly: the constant of the normal density is there once for each state."""
+    from scipy import stats
+
     states = np.array([ornstein_uhlenbeck(240, 0.2, seed) for seed in (3, 4)])
     decay, spread = np.exp(-0.2), 0.5 * np.sqrt((1.0 - np.exp(-0.4)) / 2.0)
     exact = stats.norm.logpdf(states[:, 1:], decay * states[:, :-1], spread).sum(axis=0)

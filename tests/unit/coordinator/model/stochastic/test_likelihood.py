@@ -1,5 +1,4 @@
 import numpy as np
-from scipy import stats
 
 from atoll_coordinator.model.stochastic.likelihood import ProcessLikelihood, ProcessModel
 from atoll_coordinator.stochastic.moments import step_moments
@@ -10,6 +9,8 @@ NAMES = ("x", "y")
 
 
 def test_the_misfit_is_minus_the_logarithm_of_the_transition_densities() -> None:
+    from scipy import stats
+
     states = ornstein_uhlenbeck(200, 0.02, seed=1)
     whitened = ProcessLikelihood(steps_of(states[None], 0.02)).whitened(model_of("-1*x", "0.25"))
     decay, spread = np.exp(-0.02), 0.5 * np.sqrt((1.0 - np.exp(-0.04)) / 2.0)
@@ -18,6 +19,8 @@ def test_the_misfit_is_minus_the_logarithm_of_the_transition_densities() -> None
 
 
 def test_with_errors_of_measurement_it_is_that_of_all_rows_together() -> None:
+    from scipy import stats
+
     states = ornstein_uhlenbeck(40, 0.1, seed=2, noise=0.2)
     model = model_of("-1*x", "0.25", noise=0.04)
     steps = steps_of(states[None], 0.1)

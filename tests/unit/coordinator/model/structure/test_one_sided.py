@@ -5,13 +5,14 @@ import sys
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 20.0, 1e4])
 def test_reaches_are_quantiles_of_a_truncated_normal(slope):
+    from scipy import stats
+
     error, gradient = 0.5, np.array([0.0, -slope])
     reaches = one_sided_reaches(np.diag([1.0, 4.0]), gradient, np.array([False, True]))
     beyond = slope * error
