@@ -86,11 +86,11 @@ def path(draw: np.random.Generator, times: FloatArray, others: Sequence[FloatArr
     return np.asarray(kinds[int(draw.integers(len(kinds)))](), dtype=np.float64)
 
 
-def _drawn_back(noise: FloatArray, kept: float) -> ArrayLike:
+def _drawn_back(noise: FloatArray, kept: float) -> FloatArray:
     """Return the walk that keeps such a share of where it is at each step."""
     from scipy.signal import lfilter  # whose import takes half a second
 
-    return lfilter([1.0], [1.0, -kept], noise)
+    return np.asarray(lfilter([1.0], [1.0, -kept], noise))
 
 
 def table_of(draw: np.random.Generator) -> Table:
