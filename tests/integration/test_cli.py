@@ -176,6 +176,15 @@ def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
         assert picked["equations"][0]["front"][0]["selected"]
         assert coordinator("result", "nothing", *there, cwd=tmp_path).returncode == 2
 
+        saved = tmp_path / "saved.json"
+        saved.write_text(coordinator("result", "first", "--json", *there, cwd=tmp_path).stdout, "utf-8")
+        by_a_worker = coordinator("suggest", "first", *there, cwd=tmp_path)
+        assert by_a_worker.returncode == 0, by_a_worker.stderr
+        assert by_a_worker.stdout == coordinator("suggest", str(saved), cwd=tmp_path).stdout
+        refused = coordinator("analyse", "first", "--box", "nothing=0:1", *there, cwd=tmp_path)
+        assert (refused.returncode, refused.stdout) == (2, "")
+        assert refused.stderr == "coordinator: there is no state 'nothing' to bound; the states are x, y\n"
+
         serve.send_signal(signal.SIGTERM)
         finish(serve)
         assert serve.returncode == 0

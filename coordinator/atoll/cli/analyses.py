@@ -4,7 +4,7 @@ import argparse
 from dataclasses import replace
 
 from atoll.api.tables import table_of
-from atoll.cli.request import CONNECT_LIMIT_S, address_of, is_saved
+from atoll.cli.request import CONNECT_LIMIT_S, address_of, is_saved, load_result
 from atoll.client.client import Client, connected
 from atoll.experiments.measured import config_of
 from atoll.tasks.analyses import FUNCTIONS, Analysed, Question, answer, answered
@@ -23,7 +23,7 @@ def ask(options: argparse.Namespace, *questions: Question, name: str | None = No
     questions = tuple(replace(question, group=options.group) for question in questions)
     files: list[str] | None = getattr(options, "data", None)
     if is_saved(result, options):
-        saved = Result.load(result)
+        saved = load_result(result)
         table = _table(saved, files)
         return [answer(saved, question, table) for question in questions]
     with connected(address_of(options), CONNECT_LIMIT_S) as client:

@@ -120,18 +120,21 @@ def config_of(options: argparse.Namespace) -> JobConfig:
 
 
 def is_saved(name: str, options: argparse.Namespace) -> bool:
-    """Tell whether `name` is that of a saved result; else it is that of a job, of the coordinator that is named.
+    """Tell whether `name` is that of a saved result; else it is that of a job, of the coordinator that is named."""
+    from atoll_coordinator.result.reading import RESULT
 
-    Raises:
-        UsageError: it may be that of a job, and no coordinator is named.
-    """
-    path = Path(name)
-    if path.exists() or not is_id(name):
-        return True
-    if options.connect or os.environ.get("ATOLL_CONNECT"):
-        return False
-    found_nothing = f"{name} is no saved result, and no coordinator was named to look for such a job"
-    raise UsageError(f"{found_nothing}; give PATH/result.json, or --connect tcp/HOST:PORT")
+    is_connected = bool(options.connect or os.environ.get("ATOLL_CONNECT"))
+    return not is_connected or not is_id(name) or (Path(name) / RESULT).is_file()
+
+
+def load_result(name: str) -> "Result":
+    """Return a saved result; raises UsageError where there is none, which may be meant to be that of a job."""
+    from atoll_coordinator.result.result import Result
+
+    if is_id(name) and not Path(name).exists():
+        found_nothing = f"{name} is no saved result, and no coordinator was named to look for such a job"
+        raise UsageError(f"{found_nothing}; give PATH/result.json, or --connect tcp/HOST:PORT")
+    return Result.load(name)
 
 
 def result_of(name: str, options: argparse.Namespace) -> "Result":
@@ -145,7 +148,7 @@ def result_of(name: str, options: argparse.Namespace) -> "Result":
     from atoll_coordinator.result.result import Result
 
     if is_saved(name, options):
-        return Result.load(name)
+        return load_result(name)
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         return Result.of(client.result(client.resolve(name)))
 

@@ -37,8 +37,8 @@ from atoll_core.wire.messages.views import FINAL_STATES, CoordinatorView, EventV
 ANSWER_LIMIT_S: Final = 10.0
 """How long any other question may remain without an answer."""
 
-IDLE_LIMIT_S: Final = 60.0
-"""How long an answer is waited for that no worker makes: a cluster that grows has started one by then."""
+IDLE_LIMIT_S: Final = 3600.0
+"""How long an answer is waited for that no worker makes: a task that was leased before it has ended by then."""
 
 CANCEL_LIMIT_S: Final = 10.0
 """How long a job that was cancelled is waited for."""
@@ -243,6 +243,8 @@ class Client:
             question: as bytes.
             table: measurements that take the place of those of the result.
             say: is told what the answer waits for, whenever that is something else.
+
+        The coordinator ends a task that takes too long, so that this has an end as well.
 
         Raises:
             UnreachableError: no worker has begun with it within `IDLE_LIMIT_S`.

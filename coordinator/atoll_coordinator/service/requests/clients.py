@@ -171,6 +171,8 @@ class ClientRequests:
             return _unknown(body.job)
         if body.table is not None and not self.uploads.has(body.table, user, viewer):
             raise TableMissingError("the table of the question has not been uploaded; upload it, then ask again")
+        if body.table is not None:
+            self.uploads.renew(body.table)
         asked = self._controller.analyse(body, user, self._now())
         if asked.failed is not None:
             return Failure(failure="internal", sentence=asked.failed[:4000])

@@ -71,6 +71,11 @@ class Uploads:
             missing = tuple(n for n in range(chunk_count(upload.size)) if n in missing or n not in shown.chunks)
         return Uploaded(blob=upload.blob, missing=missing)
 
+    def renew(self, digest: str) -> None:
+        """Take in that somebody still wants a table that no job uses."""
+        if digest in self._heard:
+            self._heard[digest] = self._now()
+
     def has(self, digest: str, user: str | None, viewer: Viewer | None) -> bool:
         """Tell whether a table is there as far as a user may know: it has shown all of it, or sees a job with it."""
         if viewer is None or self._store.uses_table(digest, viewer):

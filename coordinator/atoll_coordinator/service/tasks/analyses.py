@@ -111,9 +111,10 @@ class Analyses:
         return [self._forget(analysis) for analysis in self if analysis.job == job]
 
     def _drop_beyond(self, most: int) -> None:
-        """Drop answers beyond so many bytes; the next who asks has them made again."""
-        size = 0
-        for kept in sorted(self, key=lambda analysis: -analysis.asked_at):
+        """Drop answers beyond so many bytes, but for the one that was asked for last; they are made again for who asks."""
+        last, *others = sorted(self, key=lambda analysis: -analysis.asked_at)
+        size = len(last.answer or b"")
+        for kept in others:
             size += len(kept.answer or b"")
             if size > most and kept.answer is not None:
                 kept.asked_at = -math.inf  # the next `expire` takes it

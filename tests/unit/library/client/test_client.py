@@ -6,12 +6,14 @@ from collections.abc import Callable
 
 import pytest
 
-from atoll.client.client import ANSWER_LIMIT_S, Client
+from atoll.client.client import ANSWER_LIMIT_S, IDLE_LIMIT_S, Client
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError, RefusedError, UnreachableError
 from atoll_core.wire.bus.interface import Event, Message, Reply
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import (
+    Analyse,
+    AnalysisAnswer,
     Answer,
     Cancel,
     Failure,
@@ -34,8 +36,8 @@ from atoll_core.wire.messages.handshake import GreetingAnswer, Refusal, Welcome
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from tests.views import job_view
 
-Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel
-AnswerBody = Uploaded | JobList | JobStatus | WorkerList | Result | Failure
+Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | Analyse
+AnswerBody = Uploaded | JobList | JobStatus | WorkerList | Result | Failure | AnalysisAnswer
 WELCOME = Welcome(realm="r1", incarnation=1, protocol=1, version="0.1.0", engine=1)
 
 
@@ -226,3 +228,37 @@ def test_jobs_are_listed_page_by_page() -> None:
     assert len(asked) == 3
     assert [view.job for view in client.jobs(last=4)] == ids[-4:]
     assert [request.limit for request in asked[3:]] == [4, 1]
+
+
+ANSWER = b"12345"
+
+
+def part(index: int, data: bytes, digest: str = hashlib.sha256(ANSWER).hexdigest()) -> AnalysisAnswer:
+    return AnalysisAnswer(job="j1", index=index, size=5, digest=digest, data=data)
+
+
+def test_an_analysis_is_asked_for_until_it_is_there_and_fetched_part_by_part() -> None:
+    pending, made = AnalysisAnswer(job="j1", waits_for="waits for a worker"), AnalysisAnswer(job="j1")
+    answers = [pending, pending, made, part(0, b"123"), made, part(0, b"123"), part(1, b"45")]  # lost once meanwhile
+    asked: list[int] = []
+    said: list[str] = []
+
+    def handle(body: Body) -> AnswerBody:
+        assert isinstance(body, Analyse)
+        asked.append(body.index)
+        return answers.pop(0)
+
+    client, _ = client_with(handle)
+    assert client.analyse("j1", "report", b"q", say=said.append) == ANSWER
+    assert asked == [0, 0, 0, 0, 1, 0, 1]
+    assert said == ["waits for a worker"]
+
+
+def test_an_analysis_that_was_damaged_or_that_nobody_begins_is_refused() -> None:
+    client, _ = client_with(lambda body: part(0, ANSWER, "0" * 64))
+    with pytest.raises(RefusedError, match="damaged on its way"):
+        client.analyse("j1", "report", b"q")
+    client, bus = client_with(lambda body: AnalysisAnswer(job="j1", waits_for="waits for a worker"))
+    with pytest.raises(UnreachableError, match="job j1 was not begun within 3600 s: it waits for a worker"):
+        client.analyse("j1", "report", b"q")
+    assert IDLE_LIMIT_S < bus.now() < IDLE_LIMIT_S + ANSWER_LIMIT_S

@@ -38,6 +38,10 @@ def test_several_results_have_a_page_each_and_one_that_is_none_keeps_no_other_fr
     assert printed[0] == f"report in {saved / 'a' / 'report.html'}"
     assert printed[1].startswith(f"coordinator: {saved / 'b'}")
     assert (saved / "c" / "report.html").exists()
+    assert main(["report", "nothing", runs[2]]) == 2
+    printed = capsys.readouterr().err.splitlines()
+    assert printed[0].startswith("coordinator: nothing is no saved result")
+    assert printed[1] == f"report in {saved / 'c' / 'report.html'}"
     assert main(["report", runs[0], runs[2]]) == 0
     assert main(["report", runs[0], runs[2], "-o", "page.html"]) == 2
     assert "--output names one place, but 2 results were given" in capsys.readouterr().err

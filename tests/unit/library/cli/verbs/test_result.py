@@ -1,11 +1,13 @@
 """Saved results, printed without a coordinator."""
 
 import json
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
 from atoll.cli.main import main
+from atoll.cli.request import is_saved
 from atoll.cli.result_files import write_result
 from atoll_coordinator.result.result import Result
 from tests.unit.coordinator.model.result.test_known import result
@@ -72,3 +74,15 @@ def test_what_is_neither_a_result_nor_a_job_is_said(
     assert capsys.readouterr().err.endswith("give the path of a saved result.json; did you mean 'result.json'?\n")
     assert main(["run", str(tmp_path / "reslut.json"), "--dry-run"]) == 2
     assert "was expected, such as CSV; did you mean 'result.json'?" in capsys.readouterr().err
+
+
+def test_a_name_is_that_of_a_saved_result_unless_a_coordinator_is_named_and_there_is_none(
+    tmp_path: Path, path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path.parent)
+    monkeypatch.delenv("ATOLL_CONNECT", raising=False)
+    (tmp_path.parent / "printed").write_text("", "utf-8")  # as ``coordinator result printed > printed`` has it
+    named, unnamed = Namespace(connect="tcp/there:1"), Namespace(connect=None)
+    names = [path, tmp_path.name, "printed", "7f3a"]
+    assert [is_saved(name, named) for name in names] == [True, True, False, False]
+    assert [is_saved(name, unnamed) for name in names] == [True] * 4
