@@ -111,7 +111,7 @@ class Analyses:
         return [self._forget(analysis) for analysis in self if analysis.job == job]
 
     def _drop_beyond(self, most: int) -> None:
-        """Drop answers beyond so many bytes, but for the one that was asked for last; they are made again for who asks."""
+        """Drop answers beyond so many bytes, but for the one that was asked for last."""
         last, *others = sorted(self, key=lambda analysis: -analysis.asked_at)
         size = len(last.answer or b"")
         for kept in others:
