@@ -6,16 +6,13 @@ import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
-from atoll.cli.analyses import ask
 from atoll.cli.exit_codes import DONE
 from atoll.cli.options.values import finite_number, if_given, interval, intervals, numbers, whole_number
 from atoll.cli.request import result_of
-from atoll.experiments.space import Request
 from atoll.model.files import write_text
 from atoll.model.model import Model
 from atoll.model.simulation import EarlyEndWarning
 from atoll.model.start import Start, start_of_file, times_of
-from atoll.tasks.analyses import Analyse, Form, Profile, Question, Suggest
 from atoll.terminal.output import as_json, note, say
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
@@ -62,6 +59,9 @@ def _paths(options: argparse.Namespace) -> tuple[int | None, int]:
 
 def analyse(options: argparse.Namespace) -> int:
     """Analyse the model of ``options.result``. Return the exit code."""
+    from atoll.cli.analyses import ask
+    from atoll.tasks.analyses import Analyse, Form, Profile, Question
+
     vary = _vary(options.parameter, options.range)
     bounds, held = intervals(options.box, "--box"), numbers(options.hold, "--hold", "u=1")
     if options.data is not None and not options.identifiability:
@@ -91,6 +91,10 @@ def _vary(parameter: str | None, bounds: str | None) -> tuple[str, tuple[float, 
 
 def suggest(options: argparse.Namespace) -> int:
     """Suggest experiments for ``options.result``. Return the exit code."""
+    from atoll.cli.analyses import ask
+    from atoll.experiments.space import Request
+    from atoll.tasks.analyses import Suggest
+
     request = Request(
         bounds=intervals(options.box, "--box"),
         duration=if_given(finite_number, options.duration, "--duration"),
