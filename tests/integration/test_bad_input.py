@@ -3,7 +3,6 @@
 What is bad input is tested where it is decided: ``tests/unit/coordinator/test_bad_input.py``.
 """
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,11 +19,13 @@ pytestmark = pytest.mark.timeout(200)
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Run the command on a file with `text`; check exit code and form; return the sentence.
 
-    The worker is a process that does nothing: no search begins on bad data.
+    What the command cannot say by itself of the data, a worker finds when it prepares them.
     """
-    idle = [sys.executable, "-S", "-c", "import signal; signal.pause()"]
     endpoints: list[str] = []
-    monkeypatch.setattr(local, "supervisor_command", lambda endpoint, number: (endpoints.append(endpoint), idle)[1])
+    command = local.supervisor_command
+    monkeypatch.setattr(
+        local, "supervisor_command", lambda endpoint, number: (endpoints.append(endpoint), command(endpoint, number))[1]
+    )
     monkeypatch.chdir(tmp_path)
 
     def run(text: str | None, *options: str) -> str:

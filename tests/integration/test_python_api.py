@@ -97,7 +97,9 @@ def test_two_calls_give_the_digest_of_the_command_line_and_leave_nothing(tmp_pat
         assert written["threads"] == 1
         assert written["endpoint"].startswith("unixsock-stream/")  # in a folder that no other user can enter
         assert written["mode"] == 0o700
-        assert (written["killed"], written["is_same"]) == (2 * (calls - 1), True)  # workers that die are replaced
+        # Workers that die are replaced, and whatever runs their tasks: their server and its processes at least.
+        assert written["killed"] >= 3 if ending == "alone" else written["killed"] == 0
+        assert written["is_same"]
         assert all_gone(written["host"])
         assert sorted(tmp_path.iterdir()) == before
 

@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from atoll.client.client import connected
-from atoll_coordinator.service.store.store import Store
 from atoll_core.wire.messages.views import JobView
 from tests.programs import LIMIT_S, ROOT, done, started, until
 
@@ -184,18 +183,3 @@ def test_a_coordinator_on_standby_can_be_told_to_end(place: Path) -> None:
         second.send_signal(signal.SIGTERM)
         assert second.wait(LIMIT_S) == 0
         assert "stopped on standby" in log_of(place, "second")
-
-
-@pytest.mark.slow
-def test_a_job_that_is_refined_is_done_within_the_grace(tmp_path: Path) -> None:
-    address = free_address()
-    with coordinator(tmp_path, "first", address, "--grace", "150s") as first:
-        serves(first)
-        with searched(tmp_path, address, *REFINED), connected(address, LIMIT_S) as client:
-            until(lambda: any(job.state == "refining" for job in client.jobs()))
-            first.send_signal(signal.SIGTERM)
-            assert first.wait(LIMIT_S) == 0
-    assert "ends when what is under way is done" in log_of(tmp_path, "first")
-    with Store.open(tmp_path / "state") as store:
-        (job,) = store.jobs()
-        assert job.state == "done"
