@@ -14,7 +14,7 @@ import pytest
 
 from atoll.client.client import connected
 from atoll_core.wire.messages.views import JobView
-from tests.programs import LIMIT_S, ROOT, done, started, until
+from tests.programs import LIMIT_S, done, started, until
 
 JOB = ("data.csv", "--derivatives", "dx,dy", "--seed", "3", "--islands", "3", "--target-error", "1e-300")
 EPOCHS = ("--preset", "paper", "--max-epochs", "40")
@@ -22,7 +22,6 @@ EARLY = 4
 """Epochs after which a coordinator dies, with most still to come."""
 MISSED = 4
 """Exit code of this job, whose target nothing meets, so that it ends after all of its epochs."""
-REFINED = (str(ROOT / "examples" / "lynx_hare.csv"), "--time", "year", "--seed", "3", "--max-epochs", "3")
 """A job of which refining takes longer than all else."""
 
 
