@@ -63,7 +63,7 @@ class Authorization:
         if role is None:
             return (
                 f"the coordinator's roster has no name for {hello.name!r}; have the name of your certificate written "
-                "there, and the coordinator started again"
+                "there, and the coordinator read it again (SIGHUP)"
             )
         if role == "revoked":
             return self._revoked(hello.name)

@@ -167,7 +167,6 @@ class JobQueue:
         preparing = [entry for entry in self._holders() if entry.stage == "preparing"]
         chosen = {entry.id: entry for entry in preparing}
         busy = Counter(entry.principal for entry in preparing)
-        is_loading = set(busy)
         places = self.limits.total.running
         content = {principal for principal, user in self._users.items() if self._is_content(principal, user)}
         for job in self._fair_share.order(self._candidates(), content):
@@ -176,10 +175,6 @@ class JobQueue:
             entry = self._entries[job]
             if job in chosen or self._is_full(entry.principal, busy[entry.principal]):
                 continue
-            if entry.stage == "waiting":
-                if self.is_paused or entry.principal in is_loading:
-                    continue
-                is_loading.add(entry.principal)
             chosen[job] = entry
             busy[entry.principal] += 1
         return self._decided(chosen)
@@ -211,8 +206,7 @@ class JobQueue:
         """Tell whether a user has all places that there is use for: more could not be taken up now."""
         stages = [entry.stage for entry in user.begun.values() if not entry.is_paused]
         busy = stages.count("searching") + stages.count("preparing")
-        can_take_up = bool(user.waiting) and not self.is_paused and "preparing" not in stages
-        return self._is_full(principal, busy) or not ("held" in stages or can_take_up)
+        return self._is_full(principal, busy) or not ("held" in stages or (user.waiting and not self.is_paused))
 
     def has_no_time(self, principal: str | None) -> bool:
         """Tell whether a user may use no more task time today."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from atoll_coordinator.service.monitoring.breakages import what_to_send
-from atoll_coordinator.service.tasks.analyses import Analyses, Analysis, key_of
+from atoll_coordinator.service.tasks.analyses import MAX_KEPT, Analyses, Analysis, key_of
 from atoll_coordinator.service.tasks.dispatch import Slot, plan
 from atoll_coordinator.service.tasks.outcomes import (
     JobPrepared,
@@ -31,8 +31,9 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.tasks.frames import Failure
 from atoll_core.wire.messages.clients import Analyse
-from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
 from atoll_core.wire.messages.tasks import (
+    MAX_RESULT,
     Help,
     Release,
     TaskChunk,
@@ -307,7 +308,7 @@ class TaskController:
         elif held.state == "running":
             if self.table.begin(task, now) and task.function == "prepare":
                 self.post(PreparationBegun(task.job))
-        elif held.state in ("done", "failed"):
+        elif held.state in ("done", "failed") and now - task.said_at > SETTLED_S:
             self._say_again(task, worker, now)  # its report was lost, or the lease that has it tried again
 
     def _let_keep(self, worker: str, held: TaskStatus) -> None:
@@ -362,7 +363,12 @@ class TaskController:
         match body:
             case TaskFailed() if body.term == task.term:  # else it is counted already
                 self._fail(task, body.failure, body.sentence, now)
+            case TaskChunk() if body.size > _most_bytes(task):
+                most = _most_bytes(task) / 1024**2
+                sentence = f"its result has {body.size / 1024**2:,.0f} MB, and {most:,.0f} are taken in at most"
+                self._fail(task, "error", sentence, now)
             case TaskChunk():
+                task.said_at = now
                 if body.offset == 0:
                     task.result.clear()
                 if body.offset != len(task.result) or body.offset + len(body.data) > body.size:
@@ -444,6 +450,11 @@ class TaskController:
 def _has(status: WorkerStatus, task: Task) -> bool:
     """Tell whether a worker had a task as its own when it last said so."""
     return any(held.task == task.id and held.state != "helping" for held in status.tasks)
+
+
+def _most_bytes(task: Task) -> int:
+    """Return how long a result may be: an answer as all that are kept, a job's result as the message that gives it."""
+    return MAX_KEPT if task.is_analysis else MAX_RESULT if task.function == "prepare" else MAX_MESSAGE
 
 
 def _result_text(job: str, result: bytes) -> str:

@@ -14,6 +14,7 @@ from atoll_coordinator.service.requests import uploads as uploads_module
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
+from atoll_coordinator.service.scheduling.limits import Limits, Total
 from atoll_coordinator.service.store.open_file import Room
 from atoll_coordinator.service.store.store import JobRecord, Store
 from atoll_coordinator.service.tasks.analyses import Analyses
@@ -214,6 +215,7 @@ def test_a_submitted_job_is_prepared_and_listed(clients: ClientRequests, tasks: 
 def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
     clients: ClientRequests, tasks: Tasks
 ) -> None:
+    clients._controller.queue.limits = Limits(total=Total(running=1))
     clients.answer("ann", chunk())
     for name in ("a", "b"):
         answer = clients.answer("ann", Request(body=Submit(job=name, name="", config=JobConfig(), table=BLOB)))

@@ -231,6 +231,7 @@ def test_a_revoked_certificate_is_told_so(lab: Lab) -> None:
 
 
 def test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart(lab: Lab) -> None:
+    limit(lab, total=Total(running=1))
     lab.submit("ann", "first")
     lab.submit("ann", "second")
     lab.submit("ann", "third")
@@ -238,6 +239,7 @@ def test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart(lab: Lab
     assert (paused.paused, paused.state) == (True, "queued")
     assert "resume second" in (paused.reason or "")
     again = Lab(lab.store)
+    limit(again, total=Total(running=1))
     again.controller.tick(NOW)
     states = {job: view(again.ask("ann", messages.Status(job=job))) for job in ("first", "second", "third")}
     assert states["second"].paused
@@ -249,6 +251,7 @@ def test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart(lab: Lab
 
 
 def test_a_job_that_ends_in_the_line_waits_for_nothing_any_more(lab: Lab) -> None:
+    limit(lab, total=Total(running=1))
     lab.submit("ann", "first")
     assert view(lab.submit("ann", "second")).reason
     lab.ask("ann", messages.Pause(job="second"))
@@ -263,6 +266,7 @@ def test_what_has_ended_is_neither_paused_nor_given_a_priority(lab: Lab) -> None
 
 
 def test_a_priority_is_kept(lab: Lab) -> None:
+    limit(lab, total=Total(running=1))
     for job in ("a", "b", "c"):
         lab.submit("ann", job)
     assert view(lab.ask("ann", messages.SetPriority(job="c", priority=2))).ahead == 0
@@ -306,7 +310,7 @@ def limit(lab: Lab, **limits: object) -> None:
 
 
 def test_jobs_beyond_those_that_may_wait_are_refused(lab: Lab) -> None:
-    limit(lab, user=Allowance(queued=2), total=Total(queued=3))
+    limit(lab, user=Allowance(queued=2, running=1), total=Total(queued=3))
     for number in range(3):
         lab.submit("ann", f"a{number}")
     assert "of the jobs of ann 2 wait, and limits allow 2" in said(lab.submit("ann", "a3"))

@@ -22,7 +22,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError
 from atoll_core.wire.messages.clients import Analyse
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
 from atoll_core.wire.messages.tasks import (
     Help,
     Lease,
@@ -200,6 +200,7 @@ def test_a_result_that_was_lost_is_pushed_again() -> None:
     scene = Scene("w0")
     scene.prepare()
     ((_, lease),) = scene.said()
+    scene.now += SETTLED_S + 0.1
     scene.beat("w0", j="done")
     assert scene.said() == [("w0", lease)]
     scene.chunk("w0", "j", PREPARED)
@@ -333,10 +334,36 @@ def test_a_damaged_result_is_asked_for_again() -> None:
     ((_, lease),) = scene.said()
     with pytest.raises(RemoteProtocolError, match="damaged"):
         scene.chunk("w0", "j", PREPARED, 0, PREPARED[:-1] + bytes([PREPARED[-1] ^ 1]))
+    scene.now += SETTLED_S + 0.1
     scene.beat("w0", j="done")
     assert scene.said() == [("w0", lease)]
     scene.chunk("w0", "j", PREPARED)
     assert isinstance(scene.posted[0], JobPrepared)
+
+
+def test_a_result_that_is_on_its_way_is_not_asked_for_again() -> None:
+    scene, result = Scene("w0"), bytes(1000)
+    scene.prepare()
+    scene.said()
+    for offset in range(0, 500, 100):  # a slow line
+        scene.now += 0.9 * SETTLED_S
+        scene.beat("w0", j="done")
+        scene.chunk("w0", "j", result, offset, result[offset : offset + 100])
+    assert scene.said() == []
+    scene.now += SETTLED_S + 0.1
+    scene.beat("w0", j="done")
+    assert scene.leased_to() == ["w0"]
+
+
+def test_a_result_that_is_longer_than_can_be_given_to_anybody_is_not_taken_in() -> None:
+    scene = refining("j", "w0")
+    scene.posted.clear()
+    for _ in range(2):
+        assert scene.posted == []
+        scene.chunk("w0", "j", bytes(2 * MAX_MESSAGE))
+    (failed,) = scene.posted
+    assert isinstance(failed, RefiningFailed)
+    assert "its result has 32 MB, and 16 are taken in at most, twice" in str(failed.refinement)
 
 
 def test_a_result_that_is_no_result_counts_as_a_mistake_of_the_task() -> None:
@@ -384,6 +411,7 @@ def test_a_failure_that_is_said_twice_counts_once() -> None:
     assert [(type(body), getattr(body, "term", 0)) for _, body in sent] == [(Release, 0), (Lease, 2)]
     scene.fail("w0", term=1)  # doubled by the network, or sent again before the new lease came
     assert scene.posted == []
+    scene.now += SETTLED_S + 0.1
     scene.beat("w0", j="failed")  # and the new lease was lost
     assert scene.said() == [sent[1]]
     scene.fail("w0", term=2)
