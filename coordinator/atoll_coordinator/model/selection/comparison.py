@@ -79,6 +79,14 @@ class FittedModel:
 
 
 @dataclass(frozen=True, eq=False)
+class Foreseen:
+    """The models of one equation's programs, all other equations as they are, and the work that they took."""
+
+    models: Sequence[FittedModel]
+    work: int
+
+
+@dataclass(frozen=True, eq=False)
 class Constraints:
     """`restrictions` of equations by index; `groups` of trajectories that may have constants of their own."""
 
@@ -92,6 +100,15 @@ def differ(first: FloatArray, second: FloatArray, share: float = SETTINGS.common
         difference = float(np.sqrt(np.mean((first - second) ** 2)))
         size = SETTINGS.common.negligible * float(np.sqrt(np.mean(second**2)))  # a constant has no deviation
         return not difference <= share * max(float(np.std(second)), size)
+
+
+def _exchanged(near: FittedModel, equation: int, programs: Iterable[Program]) -> list[Programs]:
+    """Return the systems of `near` with each of these programs for one equation."""
+    return [(*near.programs[:equation], program, *near.programs[equation + 1 :]) for program in programs]
+
+
+def _work(outcomes: Iterable[FitOutcome | None]) -> int:
+    return sum(outcome.work for outcome in outcomes if outcome is not None)
 
 
 def _spread(rows: FloatArray) -> FloatArray:
@@ -193,7 +210,13 @@ class ModelComparison:
         self, order: FitOrder, systems: Sequence[Programs], outcomes: Sequence[FitOutcome | None]
     ) -> list[FittedModel]:
         """Return the models of systems that were fitted elsewhere, and count their work."""
-        self.estimator.count(sum(outcome.work for outcome in outcomes if outcome is not None))
+        self.estimator.count(_work(outcomes))
+        return self._models(order, systems, outcomes)
+
+    def _models(
+        self, order: FitOrder, systems: Sequence[Programs], outcomes: Sequence[FitOutcome | None]
+    ) -> list[FittedModel]:
+        """Return the models of systems that were fitted elsewhere."""
         pairs = zip(systems, outcomes, strict=True)
         return [self.summarized(order, programs, made.summary) for programs, made in pairs if made and made.summary]
 
@@ -403,18 +426,49 @@ class ModelComparison:
         in than the next few. Descriptions of more than `most` nats are of no use; unless given, those that are longer
         than `near` by a term.
         """
-        limit = near.nats + least_term_length(self.constant_nats) if most is None else most
+        limit = self._useful(near) if most is None else most
         models: list[FittedModel] = []
         waiting = list(programs)
         beginning = self._beginning(near) if waiting else None
         for steps, kept in rounds:
             order = FitOrder(steps, near=beginning, most=limit)
-            systems = [(*near.programs[:equation], program, *near.programs[equation + 1 :]) for program in waiting]
-            models = self.distinct(self._fitted(order, systems, until), equation)[:kept]
+            models = self._fitted(order, _exchanged(near, equation, waiting), until)
+            models = self.distinct(models, equation)[:kept]
             waiting = [model.programs[equation] for model in models]
-        for model in models:
-            self._remember(equation, model)
-        return models
+        return self._remembered(equation, models)
+
+    def foresee(
+        self, near: FittedModel, lists: Mapping[int, Sequence[Program]], rounds: Sequence[tuple[int, int]]
+    ) -> dict[int, Foreseen]:
+        """Return what `narrow_down` gives of the programs of several equations, as long as `near` is the best.
+
+        They are fitted at the same time by whoever takes batches; nothing where there is nobody or one equation alone.
+        No work is counted, see `take_in`.
+        """
+        if len(lists) < 2 or not self.spread.is_shared:
+            return {}
+        foreseen = {equation: Foreseen([], 0) for equation in lists}
+        waiting, beginning = dict(lists), self._beginning(near)
+        for steps, kept in rounds:
+            order = FitOrder(steps, near=beginning, most=self._useful(near))
+            systems = {equation: _exchanged(near, equation, programs) for equation, programs in waiting.items()}
+            made = iter(self._fitted_elsewhere(order, [one for part in systems.values() for one in part]))
+            for equation, part in systems.items():
+                outcomes = [next(made) for _ in part]
+                models = sorted(self._models(order, part, outcomes), key=lambda model: model.nats)
+                models = self.distinct(models, equation)[:kept]
+                foreseen[equation] = Foreseen(models, foreseen[equation].work + _work(outcomes))
+                waiting[equation] = [model.programs[equation] for model in models]
+        return foreseen
+
+    def take_in(self, equation: int, foreseen: Foreseen) -> list[FittedModel]:
+        """Return the models that were foreseen, their work counted as that of `narrow_down` is."""
+        self.estimator.count(foreseen.work)
+        return self._remembered(equation, foreseen.models)
+
+    def _useful(self, near: FittedModel) -> float:
+        """Return the nats of the longest description that is of use beside `near`: longer by a term."""
+        return near.nats + least_term_length(self.constant_nats)
 
     def measure(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model that a fit of one of this comparison's systems gives."""
@@ -554,12 +608,13 @@ class ModelComparison:
         noise = self.estimator.measurements.noise
         return noise if errors is None else np.where(errors.shares > 0.0, np.maximum(errors.sigmas, noise), noise)
 
-    def affordable(self, model: FittedModel, equation: int) -> float:
+    def affordable(self, model: FittedModel, equation: int, room: float | None = None) -> float:
         """Return the length from which on no program in one equation's place is a description about as short.
 
-        Whatever it explains, it gains no more than the `room` there is.
+        Whatever it explains, it gains no more than the `room` there is, which is found unless given.
         """
-        return self.length(model.programs[equation]) + self.room(model) + SETTINGS.inference.distinct_nats
+        room = self.room(model) if room is None else room
+        return self.length(model.programs[equation]) + room + SETTINGS.inference.distinct_nats
 
     def _is_like_noise(self, model: FittedModel) -> npt.NDArray[np.bool_]:
         """Tell of which states (O,) no more is left than a sensor's errors, or the smoother's noise.
@@ -597,11 +652,13 @@ class ModelComparison:
             errors = None if correlated is None else correlated.errors
         return ratio()
 
-    def _remember(self, equation: int, model: FittedModel) -> None:
-        key = (equation, structure(model.programs[equation]))
-        known = self.tried.get(key)
-        if known is None or model.nats < known.nats:
-            self.tried[key] = model
+    def _remembered(self, equation: int, models: Sequence[FittedModel]) -> list[FittedModel]:
+        for model in models:
+            key = (equation, structure(model.programs[equation]))
+            known = self.tried.get(key)
+            if known is None or model.nats < known.nats:
+                self.tried[key] = model
+        return list(models)
 
     def distinct(self, models: Iterable[FittedModel], equation: int) -> list[FittedModel]:
         """Return the models, sorted by nats, without those that say of one `equation` what one before does.

@@ -106,7 +106,8 @@ def exchange(
     """Return the best system that comes of exchanging one variable's program at a time; all of them at first.
 
     Where the errors are those of the integration, no longer program could make the description shorter. By `rounds`
-    candidates are narrowed down.
+    candidates are narrowed down. Where others take batches, those of all equations are at the same time, as if the best
+    stayed the same: what comes of those after one that is exchanged is dropped.
     """
     until = comparison.estimator.work + SETTINGS.effort.work
     if comparison.is_exact(best):
@@ -117,17 +118,37 @@ def exchange(
         ]
     tried: Sequence[Sequence[Program]] = lists
     while True:
-        before = best.nats
-        for equation, others in enumerate(tried):
-            most = comparison.affordable(best, equation)
-            programs = [program for program in others if comparison.length(program) < most]
-            if programs and (len(programs) > 1 or programs[0] is not best.programs[equation]):
-                models = comparison.narrow_down(best, equation, programs, rounds, until)
-                if models and models[0].nats < best.nats - SETTINGS.selection.least_gain:
-                    best = models[0]
-        if best.nats > before - SETTINGS.selection.least_gain or comparison.estimator.work >= until:
+        begun, promising_lists = best, _exchangeable(comparison, best, tried)
+        foreseen = comparison.foresee(begun, promising_lists, rounds)
+        for equation in range(len(tried)):
+            ahead = foreseen.get(equation) if best is begun else None
+            if ahead is not None and comparison.estimator.work + ahead.work < until:
+                models = comparison.take_in(equation, ahead)
+            else:
+                promising_lists = promising_lists if best is begun else _exchangeable(comparison, best, tried)
+                models = comparison.narrow_down(best, equation, promising_lists.get(equation, ()), rounds, until)
+            if models and models[0].nats < best.nats - SETTINGS.selection.least_gain:
+                best = models[0]
+        if best.nats > begun.nats - SETTINGS.selection.least_gain or comparison.estimator.work >= until:
             return best
         tried = [programs[: SETTINGS.effort.kept] for programs in lists]
+
+
+def _exchangeable(
+    comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]
+) -> dict[int, list[Program]]:
+    """Return by equation the programs that may be better; those are left out that have none."""
+    room = comparison.room(best)
+    lengths = [comparison.affordable(best, equation, room) for equation in range(len(lists))]
+    shorter = [
+        [program for program in others if comparison.length(program) < most]
+        for others, most in zip(lists, lengths, strict=True)
+    ]
+    return {
+        equation: programs
+        for equation, programs in enumerate(shorter)
+        if programs and (len(programs) > 1 or programs[0] is not best.programs[equation])
+    }
 
 
 def search_locally(

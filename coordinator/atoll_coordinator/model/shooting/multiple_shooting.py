@@ -13,6 +13,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.criteria import TrajectoryMisfit
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.least_squares import LEAST_DAMPING, Solver, minimize, without
@@ -24,11 +25,13 @@ from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, i
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
 from atoll_coordinator.model.shooting.kernels.rates import Table
 from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.segment_batches import Blocks, EstimatorParts, SegmentBatch, SegmentOutcome
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
+from atoll_core.wire.values import decode_value, encode_value
 
 _FREE_STEPS: Final = (4.0, 12.0, 1.0)
 """Steps for each row that do not count as more work, by the quick, the precise and the implicit method."""
@@ -53,9 +56,10 @@ with."""
 
 @dataclass(frozen=True, eq=False)
 class _Equations:
-    """The misfit and its normal equations at one point."""
+    """The misfit and its normal equations at one point, by the errors there."""
 
     cost: float
+    errors: ErrorModel
     simulated: FloatArray
     residuals: FloatArray
     normal: FloatArray
@@ -63,8 +67,24 @@ class _Equations:
     own: FloatArray
     gradient: FloatArray
     own_gradient: FloatArray
-    gradients: FloatArray
 
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """States (D, N) along segments, of which so many were `done`, less than zero if the steps `taken` were too many.
+
+    There are sensitivities (N, D, P + L), or the `blocks` that they give by the errors that were known.
+    """
+
+    done: int
+    taken: int
+    simulated: FloatArray
+    steepest: float
+    gradients: FloatArray | None = None
+    blocks: Blocks | None = None
+
+
+_NONE: Final = np.zeros(0, np.int64)
 
 _Step = tuple[FloatArray, FloatArray]
 """Of the constants (P,), and of the initial states (G, D)."""
@@ -72,12 +92,16 @@ _Step = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Point:
-    """Where a fit is: constants, initial states, errors, and the equations by these."""
+    """Where a fit is: constants, initial states, and the equations there."""
 
     system: System
     starts: FloatArray
-    errors: ErrorModel
     here: _Equations
+
+    @property
+    def errors(self) -> ErrorModel:
+        """The errors by which the equations are weighed."""
+        return self.here.errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,11 +157,13 @@ class MultipleShooting:
     """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
 
     def __init__(
-        self, measurements: Measurements, tolerance: float, deadline: Deadline | None = None, measured_rows: int = 0
-    ) -> None:
+        self, measurements: Measurements, tolerance: float, deadline: Deadline | None = None, measured_rows: int = 0,
+        spread: Spread | None = None,
+    ) -> None:  # fmt: skip
         """`tolerance` is the error of a step over a state's standard deviation.
 
-        After the `deadline` a fit takes no more steps. Steps are allowed for each row; where rows stand for more
+        After the `deadline` a fit takes no more steps. Where that is much work, segments are integrated wherever
+        `spread` has it done. Steps are allowed for each row; where rows stand for more
         `measured_rows` of the same time altogether, for each of these.
         """
         self.measured_rows: Final = measured_rows
@@ -165,6 +191,9 @@ class MultipleShooting:
         self._totals: Final = np.where(totals > 0.0, totals, 1.0)
         self._layouts: Final[dict[int | None, Innovations]] = {}
         self._row_steps: Final = row_steps(measurements)
+        self._spread: Final = spread or Spread()
+        self._encoded: bytes | None = None
+        self._steps_of_row = 1.0
         self.work = 0
         self._lock = threading.Lock()
         self._own = _OfThread()
@@ -215,7 +244,7 @@ class MultipleShooting:
         layout, method = self._layout(length), self._methods[is_stiff]
         here, _ = self._equations(method, system, layout, starts, errors)
         assert here is not None, "what was fitted can be integrated"
-        return self._fit_at(_Point(system, starts, errors, here), layout, method)
+        return self._fit_at(_Point(system, starts, here), layout, method)
 
     def _fit_at(self, end: _Point, layout: Innovations, method: _Method) -> TrajectoryFit:
         here = end.here
@@ -249,24 +278,21 @@ class MultipleShooting:
         method, system = self._methods[1 if fit.is_stiff else 0], fit.system
         starts, pieces = fit.starts[:, :states].copy(), np.cumsum(~is_inner) - 1
         for _ in range(SETTINGS.effort.brief_steps):
-            carried = self._beyond_ends(method, system, segments, starts, last)
+            carried = self._carried(method, system, segments, starts, last, fit.errors)
             if carried is None or self.deadline.is_over:
                 return None
-            simulated, gradients, ends, reached = carried
+            simulated, blocks, ends, reached = carried
             gaps = np.zeros_like(starts)
             gaps[last] = reached[last] - starts[last + 1]
             if np.all(np.abs(gaps) <= method.tolerance):
                 return system, np.ascontiguousarray(simulated[:, begun].T)
-            here = self._weighed(
-                simulated, gradients, self._residuals(simulated, starts, segments), layout, fit.errors, fitted
-            )
+            normal, coupling, own, gradient, own_gradient = blocks
             size = fitted + states
             sums, moves = np.zeros((pieces[-1] + 1, size + 1, size + 1)), np.zeros((len(segments), states, size + 1))
-            normal, gradient = here.normal, here.gradient
-            condense(here.coupling, here.own, here.own_gradient, ends, gaps, pieces, normal, gradient, sums, moves)
+            condense(coupling, own, own_gradient, ends, gaps, pieces, normal, gradient, sums, moves)
             change, its_own = np.empty(fitted), np.empty((len(sums), states))
-            blocks = (sums[:, :fitted, fitted:-1], sums[:, fitted:-1, fitted:-1])
-            coupling, own = map(np.ascontiguousarray, blocks)
+            parts = (sums[:, :fitted, fitted:-1], sums[:, fitted:-1, fitted:-1])
+            coupling, own = map(np.ascontiguousarray, parts)
             own_gradient = np.ascontiguousarray(-sums[:, fitted:-1, -1])
             if not solve_step(normal, coupling, own, gradient, own_gradient, LEAST_DAMPING, change, its_own):
                 return None
@@ -275,30 +301,52 @@ class MultipleShooting:
             starts = starts + (moves * numbers[pieces][:, None]).sum(axis=2)
         return None
 
+    def _carried(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, last: Ints, errors: ErrorModel
+    ) -> tuple[FloatArray, Blocks, FloatArray, FloatArray] | None:
+        """Return states (D, N), the blocks of the normal equations, and what `_beyond_ends` has where segments end."""
+        is_shared = self._is_shared(system, segments, starts.shape[1])
+        outcomes = self._elsewhere(method, system, segments, starts, errors, last) if is_shared else None
+        if outcomes is None:
+            taken, carried = self._beyond_ends(method, system, segments, starts, last)
+        else:
+            taken, carried = _taken(outcomes), None
+        for steps in taken:
+            numbers = _OVERHEAD_NUMBERS + starts.shape[1] * (system.count + starts.shape[1])
+            self.count(method.work(steps, self.measurements.rows // 2) * numbers)
+        if outcomes is not None:
+            ends, reached = (np.concatenate([getattr(one, name) for one in outcomes]) for name in ("ends", "reached"))
+            return np.concatenate([one.simulated for one in outcomes], axis=1), _joined(outcomes), ends, reached
+        if carried is None:
+            return None
+        simulated, gradients, ends, reached = carried
+        residuals = self._residuals(simulated, starts, segments)
+        return simulated, self._blocks(segments, gradients, residuals, errors, system.count), ends, reached
+
     def _beyond_ends(
         self, method: _Method, system: System, segments: Ints, starts: FloatArray, last: Ints
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-        """Return states (D, N) and their sensitivities (N, D, P + D), and both where segments end (G, ...).
+    ) -> tuple[list[int], tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None]:
+        """Return the steps, and states (D, N) with their sensitivities (N, D, P + D) and both where segments end.
 
         Those that are the `last` before another one are carried on to the first row of that; None where one cannot be.
         """
-        owners = np.repeat(np.arange(len(segments)), segments[:, 1] - segments[:, 0])
+        owners = np.full(self.measurements.rows, len(segments))
+        owners[_rows(segments)] = np.repeat(np.arange(len(segments)), segments[:, 1] - segments[:, 0])
         ends = np.zeros((len(segments), starts.shape[1], system.count + starts.shape[1]))
-        reached, parts = np.zeros_like(starts), []
+        reached, parts, steps = np.zeros_like(starts), [], []
         for parity in (0, 1):  # a segment that ends in the first row of the next would be overwritten by that
             chosen = np.arange(parity, len(segments), 2)
-            longer, inner = segments[chosen], np.intersect1d(chosen, last)
-            longer[np.isin(chosen, last), 1] += 1
+            longer, inner = _longer(segments, last)[chosen], np.intersect1d(chosen, last)
             done, taken, along, slopes = self._integrated(method, system, longer, np.ascontiguousarray(starts[chosen]))
-            self.count(method.work(taken, self.measurements.rows // 2) * (_OVERHEAD_NUMBERS + ends[0].size))
+            steps.append(taken)
             if done < len(longer) or not self._steepest(slopes[np.isin(owners, chosen)], system) < _STEEPEST:
-                return None
+                return steps, None
             ends[inner], reached[inner] = slopes[segments[inner, 1]], along[:, segments[inner, 1]].T
             parts.append((along, slopes))
         (even, even_slopes), (odd, odd_slopes) = parts
         is_odd = owners % 2 == 1
         even[:, is_odd], even_slopes[is_odd] = odd[:, is_odd], odd_slopes[is_odd]
-        return even, even_slopes, ends, reached
+        return steps, (even, even_slopes, ends, reached)
 
     def of_trajectory(self, owner: int, fit: TrajectoryFit) -> tuple["MultipleShooting", FloatArray]:
         """Return an estimator over one trajectory (an index of `names`), and the initial states there of a `fit`."""
@@ -346,7 +394,8 @@ class MultipleShooting:
             there, _ = self._equations(method, moved, layout, moved_starts, at.errors, at.here.cost)
             if there is None:
                 return None
-            return _Point(moved, moved_starts, *self._reweighted(there, layout, at.errors)), at.here.cost - there.cost
+            gain = at.here.cost - _cost(layout, there.residuals, at.errors)
+            return _Point(moved, moved_starts, there), gain
 
         def settled(at: _Point) -> float:
             return max(SETTINGS.effort.settled * at.here.cost, float((rounding / at.errors.sigmas**2).sum()))
@@ -357,7 +406,7 @@ class MultipleShooting:
             residuals = layout.whitened(at.here.residuals, at.errors) if at.errors.shares.any() else at.here.residuals
             return goal.is_beyond(self.squares(residuals), promise, SETTINGS.effort.steps - taken)
 
-        begun = _Point(system, starts, errors, here)
+        begun = _Point(system, starts, here)
         return self._fit_at(minimize(begun, _solver, move, settled, steps, is_over), layout, method)
 
     def _layout(self, length: int | None) -> Innovations:
@@ -403,19 +452,13 @@ class MultipleShooting:
         squares = (np.finfo(np.float64).eps * self._measured) ** 2 * (1 + since)
         return np.asarray((self.measurements.weights * squares).sum(axis=1))
 
-    def _reweighted(self, here: _Equations, layout: Innovations, errors: ErrorModel) -> tuple[ErrorModel, _Equations]:
-        """Return the errors as these residuals have them, and the equations under them.
-
-        The states' errors may be of very different size.
-        """
+    def _reweighed(self, residuals: FloatArray, layout: Innovations, errors: ErrorModel) -> ErrorModel:
+        """Return the errors as these residuals have them: those of states may be of very different size."""
         if errors.is_known:
-            return errors, here
-        squares, _ = layout.squares(here.residuals, errors)
+            return errors
+        squares, _ = layout.squares(residuals, errors)
         sigmas = np.maximum(np.sqrt(self._consistent(squares / self._totals)), self._smallest)
-        if np.all(np.abs(sigmas / errors.sigmas - 1.0) < 1e-3):
-            return errors, here
-        new = replace(errors, sigmas=sigmas)
-        return new, self._weighed(here.simulated, here.gradients, here.residuals, layout, new, len(here.gradient))
+        return errors if np.all(np.abs(sigmas / errors.sigmas - 1.0) < 1e-3) else replace(errors, sigmas=sigmas)
 
     def _begun(
         self, system: System, layout: Innovations, starts: FloatArray, errors: ErrorModel,
@@ -437,24 +480,127 @@ class MultipleShooting:
     ) -> tuple[_Equations | None, bool]:  # fmt: skip
         """Return the equations at a point, and whether the method took too many steps.
 
-        None where it cannot be integrated or the cost is not below `below`.
+        None where it cannot be integrated or the cost is not below `below`. After a step, errors are those that
+        residuals have there.
         """
         segments, states, fitted, local = layout.segments, len(system.outputs), system.count, starts.shape[1]
-        numbers, equations = _OVERHEAD_NUMBERS + states * (1 + fitted + local), None
-        is_tried = below < math.inf and _OVERHEAD_NUMBERS + states < _REJECTED * numbers
+        numbers, equations, weighed = _OVERHEAD_NUMBERS + states * (1 + fitted + local), None, errors
+        is_step, is_shared = below < math.inf, self._is_shared(system, segments, local)
+        is_tried = is_step and (is_shared or _OVERHEAD_NUMBERS + states < _REJECTED * numbers)
         for is_trial in (True, False) if is_tried else (False,):
-            done, taken, simulated, gradients = self._integrated(
-                method, system, segments, starts, has_sensitivities=not is_trial
-            )
-            if done < len(segments) or not self._steepest(gradients, system) < _STEEPEST:
+            course = self._course(method, system, segments, starts, None if is_trial else weighed, is_shared=is_shared)
+            if course.done < len(segments) or not course.steepest < _STEEPEST:
                 break
-            residuals = self._residuals(simulated, starts, segments)
+            residuals = self._residuals(course.simulated, starts, segments)
             if not _cost(layout, residuals, errors) < below:
                 break
+            weighed = self._reweighed(residuals, layout, errors) if is_step else errors
         else:
-            equations = self._weighed(simulated, gradients, residuals, layout, errors, fitted)
-        self._own.work += method.work(taken, self.measurements.rows) * numbers
-        return equations, done < 0
+            cost, blocks = _cost(layout, residuals, weighed), course.blocks
+            if course.gradients is not None:
+                blocks = self._blocks(segments, course.gradients, residuals, weighed, fitted)
+            assert blocks is not None, "there are sensitivities here or blocks from elsewhere"
+            equations = _Equations(cost, weighed, course.simulated, residuals, *blocks)
+        self._own.work += method.work(course.taken, self.measurements.rows) * numbers
+        return equations, course.done < 0
+
+    def _course(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, errors: ErrorModel | None,
+        *, is_shared: bool,
+    ) -> _Course:  # fmt: skip
+        """Return what comes of integrating segments, with sensitivities if `errors` are given.
+
+        Where it `is_shared`, they are weighed by these.
+        """
+        outcomes = self._elsewhere(method, system, segments, starts, errors) if is_shared else None
+        if outcomes is not None:
+            simulated = np.concatenate([one.simulated for one in outcomes], axis=1)
+            steepest, (taken,) = float(np.max([one.steepest for one in outcomes])), _taken(outcomes)
+            has = errors is not None and steepest < _STEEPEST
+            return _Course(len(segments), taken, simulated, steepest, blocks=_joined(outcomes) if has else None)
+        has = errors is not None
+        done, taken, simulated, gradients = self._integrated(method, system, segments, starts, has_sensitivities=has)
+        self._steps_of_row = taken / self.measurements.rows
+        return _Course(done, taken, simulated, self._steepest(gradients, system), gradients if has else None)
+
+    # ------------------------------------------------------------------------------------------ segments elsewhere
+
+    @property
+    def encoded(self) -> bytes:
+        """The bytes of what this estimator is made of."""
+        if self._encoded is None:
+            self._encoded = encode_value(EstimatorParts(self.measurements, self.tolerance, self.measured_rows))
+        return self._encoded
+
+    @classmethod
+    def of_parts(cls, parts: EstimatorParts) -> "MultipleShooting":
+        """Return the estimator that is made of these."""
+        return cls(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
+
+    def _expected_work(self, system: System, local: int) -> float:
+        """Return nodes and numbers of all steps, with sensitivities, if these are as many as they were before."""
+        numbers = len(system.code) + len(system.outputs) * (1 + system.count + local)
+        return self._steps_of_row * self.measurements.rows * numbers
+
+    def _is_shared(self, system: System, segments: Ints, local: int) -> bool:
+        """Tell whether segments are integrated by others, too: it is more work than that of a batch."""
+        is_one = system.sharing is None or system.sharing.groups == 1
+        is_many = is_one and len(segments) > 1 and self._expected_work(system, local) > SETTINGS.spread.batch
+        return is_many and self._spread.is_shared
+
+    def _elsewhere(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, errors: ErrorModel | None,
+        last: Ints = _NONE,
+    ) -> list[SegmentOutcome] | None:  # fmt: skip
+        """Return what comes of segments, batch by batch, integrated by whoever takes them.
+
+        None where they are to be integrated here: where one cannot be integrated or all together take more steps than
+        are allowed, which is found out in their order.
+        """
+        most = int(len(segments) * SETTINGS.spread.batch / self._expected_work(system, starts.shape[1]))
+        size = self._spread.batch_size(len(segments), most)
+        size += size % 2  # see `_beyond_ends`: which segments are odd is the same everywhere
+        encoded, is_stiff, batches = encode_value(replace(system, equations=())), method is self._methods[1], []
+        for first in range(0, len(segments), size):
+            group, here = slice(first, first + size), (last >= first) & (last < first + size)
+            batches.append(SegmentBatch(encoded, segments[group], starts[group], last[here] - first, errors, is_stiff))
+        made = self._spread.share(SEGMENTS, self.encoded, batches, 1)
+        outcomes = [one for one in made if one is not None and one.taken is not None]
+        if len(outcomes) < len(batches):
+            return None
+        longer = _longer(segments, last)
+        allowed = [self._budget(method, part) for part in ((longer[::2], longer[1::2]) if len(last) else (longer,))]
+        taken = _taken(outcomes)
+        return None if any(steps > most for steps, most in zip(taken, allowed, strict=True)) else outcomes
+
+    def outcome(self, batch: SegmentBatch) -> SegmentOutcome:
+        """Return what comes of the segments of a batch, as it travels."""
+        system, method = decode_value(batch.system, System), self._methods[batch.is_stiff]
+        segments, starts, rows, nothing = batch.segments, batch.starts, _rows(batch.segments), np.zeros((0, 0))
+        reached, ends, has = nothing, np.zeros((0, 0, 0)), batch.errors is not None
+        if len(batch.last):
+            taken, carried = self._beyond_ends(method, system, segments, starts, batch.last)
+            if carried is None:
+                return SegmentOutcome(None, nothing, math.inf, (), nothing, ends)
+            simulated, gradients, ends, reached = carried
+        else:
+            done, steps, simulated, gradients = self._integrated(
+                method, system, segments, starts, has_sensitivities=has
+            )
+            taken = [steps]
+            if done < len(segments):
+                return SegmentOutcome(None, nothing, math.inf, (), nothing, ends)
+        steepest = self._steepest(gradients[rows] if has else gradients, system)
+        blocks: list[Blocks] = []
+        if batch.errors is not None and steepest < _STEEPEST:
+            residuals = self._residuals(simulated, starts, segments)
+            blocks = [
+                self._blocks(segments[group : group + 1], gradients, residuals, batch.errors, system.count)
+                for group in range(len(segments))
+            ]
+        return SegmentOutcome(tuple(taken), simulated[:, rows], steepest, tuple(blocks), reached, ends)
+
+    # ------------------------------------------------------------------------------------------- along the rows
 
     def _steepest(self, gradients: FloatArray, system: System) -> float:
         """Return the largest of sensitivities (N, D, P + L), of states in their scales to constants in their sizes."""
@@ -469,7 +615,8 @@ class MultipleShooting:
         measurements, states = self.measurements, len(simulated)
         residuals = np.asarray(self._measured - simulated[measurements.observed])
         for place, state in enumerate(measurements.offset.tolist() if starts.shape[1] > states else []):
-            residuals[state] -= np.repeat(starts[:, states + place], segments[:, 1] - segments[:, 0])
+            offsets = np.repeat(starts[:, states + place], segments[:, 1] - segments[:, 0])
+            residuals[state, _rows(segments)] -= offsets
         return residuals
 
     def simulate(self, system: System, start: FloatArray) -> FloatArray | Unsimulated:
@@ -530,14 +677,17 @@ class MultipleShooting:
     ) -> tuple[int, int]:  # fmt: skip
         """Write states and sensitivities of these segments; return what `integrate_segments` does, and the steps."""
         measurements, taken = self.measurements, np.zeros(1, dtype=np.int64)
-        rows = self._rows_in_row * int((segments[:, 1] - segments[:, 0]).sum())
-        budget = 200 + int(method.steps * rows)
         done = integrate_segments(
             method.table, system.tape, system.owners,
             (measurements.times, measurements.inputs, measurements.input_slopes), segments, starts,
-            method.tolerance, measurements.limits, budget, len(gradients) > 0, simulated, gradients, taken,
+            method.tolerance, measurements.limits, self._budget(method, segments), len(gradients) > 0, simulated,
+            gradients, taken,
         )  # fmt: skip
         return done, int(taken[0])
+
+    def _budget(self, method: _Method, segments: Ints) -> int:
+        """Return how many steps segments may take together."""
+        return 200 + int(method.steps * (self._rows_in_row * int((segments[:, 1] - segments[:, 0]).sum())))
 
     def _integrate_shared(
         self, method: _Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
@@ -566,12 +716,11 @@ class MultipleShooting:
         gradients[:, :, system.count : system.count + states] = narrow[:, :, places:]
         return all_done, all_taken
 
-    def _weighed(
-        self, simulated: FloatArray, gradients: FloatArray, residuals: FloatArray, layout: Innovations,
-        errors: ErrorModel, fitted: int,
-    ) -> _Equations:  # fmt: skip
-        segments, local = layout.segments, gradients.shape[2] - fitted
-        groups, columns = len(segments), fitted + local + 1
+    def _blocks(
+        self, segments: Ints, gradients: FloatArray, residuals: FloatArray, errors: ErrorModel, fitted: int
+    ) -> Blocks:
+        """Return the blocks of the normal equations of segments, weighed by these errors."""
+        local, groups, columns = gradients.shape[2] - fitted, len(segments), gradients.shape[2] + 1
         weights = self.measurements.weights / (errors.sigmas * errors.sigmas)[:, None]
         blocks = (
             np.zeros((fitted, fitted)), np.zeros((groups, fitted, local)), np.zeros((groups, local, local)),
@@ -581,7 +730,35 @@ class MultipleShooting:
             segments, self.measurements.observed, self._row_steps, residuals, weights, errors.shares, errors.decays,
             gradients, fitted, *blocks, np.empty((LINES, columns)), np.empty(columns), np.empty((columns, columns)),
         )  # fmt: skip
-        return _Equations(_cost(layout, residuals, errors), simulated, residuals, *blocks, gradients)
+        return blocks
+
+
+def _taken(outcomes: Sequence[SegmentOutcome]) -> list[int]:
+    """Return the steps of all batches, of each of the integrations that one takes."""
+    return [sum(steps) for steps in zip(*(one.taken or () for one in outcomes), strict=True)]
+
+
+def _joined(outcomes: Sequence[SegmentOutcome]) -> Blocks:
+    """Return the blocks of all segments: what belongs to the constants is added up in their order."""
+    blocks = [one for outcome in outcomes for one in outcome.blocks]
+    normal, gradient = np.zeros_like(blocks[0][0]), np.zeros_like(blocks[0][3])
+    for of_constants, _, _, of_gradient, _ in blocks:
+        normal += of_constants
+        gradient += of_gradient
+    coupling, own, own_gradient = (np.concatenate([one[place] for one in blocks]) for place in (1, 2, 4))
+    return normal, coupling, own, gradient, own_gradient
+
+
+def _rows(segments: Ints) -> slice:
+    """Return the rows of neighbouring segments."""
+    return slice(int(segments[0, 0]), int(segments[-1, 1]))
+
+
+def _longer(segments: Ints, last: Ints) -> Ints:
+    """Return segments of which those that are `last` go on for a row."""
+    longer = segments.copy()
+    longer[last, 1] += 1
+    return longer
 
 
 def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> float:
@@ -652,3 +829,9 @@ def _gradual(lengths: Sequence[int | None], measurements: Measurements) -> Itera
             yield before
         yield length
         before = rows
+
+
+SEGMENTS: Final[BatchFunction[MultipleShooting, SegmentBatch, SegmentOutcome]] = BatchFunction(
+    "segments", EstimatorParts, SegmentBatch, SegmentOutcome, MultipleShooting.outcome, MultipleShooting.of_parts
+)
+"""Segments of a fit, integrated."""

@@ -17,6 +17,7 @@ from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
+from atoll_coordinator.model.selection.joint_search import exchange
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import measurements_of
@@ -27,6 +28,7 @@ from atoll_core.data.dataset import Dataset
 from atoll_core.expression.program import Program, structure
 from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.expression.text.parsing import from_infix
+from atoll_core.wire.values import encode_value
 from tests.batches import ScatteredBatches
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import (
@@ -418,3 +420,27 @@ def test_what_a_law_misses_is_no_error_of_a_sensor():
     model = comparison.calibrate(wrong)
     assert comparison.errors is None
     assert comparison.excess(model) > 1.25
+
+
+@pytest.mark.parametrize("begun", [(TRUTH, OTHER), (RIVALS[1], LOTKA.parsed("1.0*y - 0.5*y*y"))])
+def test_equations_exchanged_as_if_the_best_stayed_the_same_are_those_exchanged_in_turn(begun):
+    ends = []
+    for spread in (Spread(), Spread(ScatteredBatches(3))):
+        comparison = lotka(spread=spread)
+        model = comparison.calibrate(comparison.fit_model(begun))
+        best = exchange(comparison, model, [[TRUTH, *RIVALS], [OTHER, LOTKA.parsed("1.0*y - 0.5*y*y")]])
+        ends.append(
+            (
+                best.nats,
+                encode_value(best.programs, tuple[Program, ...]),
+                comparison.estimator.work,
+                len(comparison.tried),
+            )
+        )
+    assert ends[0] == ends[1]
+
+
+def test_nothing_is_foreseen_of_one_equation_or_where_nobody_takes_batches():
+    for made, equations in ((lotka(), (0, 1)), (lotka(spread=Spread(ScatteredBatches(3))), (0,))):
+        near = made.fit_model([TRUTH, OTHER])
+        assert made.foresee(near, {equation: [TRUTH] for equation in equations}, ((6, 1),)) == {}
