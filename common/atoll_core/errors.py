@@ -70,6 +70,10 @@ class RefusedError(AtollError):
     exit_code = 2
 
 
+class UnknownJobError(RefusedError):
+    """Raised when there is no such job, or none that we may see."""
+
+
 class TableMissingError(RefusedError):
     """Raised when a job is submitted whose table the coordinator does not have, or not any more: upload it again."""
 

@@ -22,6 +22,7 @@ from atoll_core.errors import (
     RefusedError,
     RemoteProtocolError,
     TableMissingError,
+    UnknownJobError,
     UnreachableError,
 )
 from atoll_core.wire import topics
@@ -32,7 +33,15 @@ from atoll_core.wire.messages import clients as messages
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, CHUNK_SIZE, MAX_PAGE_JOBS, chunk_count
 from atoll_core.wire.messages.tasks import AnalysisFunction
-from atoll_core.wire.messages.views import FINAL_STATES, CoordinatorView, EventView, JobView, WorkerService, WorkerView
+from atoll_core.wire.messages.views import (
+    FINAL_STATES,
+    CoordinatorView,
+    EventView,
+    IslandView,
+    JobView,
+    WorkerService,
+    WorkerView,
+)
 
 ANSWER_LIMIT_S: Final = 10.0
 """How long any other question may remain without an answer."""
@@ -52,6 +61,7 @@ _LONGEST_PAUSE_S: Final = 1.0
 _ERRORS: Final[dict[messages.FailureKind, type[AtollError]]] = {
     "data": DataError,
     "no-table": TableMissingError,
+    "unknown-job": UnknownJobError,
     "internal": AtollError,
 }
 """What failures are raised as, others as RefusedError."""
@@ -61,7 +71,7 @@ _Question = (
     messages.Upload | messages.Submit | messages.Jobs | messages.FindJob | messages.Status | messages.Workers
     | messages.GetQueueDepth | messages.GetResult | messages.Cancel | messages.Delete | messages.GetEvents
     | messages.Follow | messages.Pause | messages.SetPriority | messages.Share | messages.Retry | messages.SetWorker
-    | messages.SetQueue | messages.Analyse
+    | messages.SetQueue | messages.Analyse | messages.GetIslands
 )  # fmt: skip
 
 
@@ -159,15 +169,20 @@ class Client:
         before: int | None = None
         left = sys.maxsize if last is None else last
         while left > 0 and (not prefix or topics.is_id(prefix)):
-            limit = min(left, MAX_PAGE_JOBS)
-            question = messages.Jobs(prefix=prefix, is_open=is_open, before=before, limit=limit)
-            page = self._ask(question, messages.JobList, "the list of jobs")
+            page = self.page_of_jobs(prefix, is_open=is_open, before=before, limit=min(left, MAX_PAGE_JOBS))
             pages.append(page.jobs)
             left -= len(page.jobs)
             before = page.before
             if before is None:
                 break
         return tuple(view for page in reversed(pages) for view in page)
+
+    def page_of_jobs(
+        self, prefix: str = "", *, is_open: bool = False, before: int | None = None, limit: int = MAX_PAGE_JOBS
+    ) -> messages.JobList:
+        """Return one page of what `jobs` returns: those that came before the job of that number, None: the last."""
+        question = messages.Jobs(prefix=prefix, is_open=is_open, before=before, limit=limit)
+        return self._ask(question, messages.JobList, "the list of jobs")
 
     def status(self, job: str, limit_s: float = ANSWER_LIMIT_S) -> JobView:
         """Return how `job` is getting on."""
@@ -252,27 +267,42 @@ class Client:
             AtollError: the analysis broke.
         """
         digest = None if table is None else self.upload(table)
-        what = f"the analysis of job {job}"
-        parts: list[bytes] = []
         waits_for, since, pause = None, self.now(), _PAUSE_S
         while True:
-            body = messages.Analyse(job=job, function=function, question=question, table=digest, index=len(parts))
-            answer = self._ask(body, messages.AnalysisAnswer, what)
-            if answer.data is not None:
-                parts.append(answer.data)
-                if sum(map(len, parts)) >= answer.size:
-                    return _whole(parts, answer.digest)
-                continue
-            parts.clear()
-            if answer.waits_for is None:
+            reason, made = self.analysis(job, function, question, digest)
+            if made is not None:
+                return made
+            if reason is None:
                 since = self.now()
             elif self.now() - since > IDLE_LIMIT_S:
-                raise UnreachableError(f"{what} was not begun within {IDLE_LIMIT_S:.0f} s: it {answer.waits_for}")
-            elif answer.waits_for != waits_for:
-                say(answer.waits_for)
-            waits_for = answer.waits_for
+                what = f"the analysis of job {job}"
+                raise UnreachableError(f"{what} was not begun within {IDLE_LIMIT_S:.0f} s: it {reason}")
+            elif reason != waits_for:
+                say(reason)
+            waits_for = reason
             self.pause(pause)
             pause = min(2.0 * pause, _LONGEST_PAUSE_S)
+
+    def analysis(
+        self, job: str, function: AnalysisFunction, question: bytes, table: str | None = None
+    ) -> tuple[str | None, bytes | None]:
+        """Have a question answered, and return what that waits for, in words, and the answer once it is there.
+
+        Until then, asking again is what keeps it wanted. Raises as `analyse`, whose `table` is uploaded here already.
+        """
+        parts: list[bytes] = []
+        while True:
+            body = messages.Analyse(job=job, function=function, question=question, table=table, index=len(parts))
+            answer = self._ask(body, messages.AnalysisAnswer, f"the analysis of job {job}")
+            if answer.data is None:
+                return answer.waits_for, None
+            parts.append(answer.data)
+            if sum(map(len, parts)) >= answer.size:
+                return None, _whole(parts, answer.digest)
+
+    def islands(self, job: str) -> tuple[IslandView, ...]:
+        """Return where the islands of `job` are; none unless it is searched now."""
+        return self._ask(messages.GetIslands(job=job), messages.IslandList, f"the islands of job {job}").islands
 
     def cancel(self, job: str) -> JobView:
         """End `job`, keeping its best equations."""

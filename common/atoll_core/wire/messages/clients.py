@@ -9,6 +9,7 @@ from atoll_core.wire.messages.limits import (
     CHUNK_SIZE,
     MAX_PAGE_JOBS,
     MAX_PAGE_WORKERS,
+    MAX_SHOWN_ISLANDS,
     MAX_UPLOAD,
     Count,
     Digest,
@@ -18,7 +19,15 @@ from atoll_core.wire.messages.limits import (
     Sentence,
 )
 from atoll_core.wire.messages.tasks import AnalysisFunction
-from atoll_core.wire.messages.views import CoordinatorView, EventView, JobView, WorkerService, WorkerView, Workforce
+from atoll_core.wire.messages.views import (
+    CoordinatorView,
+    EventView,
+    IslandView,
+    JobView,
+    WorkerService,
+    WorkerView,
+    Workforce,
+)
 
 MAX_QUESTION = 64 * 1024
 """Most bytes of a question about a result, such as the equations of rivals."""
@@ -100,6 +109,13 @@ class GetResult(Frozen):
     """Give a job's result; while it runs, the best so far."""
 
     kind: Literal["get-result"] = "get-result"
+    job: Id
+
+
+class GetIslands(Frozen):
+    """Say where the islands of a job are, and how far."""
+
+    kind: Literal["get-islands"] = "get-islands"
     job: Id
 
 
@@ -222,6 +238,7 @@ class Request(Frozen):
         | Workers
         | GetQueueDepth
         | GetResult
+        | GetIslands
         | Analyse
         | Cancel
         | Delete
@@ -334,6 +351,13 @@ class Result(Frozen):
     json_text: str
 
 
+class IslandList(Frozen):
+    """The islands of a job, by equation and number; none unless it is searched now."""
+
+    kind: Literal["island-list"] = "island-list"
+    islands: Annotated[tuple[IslandView, ...], Field(max_length=MAX_SHOWN_ISLANDS)]
+
+
 class AnalysisAnswer(Frozen):
     """Chunk `index` of the answer to a question about a job, of `size` bytes in all, whose SHA-256 is `digest`.
 
@@ -378,6 +402,7 @@ class Answer(Frozen):
         | WorkerList
         | QueueDepth
         | Result
+        | IslandList
         | AnalysisAnswer
         | Deleted
         | EventList

@@ -31,6 +31,9 @@ MAX_RUNNERS_UP: Final = 20_000
 MAX_ISLANDS: Final = 1024
 """Most islands of one archipelago."""
 
+MAX_SHOWN_ISLANDS: Final = 16_384
+"""Most islands of a job that are shown one by one."""
+
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Variable = Annotated[str, Field(min_length=1, max_length=256)]

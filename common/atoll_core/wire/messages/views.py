@@ -167,6 +167,15 @@ class JobView(Frozen):
     held: bool = False
 
 
+class IslandView(Frozen):
+    """One island of an equation that is searched: its worker, None while it has none, and its last reported epoch."""
+
+    variable: str
+    island: int
+    worker: str | None
+    epoch: int
+
+
 class WorkerView(Frozen):
     """One worker as `workers` shows it; `silent` is seconds since it was last heard of, `detail` for a person.
 

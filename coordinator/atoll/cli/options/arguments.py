@@ -175,6 +175,15 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
             type=seconds, default=10.0,
         ),
     )),
+    "web": ("show a coordinator in a browser, and answer its API over HTTP", (
+        *_CONNECT,
+        _value(
+            "--listen", "HOST:PORT", default=("127.0.0.1", 7480), type=_host_and_port,
+            text="where browsers connect (default: 127.0.0.1:7480); beyond this machine with certificates alone",
+        ),
+        _repeatable("--allow-host", "NAME", "a further name under which browsers find it, such as that of a proxy"),
+        _value("--users", "FILE", "tokens of users, each with a certificate (TOML; see docs/web.md)"),
+    )),
     "backup": ("copy a coordinator's job store into a file, also while it is served", (
         _value("file", "FILE", "the copy; it must not exist yet"), _STATE, _JSON,
     )),

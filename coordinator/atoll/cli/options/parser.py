@@ -12,6 +12,7 @@ from atoll_core.errors import UsageError
 HANDLERS: Final = {
     "run": "atoll.cli.verbs.run",
     "serve": "atoll.cli.verbs.serve",
+    "web": "atoll.cli.verbs.web",
     "backup": "atoll.cli.verbs.backup",
     "restore": "atoll.cli.verbs.backup",
     "router": "atoll.cli.verbs.router",

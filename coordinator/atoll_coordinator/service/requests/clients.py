@@ -25,8 +25,10 @@ from atoll_core.wire.messages.clients import (
     Follow,
     Following,
     GetEvents,
+    GetIslands,
     GetQueueDepth,
     GetResult,
+    IslandList,
     JobFound,
     JobList,
     Jobs,
@@ -47,7 +49,7 @@ from atoll_core.wire.messages.clients import (
     WorkerList,
     Workers,
 )
-from atoll_core.wire.messages.limits import CHUNK_SIZE
+from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_SHOWN_ISLANDS
 from atoll_core.wire.messages.views import CoordinatorView, JobView, WorkerView
 
 MAX_PAGE_BYTES: Final = CHUNK_SIZE
@@ -60,10 +62,10 @@ MAX_RESULT_BYTES: Final = 1024 * 1024
 _SHOWN: Final = 5
 
 Body = (
-    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | AnalysisAnswer
+    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | IslandList | AnalysisAnswer
     | Deleted | EventList | Following | Failure
 )  # fmt: skip
-Told = Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetEvents
+Told = Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetIslands | GetEvents
 Asked = (
     Upload | Submit | Analyse | Cancel | Delete | Pause | SetPriority | Share | Retry | SetWorker | SetQueue | Told
 )  # fmt: skip
@@ -217,8 +219,17 @@ class ClientRequests:
                 return self._controller.queue_depth()
             case GetResult():
                 return self._result(body.job)
+            case GetIslands():
+                return self._islands(body.job)
             case GetEvents():
                 return self._events(body, viewer)
+
+    def _islands(self, job: str) -> Body:
+        live = self._controller.jobs.get(job)
+        if live is None:
+            return _unknown(job) if self._controller.shown.view(job, self._now()) is None else IslandList(islands=())
+        views = [view for archipelago in live.open_archipelagos for view in archipelago.island_views()]
+        return IslandList(islands=tuple(views[:MAX_SHOWN_ISLANDS]))
 
     def _workers(self, question: Workers, viewer: Viewer | None) -> WorkerList:
         """Return a page of workers, by name; what they compute for others is left out."""

@@ -20,6 +20,7 @@ from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.search.ending import Limits
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.epochs import EpochReport, PullReports, PullStates, States
+from atoll_core.wire.messages.views import IslandView
 from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import State
 
@@ -101,6 +102,12 @@ class Archipelago:
     def islands_of(self, worker: str) -> tuple[int, ...]:
         """Return the islands that `worker` computes now."""
         return self.placement.islands_of(worker) if self.placement is not None else ()
+
+    def island_views(self) -> list[IslandView]:
+        """Return where each island is, and how far; none before it was placed for the first time."""
+        workers = self.placement.workers if self.placement is not None else [None] * len(self._latest)
+        pairs = enumerate(zip(workers, self._latest, strict=True))
+        return [IslandView(variable=self.variable, island=k, worker=w, epoch=max(0, e + 1)) for k, (w, e) in pairs]
 
     @property
     def cut(self) -> Cut | None:

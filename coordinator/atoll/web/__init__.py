@@ -1,0 +1,12 @@
+"""The service in a browser, and over HTTP: a client of a coordinator like any other, in a process of its own.
+
+- `server`: addresses, tokens, TLS, uvicorn; `application`: what is answered where, and the middleware
+- `access`: who may look and who may change something; `problems`: errors as RFC 9457 has them
+- `gateway`: questions to the coordinator from threads; `feed`: what happens, told to all pages from one subscription
+- `api`: the resources; `submission`: files and options as a job
+- `description`: the API as OpenAPI describes it, in ``openapi.json``
+- `progress`: fronts and convergence as pages draw them
+- ``static``: the page
+
+Nothing here is needed by a search: this process can end at any time.
+"""

@@ -1,0 +1,142 @@
+"""Who may ask: allowed hosts, origins of pages, bearer tokens. One ASGI middleware before everything else.
+
+Without a token a page on this machine only looks; on other networks nothing is answered without one but the page
+itself. Cookies are not used, so that no other page can act with a browser's credentials; what comes from another site
+is refused all the same.
+"""
+
+import hashlib
+import hmac
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from atoll.web.gateway import Gateway
+from atoll.web.problems import Problem
+
+SAFE: Final = ("GET", "HEAD")
+"""Methods that change nothing; all others need a token."""
+
+LOCAL_HOSTS: Final = ("localhost", "127.0.0.1", "[::1]")
+
+_OPEN: Final = ("/", "/static/", "/api/v1/openapi.json", "/api/v1/version", "/api/v1/session", "/api/v1/health")
+"""What is answered to everybody: nothing of any job."""
+
+_POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_HEADERS: Final[Mapping[str, str]] = {
+    "content-security-policy": _POLICY,
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+
+@dataclass(frozen=True)
+class Access:
+    """What may be asked, and as whom.
+
+    `gateways` are those of the tokens, by their SHA-256, each as one user of the coordinator; `viewer` is whose jobs
+    are shown without a token, None: nobody's. `hosts` are names under which the process may be addressed.
+    """
+
+    gateways: Mapping[str, Gateway]
+    viewer: Gateway | None
+    hosts: Sequence[str]
+
+    def gateway_of(self, authorization: str) -> Gateway | None:
+        """Return the gateway of a bearer token; None where there is no such token."""
+        scheme, _, token = authorization.partition(" ")
+        if scheme.lower() != "bearer":
+            return None
+        digest = digest_of(token.strip())
+        found = [gateway for known, gateway in self.gateways.items() if hmac.compare_digest(known, digest)]
+        return found[0] if found else None
+
+    def problem(self, method: str, path: str, headers: Headers) -> Problem | None:
+        """Return why a request is refused; None: it is not."""
+        host = _name(headers.get("host", ""))
+        if host not in self.hosts:
+            return Problem(421, f"this process is not called {host!r}; start it with --allow-host {host or 'NAME'}")
+        if method not in SAFE and _is_foreign(headers):
+            return Problem(403, "a page of another origin may change nothing here")
+        authorization = headers.get("authorization")
+        if authorization is not None and self.gateway_of(authorization) is None:
+            return _unauthorized("the token is not known; take the address that coordinator web has printed")
+        if authorization is None and (method not in SAFE or (self.viewer is None and not _is_open(path))):
+            return _unauthorized("this needs a token; take the address that coordinator web has printed")
+        return None
+
+
+def digest_of(token: str) -> str:
+    """Return the SHA-256 of a token, in hexadecimal."""
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+def gateway_of(request: Request) -> Gateway:
+    """Return the gateway of whoever asks; requests without one have been refused."""
+    gateway: Gateway = request.scope["gateway"]
+    return gateway
+
+
+class AccessMiddleware:
+    """Refuses what may not be asked, and gives every answer the headers that browsers are told to be strict by."""
+
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self._app = app
+        self._access = access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        scope["may_write"] = headers.get("authorization") is not None
+        scope["gateway"] = self._access.gateway_of(headers.get("authorization", "")) or self._access.viewer
+        path = scope["path"].removeprefix(scope.get("root_path", ""))
+        problem = self._access.problem(scope["method"], path, headers)
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                given = {name for name, _ in message["headers"]}
+                added = [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
+                message["headers"] = [*message["headers"], *(pair for pair in added if pair[0] not in given)]
+            await send(message)
+
+        await (problem or self._app)(scope, receive, send_with_headers)
+
+
+def _is_open(path: str) -> bool:
+    return path in _OPEN or path.startswith("/static/")
+
+
+def _name(host: str) -> str:
+    """Return the name in a Host header, without the port."""
+    name, colon, port = host.lower().rpartition(":")
+    return name if colon and port.isdigit() else host.lower()
+
+
+def _is_foreign(headers: Headers) -> bool:
+    """Tell whether a browser says that a page of another origin asks.
+
+    Where it says nothing of sites, names are compared without ports, which proxies may change.
+    """
+    site = headers.get("sec-fetch-site")
+    if site is not None:
+        return site not in ("same-origin", "none")
+    origin = headers.get("origin")
+    return origin is not None and _name(origin.partition("://")[2]) != _name(headers.get("host", ""))
+
+
+def _unauthorized(sentence: str) -> Problem:
+    return Problem(401, sentence, {"www-authenticate": "Bearer"})

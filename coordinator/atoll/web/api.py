@@ -1,0 +1,476 @@
+"""The resources of the API: what is asked, and how it is answered. See ``openapi.json``."""
+
+import asyncio
+import contextlib
+import hashlib
+import json
+import time
+import uuid
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from importlib.resources import files
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import to_jsonable_python
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import BaseRoute, Route
+
+from atoll.client.client import Client
+from atoll.export.formats import LANGUAGES, OF_RESULTS, written
+from atoll.model.model import Model
+from atoll.tasks.analyses import FUNCTIONS, Report, answered
+from atoll.web.access import gateway_of
+from atoll.web.feed import MAX_LISTENERS, Feed
+from atoll.web.progress import progress, some
+from atoll.web.submission import Submission, options_by_heading
+from atoll_coordinator.result.result import Result
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.errors import AtollError, UnreachableError
+from atoll_core.wire.messages.limits import MAX_PAGE_JOBS, Priority
+from atoll_core.wire.messages.views import JobView, WorkerService
+from atoll_core.wire.topics import is_id
+from atoll_core.wire.values import encode_value
+
+MAX_BODY: Final = 256 * 1024**2
+"""Bytes of a file that is sent; larger ones are submitted on the command line."""
+
+MAX_BODIES: Final = 2
+"""Bodies that are read or worked on at the same time; others wait."""
+
+BODY_LIMIT_S: Final = 300.0
+"""How long a body may take to come."""
+
+RESULT_S: Final = 1.0
+"""For how long a result is given again without asking for it: any number of pages cost one question a second."""
+
+MAX_RESULTS: Final = 16
+"""Results that are kept for that."""
+
+MAX_WATCHED: Final = 32
+"""Jobs that one stream tells about by name."""
+
+Handler = Callable[[Request], Awaitable[Response]]
+
+
+class NewPriority(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+    priority: Priority
+
+
+class NewSharing(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+    shared: bool
+
+
+class NewService(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+    service: WorkerService
+
+
+class NewQueue(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+    paused: bool
+
+
+BODIES: Final[Mapping[str, type[BaseModel]]] = {
+    "set_priority": NewPriority, "set_sharing": NewSharing, "set_service": NewService, "set_queue": NewQueue,
+}  # fmt: skip
+"""Bodies that are JSON, by handler."""
+
+
+class Api:
+    """All resources. Feeds are one for each gateway, made when somebody listens."""
+
+    def __init__(self) -> None:
+        self._feeds: dict[object, Feed] = {}
+        self._results: dict[tuple[object, str], tuple[float, asyncio.Task[Result]]] = {}
+        self._bodies = asyncio.Semaphore(MAX_BODIES)
+        self.requests = 0
+
+    def routes(self) -> list[BaseRoute]:
+        """Return the routes below ``/api/v1``."""
+        table: list[tuple[str, str, Handler]] = [
+            ("GET", "/version", self.version),
+            ("GET", "/session", self.session),
+            ("GET", "/health", self.health),
+            ("GET", "/metrics", self.metrics),
+            ("GET", "/openapi.json", self.openapi),
+            ("GET", "/options", self.options),
+            ("GET", "/demo", self.demo),
+            ("GET", "/events", self.events),
+            ("GET", "/jobs", self.jobs),
+            ("POST", "/jobs", self.submit),
+            ("POST", "/outline", self.outline),
+            ("POST", "/preview", self.preview),
+            ("GET", "/jobs/{job}", self.job),
+            ("DELETE", "/jobs/{job}", self.delete),
+            ("GET", "/jobs/{job}/result", self.result),
+            ("GET", "/jobs/{job}/progress", self.progress),
+            ("GET", "/jobs/{job}/islands", self.islands),
+            ("GET", "/jobs/{job}/simulation", self.simulation),
+            ("GET", "/jobs/{job}/report", self.report),
+            ("GET", "/jobs/{job}/exports", self.exports),
+            ("GET", "/jobs/{job}/exports/{format}", self.export),
+            ("GET", "/jobs/{job}/logs", self.logs),
+            ("POST", "/jobs/{job}/cancel", self.cancel),
+            ("POST", "/jobs/{job}/pause", self.pause),
+            ("POST", "/jobs/{job}/resume", self.resume),
+            ("POST", "/jobs/{job}/retry", self.retry),
+            ("PUT", "/jobs/{job}/priority", self.set_priority),
+            ("PUT", "/jobs/{job}/sharing", self.set_sharing),
+            ("GET", "/workers", self.workers),
+            ("PUT", "/workers/{worker}/service", self.set_service),
+            ("GET", "/coordinator", self.coordinator),
+            ("PUT", "/coordinator/queue", self.set_queue),
+        ]
+        return [Route(path, handler, methods=[method]) for method, path, handler in table]
+
+    async def close(self) -> None:
+        """End all streams."""
+        for feed in self._feeds.values():
+            feed.stop()
+
+    # ------------------------------------------------------------------------------------------ the process
+
+    async def version(self, request: Request) -> Response:
+        """Say which version answers."""
+        return JSONResponse({"version": VERSION, "protocol": PROTOCOL_VERSION, "engine": ENGINE_REVISION, "api": "v1"})
+
+    async def session(self, request: Request) -> Response:
+        """Say as whom one asks, and whether one may change anything."""
+        credentials = gateway_of(request).destination.credentials if request.scope["gateway"] is not None else None
+        user = credentials.name if credentials is not None else None
+        return JSONResponse({"user": user, "may_write": request.scope["may_write"], "version": VERSION})
+
+    async def health(self, request: Request) -> Response:
+        """Say whether the coordinator answers, as probes ask."""
+        if request.scope["gateway"] is None:
+            return JSONResponse({"status": "ok", "coordinator": None})
+        try:
+            await gateway_of(request).ask(lambda client: client.queue_depth())
+        except UnreachableError as error:
+            return JSONResponse({"status": "unreachable", "coordinator": str(error)}, 503)
+        return JSONResponse({"status": "ok", "coordinator": "answers"})
+
+    async def metrics(self, request: Request) -> Response:
+        """Give the depth of the queue and what this process does, as Prometheus reads it."""
+        depth = await gateway_of(request).ask(lambda client: client.queue_depth())
+        jobs = {name: value for name, value in to_jsonable_python(depth).items() if isinstance(value, int)}
+        lines = ["# TYPE atoll_queue gauge", *(f'atoll_queue{{of="{name}"}} {value}' for name, value in jobs.items())]
+        listeners = sum(feed.listeners for feed in self._feeds.values())
+        lines += ["# TYPE atoll_web_listeners gauge", f"atoll_web_listeners {listeners}"]
+        return PlainTextResponse("\n".join(lines) + "\n")
+
+    async def openapi(self, request: Request) -> Response:
+        """Give the description of this API."""
+        return Response(_resource("openapi.json"), media_type="application/json")
+
+    async def options(self, request: Request) -> Response:
+        """Give the options of a job with their help."""
+        return JSONResponse(options_by_heading())
+
+    async def demo(self, request: Request) -> Response:
+        """Give a small data set to try."""
+        return JSONResponse({"filename": "predator_prey.csv", "text": _resource("static/predator_prey.csv")})
+
+    # ------------------------------------------------------------------------------------------------- jobs
+
+    async def jobs(self, request: Request) -> Response:
+        """List a page of jobs, the newest first."""
+        limit, cursor = _whole(request, "limit", 50, 1, MAX_PAGE_JOBS), _whole(request, "cursor", None, 0)
+        prefix, state = request.query_params.get("prefix", ""), request.query_params.get("state")
+        if prefix and not is_id(prefix):
+            return JSONResponse({"jobs": [], "next": None})
+        gateway, found = gateway_of(request), list[JobView]()
+        while True:
+            page = await gateway.ask(
+                lambda client, before=cursor: client.page_of_jobs(prefix, limit=limit, before=before)  # type: ignore[misc]
+            )
+            found += [view for view in reversed(page.jobs) if state in (None, view.state)]
+            cursor = page.before
+            if cursor is None or state is None or len(found) >= limit:
+                return JSONResponse({"jobs": to_jsonable_python(found), "next": cursor})
+
+    async def job(self, request: Request) -> Response:
+        """Say how a job is getting on."""
+        return await self._view(request, lambda client, job: client.status(job))
+
+    async def cancel(self, request: Request) -> Response:
+        """End a job, which keeps its best equations."""
+        return await self._view(request, lambda client, job: client.cancel(job))
+
+    async def pause(self, request: Request) -> Response:
+        """Have a job stop at a checkpoint and wait."""
+        return await self._view(request, lambda client, job: client.pause_job(job))
+
+    async def resume(self, request: Request) -> Response:
+        """Let a paused job go on."""
+        return await self._view(request, lambda client, job: client.pause_job(job, paused=False))
+
+    async def retry(self, request: Request) -> Response:
+        """Submit what failed or was cancelled once more, under another id."""
+        again = request.query_params.get("id") or uuid.uuid4().hex[:12]
+        if not is_id(again):
+            raise HTTPException(422, "an id has 1 to 64 letters, digits, _ or -")
+        response = await self._view(request, lambda client, job: client.retry(job, again), 201)
+        response.headers["location"] = f"../{again}"
+        return response
+
+    async def set_priority(self, request: Request) -> Response:
+        """Give a job another priority."""
+        body = await _read(request, NewPriority)
+        return await self._view(request, lambda client, job: client.set_priority(job, body.priority))
+
+    async def set_sharing(self, request: Request) -> Response:
+        """Let everybody see a job, or only its submitter and admins."""
+        body = await _read(request, NewSharing)
+        return await self._view(request, lambda client, job: client.share(job, shared=body.shared))
+
+    async def delete(self, request: Request) -> Response:
+        """Delete a job that has ended."""
+        job = _job(request)
+        await gateway_of(request).ask(lambda client: client.delete(job))
+        return Response(status_code=204)
+
+    async def _view(
+        self, request: Request, question: Callable[[Client, str], JobView], status: int = 200
+    ) -> JSONResponse:
+        job = _job(request)
+        view = await gateway_of(request).ask(lambda client: question(client, job))
+        return JSONResponse(to_jsonable_python(view), status)
+
+    async def logs(self, request: Request) -> Response:
+        """Give the events of a job after a number, or the last ones."""
+        job, after = _job(request), _whole(request, "after", 0, 0) or 0
+        limit, of_workers = _whole(request, "limit", 200, 1, 1000) or 200, _flag(request, "of_workers")
+        events = await gateway_of(request).ask(
+            lambda client: client.events(job, after, limit, of_workers=of_workers)
+        )  # fmt: skip
+        return JSONResponse({"events": to_jsonable_python(events)})
+
+    async def events(self, request: Request) -> Response:
+        """Tell what happens, as server-sent events."""
+        jobs = request.query_params.getlist("jobs") or ["all"]
+        if len(jobs) > MAX_WATCHED or any(not is_id(job) for job in jobs):
+            raise HTTPException(422, f"jobs names all, or up to {MAX_WATCHED} jobs by their ids")
+        last = request.headers.get("last-event-id") or request.query_params.get("after")
+        if last is not None and not (last.isdecimal() and int(last) < 2**63):
+            raise HTTPException(422, "Last-Event-ID is the number of an event")
+        gateway = gateway_of(request)
+        feed = self._feeds.setdefault(gateway, Feed(gateway))
+        if feed.listeners >= MAX_LISTENERS:
+            raise HTTPException(503, "too many pages listen already; ask for the status now and then instead")
+        told = feed.listen(None if "all" in jobs else jobs, int(last) if last is not None else None)
+        headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
+        return StreamingResponse(_until_broken(told), media_type="text/event-stream", headers=headers)
+
+    # ---------------------------------------------------------------------------------------------- results
+
+    async def result(self, request: Request) -> Response:
+        """Give result.json; while the job runs, the best so far."""
+        return _download(request, (await self._result(request)).to_json(), "result.json", "application/json")
+
+    async def progress(self, request: Request) -> Response:
+        """Give what pages draw of the best so far; 304 where that has not changed."""
+        made = await run_in_threadpool(progress, await self._result(request))
+        body = json.dumps(made, allow_nan=False).encode()
+        tag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
+        headers = {"etag": tag, "cache-control": "no-cache"}
+        if request.headers.get("if-none-match") == tag:
+            return Response(status_code=304, headers=headers)
+        return Response(body, media_type="application/json", headers=headers)
+
+    async def islands(self, request: Request) -> Response:
+        """Say on which worker each island is, and how far."""
+        job = _job(request)
+        islands = await gateway_of(request).ask(lambda client: client.islands(job))
+        return JSONResponse({"islands": to_jsonable_python(islands)})
+
+    async def simulation(self, request: Request) -> Response:
+        """Simulate the model from its first measured state."""
+        return JSONResponse(await run_in_threadpool(_simulated, await self._result(request)))
+
+    async def report(self, request: Request) -> Response:
+        """Give the report as HTML; 202 while a worker makes it."""
+        job = _job(request)
+        waits_for, made = await gateway_of(request).ask(lambda client: client.analysis(job, *_REPORT))
+        if made is None:
+            return JSONResponse({"waits_for": waits_for or "is made by a worker"}, 202, {"retry-after": "1"})
+        page = (await run_in_threadpool(answered, made)).text
+        policy = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
+        return Response(page, media_type="text/html", headers={"content-security-policy": policy})
+
+    async def exports(self, request: Request) -> Response:
+        """List the formats of exports."""
+        return JSONResponse({"formats": [*LANGUAGES, *OF_RESULTS]})
+
+    async def export(self, request: Request) -> Response:
+        """Write the model in a format."""
+        name, result = request.path_params["format"], await self._result(request)
+        if name not in (*LANGUAGES, *OF_RESULTS):
+            raise HTTPException(404, f"there is no format {name[:64]!r} of an export")
+        text = await run_in_threadpool(_exported, result, name)
+        return _download(request, text, f"{_job(request)}.{name}.txt", "text/plain")
+
+    async def _result(self, request: Request) -> Result:
+        """Return the result of a job, asked for once a second however many want it."""
+        job, gateway, now = _job(request), gateway_of(request), time.monotonic()
+        key = (gateway, job)
+        known = self._results.get(key)
+        if known is None or now - known[0] > RESULT_S:
+            task = asyncio.ensure_future(gateway.ask(lambda client: Result.of(client.result(job))))
+            known = self._results[key] = (now, task)
+            for old in [*self._results][:-MAX_RESULTS]:
+                del self._results[old]
+        return await asyncio.shield(known[1])
+
+    # ------------------------------------------------------------------------------------------ submissions
+
+    async def outline(self, request: Request) -> Response:
+        """Say how a file is read and what would be searched."""
+        return JSONResponse(await self._submission(request, Submission.outlined))
+
+    async def preview(self, request: Request) -> Response:
+        """Smooth and differentiate a file, for a look before anything is searched."""
+        return JSONResponse(await self._submission(request, Submission.prepared))
+
+    async def submit(self, request: Request) -> Response:
+        """Submit a file as a job. The same id with the same contents is the same job."""
+        asked = request.query_params
+        job, name = asked.get("id") or uuid.uuid4().hex[:12], asked.get("name", "")
+        if not is_id(job):
+            raise HTTPException(422, "an id has 1 to 64 letters, digits, _ or -")
+        priority, shared = _whole(request, "priority", 0, -10, 10) or 0, _flag(request, "shared")
+        given = await self._submission(request, lambda submission: (submission, submission.table.to_bytes()))
+        submission, table = given
+        view = await gateway_of(request).ask(
+            lambda client: client.hand_in(
+                job, name or submission.filename, submission.config, table, priority, shared=shared
+            )
+        )
+        return JSONResponse(to_jsonable_python(view), 201, {"location": f"jobs/{job}"})
+
+    async def _submission(self, request: Request, made: Callable[[Submission], Any]) -> Any:
+        """Return what is made of the file and the options that were sent, in a thread."""
+        asked = request.query_params
+        filename, options = asked.get("filename", "data.csv"), asked.get("options", "")
+        media_type = request.headers.get("content-type", "").partition(";")[0]
+        async with self._bodies:
+            body = await _body(request, MAX_BODY)
+            return await run_in_threadpool(lambda: made(Submission.of(filename, body, options, media_type)))
+
+    # ------------------------------------------------------------------------------ workers and coordinator
+
+    async def workers(self, request: Request) -> Response:
+        """List the workers."""
+        prefix = request.query_params.get("prefix", "")
+        return JSONResponse({"workers": to_jsonable_python(await gateway_of(request).ask(lambda c: c.workers(prefix)))})
+
+    async def set_service(self, request: Request) -> Response:
+        """Cordon or drain a worker, or open it again."""
+        worker, body = request.path_params["worker"], await _read(request, NewService)
+        if not is_id(worker):
+            raise HTTPException(404, "there is no such worker")
+        views = await gateway_of(request).ask(lambda client: client.set_worker(worker, body.service))
+        return JSONResponse({"workers": to_jsonable_python(views)})
+
+    async def coordinator(self, request: Request) -> Response:
+        """Give the coordinator's view of itself, and of its queue."""
+        view, depth = await gateway_of(request).ask(lambda client: (client.coordinator(), client.queue_depth()))
+        return JSONResponse({"coordinator": to_jsonable_python(view), "queue": to_jsonable_python(depth)})
+
+    async def set_queue(self, request: Request) -> Response:
+        """Have no more jobs taken up, or go on."""
+        body = await _read(request, NewQueue)
+        view = await gateway_of(request).ask(lambda client: client.pause_queue(paused=body.paused))
+        return JSONResponse({"coordinator": to_jsonable_python(view)})
+
+
+_REPORT: Final = (FUNCTIONS[Report], encode_value(Report()))
+
+
+def _job(request: Request) -> str:
+    job: str = request.path_params["job"]
+    if not is_id(job):
+        raise HTTPException(404, "there is no such job: ids have 1 to 64 letters, digits, _ or -")
+    return job
+
+
+def _whole(request: Request, name: str, default: int | None, least: int, most: int = 2**63 - 1) -> Any:
+    """Return a whole number of the query; raises HTTPException."""
+    text = request.query_params.get(name)
+    if text is None:
+        return default
+    digits = text.removeprefix("-")
+    if digits.isascii() and digits.isdecimal() and len(digits) < 20 and least <= int(text) <= most:
+        return int(text)
+    raise HTTPException(422, f"{name} must be a whole number from {least} to {most}")
+
+
+def _flag(request: Request, name: str) -> bool:
+    text = request.query_params.get(name, "false")
+    if text not in ("true", "false"):
+        raise HTTPException(422, f"{name} must be true or false")
+    return text == "true"
+
+
+async def _read(request: Request, kind: type[Any]) -> Any:
+    """Return a small JSON body; raises HTTPException."""
+    try:
+        return kind.model_validate_json(await _body(request, 64 * 1024))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the body"
+        raise HTTPException(422, f"{where}: {first['msg']}") from None
+
+
+async def _body(request: Request, most: int) -> bytes:
+    """Return the body, of bounded size and within a limit of time; raises HTTPException."""
+    told = request.headers.get("content-length", "0")
+    too_large = HTTPException(413, f"a body may have {most:,} bytes at most; use coordinator submit for larger files")
+    if told.isdecimal() and int(told) > most:
+        raise too_large
+    body = bytearray()
+    try:
+        async with asyncio.timeout(BODY_LIMIT_S):
+            async for chunk in request.stream():
+                body += chunk
+                if len(body) > most:
+                    raise too_large
+    except TimeoutError:
+        raise HTTPException(408, f"the body did not come within {BODY_LIMIT_S:.0f} s") from None
+    except ClientDisconnect:
+        raise HTTPException(400, "the body was cut off") from None
+    return bytes(body)
+
+
+def _download(request: Request, text: str, name: str, media_type: str) -> Response:
+    headers = {"content-disposition": f'attachment; filename="{name}"'} if _flag(request, "download") else {}
+    return Response(text, media_type=media_type, headers=headers)
+
+
+def _exported(result: Result, name: str) -> str:
+    return OF_RESULTS[name](result) if name in OF_RESULTS else written(Model(result), name)
+
+
+def _simulated(result: Result) -> Mapping[str, Any]:
+    """Return a simulation as columns, decimated."""
+    simulation = Model(result).simulate(has_bands=False)
+    rows = some(len(simulation.t), 1_000)
+    columns = simulation.columns().items()
+    curves = {name: [float(f"{value:.6g}") for value in values[rows]] for name, values in columns}
+    return {"time": result.time, "columns": curves, "message": simulation.message}
+
+
+def _resource(name: str) -> str:
+    return files("atoll.web").joinpath(name).read_text("utf-8")
+
+
+async def _until_broken(told: AsyncIterator[str]) -> AsyncIterator[str]:
+    """End a stream where the coordinator cannot be asked: the page connects again."""
+    with contextlib.suppress(AtollError):
+        async for part in told:
+            yield part

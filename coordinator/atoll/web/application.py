@@ -1,0 +1,49 @@
+"""The ASGI application: the page, the API, and the middleware before both."""
+
+import contextlib
+from collections.abc import AsyncIterator
+from importlib.resources import files
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from atoll.web.access import Access, AccessMiddleware
+from atoll.web.api import Api
+from atoll.web.gateway import BusyError
+from atoll.web.problems import of_error, of_refusal, of_too_many
+from atoll_core.errors import AtollError
+
+_STATIC = files("atoll.web").joinpath("static")
+
+
+def build_application(access: Access) -> Starlette:
+    """Return the application, which closes its gateways at its end."""
+    api = Api()
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        yield
+        await api.close()
+        for gateway in {*access.gateways.values(), *([access.viewer] if access.viewer is not None else [])}:
+            gateway.close()
+
+    return Starlette(
+        routes=[
+            Route("/", _page),
+            Mount("/api/v1", routes=api.routes()),
+            Mount("/static", StaticFiles(directory=str(_STATIC))),
+        ],
+        middleware=[Middleware(AccessMiddleware, access=access), Middleware(GZipMiddleware, minimum_size=1_000)],
+        exception_handlers={AtollError: of_error, HTTPException: of_refusal, BusyError: of_too_many},
+        lifespan=lifespan,
+    )
+
+
+async def _page(request: Request) -> Response:
+    return Response(_STATIC.joinpath("index.html").read_bytes(), media_type="text/html")

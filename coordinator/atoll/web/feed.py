@@ -1,0 +1,256 @@
+"""What happens at a coordinator, told to any number of pages: one subscription, and one look a second at open jobs.
+
+Events come from the subscription and have numbers, by which a page resumes. How jobs stand is looked up, once for all
+pages, while somebody listens: what has changed of a view is told, not the view.
+"""
+
+import asyncio
+import json
+import logging
+import threading
+import time
+from collections.abc import AsyncIterator, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from pydantic_core import to_jsonable_python
+
+from atoll.client.client import Client
+from atoll.client.subscription import Subscription
+from atoll.web.gateway import BusyError, Connection, Gateway
+from atoll_core.errors import AtollError, UnknownJobError
+from atoll_core.wire.messages.limits import MAX_PAGE_JOBS
+from atoll_core.wire.messages.views import FINAL_STATES, EventView, JobView
+
+_LOG = logging.getLogger("coordinator.web")
+
+LOOK_S: Final = 1.0
+"""How often open jobs are looked at, while somebody listens."""
+
+KEEP_ALIVE_S: Final = 10.0
+"""A proxy shall not take a quiet stream for a dead one."""
+
+MAX_BEHIND: Final = 2_000
+"""Messages that wait for a slow page; beyond it the stream ends, and the page resumes where it was."""
+
+MAX_LISTENERS: Final = 1_000
+
+PAGE: Final = 200
+"""Events that are asked for at a time."""
+
+_WAIT_S: Final = 0.5
+_AGAIN_S: Final = 1.0
+
+
+@dataclass(frozen=True)
+class Told:
+    """A message of the stream; `number` is that of the event, if it is one, `job` whose it is."""
+
+    kind: str
+    data: str
+    job: str | None = None
+    number: int | None = None
+
+    def encode(self) -> str:
+        """Return it as server-sent events have it; JSON has no line breaks."""
+        identifier = f"id: {self.number}\n" if self.number is not None else ""
+        return f"event: {self.kind}\n{identifier}data: {self.data}\n\n"
+
+
+@dataclass(eq=False)
+class _Listener:
+    """A page that listens to these `jobs`, None: to all."""
+
+    jobs: frozenset[str] | None
+    queue: asyncio.Queue[Told] = field(default_factory=lambda: asyncio.Queue(MAX_BEHIND))
+    is_behind: bool = False
+
+    def tell(self, told: Told) -> None:
+        if self.jobs is not None and told.kind != "connection" and told.job not in self.jobs:
+            return
+        try:
+            self.queue.put_nowait(told)
+        except asyncio.QueueFull:
+            self.is_behind = True
+
+
+class Feed:
+    """All pages of one principal. Its thread and its task run while somebody listens, and a little longer."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+        self._listeners: set[_Listener] = set()
+        self._views: dict[str, dict[str, Any]] = {}
+        self._touched: set[str] = set()
+        self._connection = Told("connection", json.dumps({"connected": True, "reason": ""}))
+        self._last: int | None = None
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._looking: asyncio.Task[None] | None = None
+
+    @property
+    def listeners(self) -> int:
+        """How many pages listen."""
+        return len(self._listeners)
+
+    async def listen(self, jobs: Collection[str] | None, after: int | None) -> AsyncIterator[str]:
+        """Yield what happens to these jobs, or to all (None), from behind the event of that number on, or from now on.
+
+        How the jobs stand comes first. It ends when the page cannot keep up.
+        """
+        listener = _Listener(None if jobs is None else frozenset(jobs))
+        self._listeners.add(listener)
+        try:
+            self._start()
+            yield f"retry: 1000\n\n{self._connection.encode()}"
+            last = after or 0
+            if after is not None:
+                async for told in self._missed(after, listener):
+                    last = told.number or last
+                    yield told.encode()
+            if jobs is not None:
+                self._touched.update(jobs)
+            for view in [*self._views.values()]:
+                listener.tell(_changes(view["job"], view))
+            while not listener.is_behind:
+                try:
+                    told = await asyncio.wait_for(listener.queue.get(), KEEP_ALIVE_S)
+                except TimeoutError:
+                    yield ": keep-alive\n\n"
+                    continue
+                if told.number is None or told.number > last:
+                    last = told.number or last
+                    yield told.encode()
+        finally:
+            self._listeners.discard(listener)
+
+    async def _missed(self, after: int, listener: _Listener) -> AsyncIterator[Told]:
+        """Yield the events after that number that are in the coordinator's store."""
+        while True:
+            events = await self._gateway.ask(lambda client, after=after: client.events(None, max(after, 1), PAGE))  # type: ignore[misc]
+            for event in events:
+                after = event.number
+                if listener.jobs is None or event.job in listener.jobs:
+                    yield _happened(event)
+            if len(events) < PAGE:
+                return
+
+    def stop(self) -> None:
+        """End the thread and the task."""
+        self._stop.set()
+        if self._looking is not None:
+            self._looking.cancel()
+
+    # ------------------------------------------------------------------------------------------- happenings
+
+    def _start(self) -> None:
+        if self._thread is None:
+            loop = asyncio.get_running_loop()
+            self._thread = threading.Thread(target=self._follow, args=(loop,), name="feed", daemon=True)
+            self._thread.start()
+            self._looking = loop.create_task(self._look_again_and_again())
+
+    def _follow(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Hand on what the subscription tells, until the process ends; in a thread of its own."""
+        while not self._stop.is_set():
+            connection = Connection(self._gateway.destination)
+            try:
+                connection.ask(lambda client: self._follow_one(client, loop))
+            except AtollError as error:
+                self._post(loop, self._take_connection, str(error))
+                self._stop.wait(_AGAIN_S)
+            except Exception:  # what happens next shall be told all the same
+                _LOG.exception("following the coordinator broke")
+                self._stop.wait(_AGAIN_S)
+            finally:
+                connection.close()
+
+    def _follow_one(self, client: Client, loop: asyncio.AbstractEventLoop) -> None:
+        subscription = Subscription(client, None, self._last)
+        self._post(loop, self._take_connection, None)
+        while not self._stop.is_set():
+            change = subscription.wait(_WAIT_S)
+            if change is not None:
+                self._last = max(self._last or 0, change.last)
+                self._post(loop, self._take_events, change.events)
+
+    @staticmethod
+    def _post(loop: asyncio.AbstractEventLoop, take: Any, *values: object) -> None:
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(take, *values)
+
+    def _take_events(self, events: tuple[EventView, ...]) -> None:
+        for event in events:
+            if event.job is not None:
+                self._touched.add(event.job)
+            self._tell(_happened(event))
+
+    def _take_connection(self, reason: str | None) -> None:
+        told = Told("connection", json.dumps({"connected": reason is None, "reason": reason or ""}))
+        if told != self._connection:
+            self._connection = told
+            self._tell(told)
+
+    def _tell(self, told: Told) -> None:
+        for listener in self._listeners:
+            listener.tell(told)
+
+    # ------------------------------------------------------------------------------------------------ views
+
+    async def _look_again_and_again(self) -> None:
+        while True:
+            began = time.monotonic()
+            if self._listeners:
+                try:
+                    await self._look()
+                except (AtollError, BusyError) as error:
+                    self._take_connection(str(error) or "too many requests wait")
+                except Exception:
+                    _LOG.exception("looking at jobs broke")
+            await asyncio.sleep(max(0.1, LOOK_S - (time.monotonic() - began)))
+
+    async def _look(self) -> None:
+        """Look at open jobs, and at those to which something has happened."""
+        touched, self._touched = self._touched, set()
+        views = {view.job: view for view in await self._gateway.ask(_open_jobs)}
+        watched = {job for listener in self._listeners for job in listener.jobs or ()}
+        gone = [job for job, view in self._views.items() if view["state"] not in FINAL_STATES and job not in views]
+        for job in (touched | {*gone} | (watched - self._views.keys())) - views.keys():
+            try:
+                views[job] = await self._gateway.ask(lambda client, job=job: client.status(job))  # type: ignore[misc]
+            except UnknownJobError:
+                if self._views.pop(job, None) is not None:
+                    self._tell(Told("job", json.dumps({"job": job, "changes": {}, "deleted": True}), job))
+        self._take_connection(None)
+        for view in views.values():
+            self._take_view(view)
+        ended = [job for job, view in self._views.items() if view["state"] in FINAL_STATES and job not in watched]
+        for job in ended:
+            del self._views[job]
+
+    def _take_view(self, view: JobView) -> None:
+        fields = to_jsonable_python(view)
+        before = self._views.get(view.job, {})
+        changes = {name: value for name, value in fields.items() if before.get(name, _NOTHING) != value}
+        if changes.keys() <= _AGEING:  # pages count seconds themselves
+            return
+        self._views[view.job] = fields
+        self._tell(_changes(view.job, changes))
+
+
+_NOTHING: Final = object()
+
+_AGEING: Final = {"elapsed", "point_evaluations_per_second"}
+"""Fields of a view that change by time alone."""
+
+
+def _open_jobs(client: Client) -> tuple[JobView, ...]:
+    return client.jobs(is_open=True, last=MAX_PAGE_JOBS)
+
+
+def _changes(job: str, changes: Mapping[str, Any]) -> Told:
+    return Told("job", json.dumps({"job": job, "changes": changes}), job)
+
+
+def _happened(event: EventView) -> Told:
+    return Told("happened", json.dumps(to_jsonable_python(event)), event.job, event.number)

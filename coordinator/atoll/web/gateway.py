@@ -1,0 +1,87 @@
+"""Questions to the coordinator: clients of the bus in threads of their own, since each has one owner thread."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final, TypeVar
+
+from atoll.client.client import Client, connected
+from atoll_core.errors import UnreachableError
+from atoll_core.wire.addresses import Destination
+
+THREADS: Final = 4
+"""Questions at the same time: they take milliseconds, and an upload shall not keep others waiting."""
+
+MAX_WAITING: Final = 256
+"""Questions that wait for a thread; more are refused, so that memory stays bounded."""
+
+A = TypeVar("A")
+
+
+class BusyError(Exception):
+    """Raised when too many questions wait already."""
+
+
+class Gateway:
+    """Asks one coordinator as one principal, that of the certificate in `destination` if there is one."""
+
+    def __init__(self, destination: Destination) -> None:
+        self.destination: Final = destination
+        self._pool = ThreadPoolExecutor(THREADS, "question")
+        self._local = threading.local()
+        self._open: set[Connection] = set()
+        self._waiting = 0
+
+    async def ask(self, question: Callable[[Client], A]) -> A:
+        """Return what `question` returns, which is called with a client in a thread.
+
+        Raises:
+            BusyError: too many wait.
+            AtollError: as the client does.
+        """
+        if self._waiting >= MAX_WAITING:
+            raise BusyError
+        self._waiting += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._pool, self._ask, question)
+        finally:
+            self._waiting -= 1
+
+    def _ask(self, question: Callable[[Client], A]) -> A:
+        connection: Connection | None = getattr(self._local, "connection", None)
+        if connection is None:
+            connection = self._local.connection = Connection(self.destination)
+            self._open.add(connection)
+        return connection.ask(question)
+
+    def close(self) -> None:
+        """Close all clients; what is under way ends first, within its limit."""
+        self._pool.shutdown(cancel_futures=True)
+        for connection in self._open:
+            connection.close()
+
+
+class Connection:
+    """A client that is opened when it is needed, and anew after a silence; for one thread."""
+
+    def __init__(self, destination: Destination) -> None:
+        self._destination = destination
+        self._stack = contextlib.ExitStack()
+        self._client: Client | None = None
+
+    def ask(self, question: Callable[[Client], A]) -> A:
+        """Return what `question` returns; raises as the client does."""
+        if self._client is None:
+            self._client = self._stack.enter_context(connected(self._destination))
+        try:
+            return question(self._client)
+        except UnreachableError:  # the next one finds a coordinator that has another store
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the client, if there is one."""
+        self._client = None
+        self._stack.close()

@@ -1,0 +1,45 @@
+"""Errors of the API as problem details (RFC 9457), with the sentences of the command line."""
+
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Final
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+
+from atoll.web.gateway import BusyError
+from atoll_core.errors import AtollError, DataError, RefusedError, UnknownJobError, UnreachableError, UsageError
+
+_STATUS: Final[Mapping[type[AtollError], int]] = {
+    UnreachableError: 503, DataError: 422, UsageError: 422, UnknownJobError: 404, RefusedError: 409,
+}  # fmt: skip
+
+
+class Problem(JSONResponse):
+    """An answer that says what is wrong."""
+
+    media_type = "application/problem+json"
+
+    def __init__(self, status: int, detail: str, headers: Mapping[str, str] | None = None) -> None:
+        content = {"type": "about:blank", "title": HTTPStatus(status).phrase, "status": status, "detail": detail}
+        super().__init__(content, status, headers)
+
+
+def of_error(request: Request, error: Exception) -> Response:
+    """Return what is answered where an error that is meant for a person has ended a request."""
+    assert isinstance(error, AtollError)
+    status = next((status for kind, status in _STATUS.items() if isinstance(error, kind)), 500)
+    return Problem(status, str(error), {"retry-after": "1"} if status == 503 else None)
+
+
+def of_refusal(request: Request, error: Exception) -> Response:
+    """Return what is answered to what HTTP alone refuses, such as a path that is not there."""
+    assert isinstance(error, HTTPException)
+    return Problem(error.status_code, error.detail, error.headers)
+
+
+def of_too_many(request: Request, error: Exception) -> Response:
+    """Return what is answered where too many questions wait."""
+    assert isinstance(error, BusyError)
+    return Problem(503, "too many requests wait already; ask again in a moment", {"retry-after": "1"})

@@ -1,0 +1,108 @@
+"""What pages draw of a result, also of the best so far: equations, fronts, convergence. Pure, of bounded size."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.display.notation import equation_mathml
+from atoll_coordinator.result.equations import Convergence, Equation, Member
+from atoll_coordinator.result.result import Result
+from atoll_core.errors import AtollError
+
+MAX_POINTS: Final = 2_000
+"""Points of all curves of a job together: more than a screen is wide."""
+
+MAX_CURVES: Final = 32
+"""Islands that are drawn one by one; of more of them the best, the median and the worst are drawn."""
+
+
+def progress(result: Result) -> dict[str, Any]:
+    """Return how far a job has come, by equation, as plain data."""
+    points = MAX_POINTS // max(1, len(result.equations))
+    return {
+        "job": result.job,
+        "config": result.config,
+        "files": list(result.data.files) if result.data is not None else [],
+        "equations": [_equation(equation, result.names, points) for equation in result.equations],
+    }
+
+
+def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str, Any]:
+    curves = _curves(equation.convergence, points)
+    return {
+        "variable": equation.variable,
+        "lhs": equation.lhs,
+        "expression": equation.expression,
+        "mathml": _mathml(equation, equation.expression, names),
+        "verdict": equation.verdict,
+        "reason": equation.reason,
+        "front": [_member(member, equation, names) for member in equation.front],
+        "convergence": curves,
+        "plateau": _plateau(equation.convergence),
+    }
+
+
+def _member(member: Member, equation: Equation, names: Sequence[str]) -> dict[str, Any]:
+    return {
+        "complexity": member.complexity,
+        "error": member.error,
+        "normalized_error": member.normalized_error,
+        "expression": member.expression,
+        "selected": member.selected,
+        "mathml": _mathml(equation, member.expression, names),
+    }
+
+
+def _mathml(equation: Equation, expression: str | None, names: Sequence[str]) -> str | None:
+    if expression is None:
+        return None
+    try:
+        return equation_mathml(equation.lhs, equation.variable, expression, names)
+    except AtollError:  # shown as text then
+        return None
+
+
+def _plateau(curves: Sequence[Convergence]) -> int | None:
+    """Return the generation in which any island last got better."""
+    return max((curve.generations[-1] for curve in curves), default=None)
+
+
+def _curves(curves: Sequence[Convergence], points: int) -> list[dict[str, Any]]:
+    if len(curves) <= MAX_CURVES:
+        each = max(2, points // max(1, len(curves)))
+        return [_curve(curve.island, curve.generations, curve.errors, each) for curve in curves]
+    generations = np.unique(np.concatenate([curve.generations for curve in curves]))
+    generations = generations[some(len(generations), points // 3)]
+    errors = np.stack([_at(generations, curve) for curve in curves])
+    with np.errstate(all="ignore"):
+        bands = {"best": errors.min(0), "median": np.median(errors, 0), "worst": errors.max(0)}
+    return [_curve(name, generations, band, len(generations)) for name, band in bands.items()]
+
+
+def _at(generations: np.ndarray[Any, Any], curve: Convergence) -> np.ndarray[Any, Any]:
+    """Return the error of an island in these generations: that of its last improvement."""
+    places = np.searchsorted(curve.generations, generations, "right") - 1
+    errors = np.asarray(curve.errors, dtype=float)[np.maximum(places, 0)]
+    return np.where(places < 0, np.inf, errors)
+
+
+def _curve(name: int | str, generations: Iterable[Any], errors: Iterable[Any], points: int) -> dict[str, Any]:
+    times, values = list(generations), list(errors)
+    kept = some(len(times), points)
+    return {
+        "island": name,
+        "generations": [int(times[place]) for place in kept],
+        "errors": [_number(values[place]) for place in kept],
+    }
+
+
+def _number(value: Any) -> float | None:
+    return float(f"{value:.4g}") if value is not None and np.isfinite(value) else None
+
+
+def some(number: int, most: int) -> list[int]:
+    """Return at most so many places of a sequence, the first and the last among them."""
+    if number <= most:
+        return list(range(number))
+    return [int(place) for place in np.unique(np.linspace(0, number - 1, max(2, most)).round())]

@@ -1,0 +1,127 @@
+"""Serving the application: who may reach it and how, by TLS beyond this machine, until it is told to end."""
+
+import ipaddress
+import os
+import secrets
+import socket
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import uvicorn
+
+from atoll.web.access import LOCAL_HOSTS, Access, digest_of
+from atoll.web.application import build_application
+from atoll.web.gateway import Gateway
+from atoll_core.errors import UsageError
+from atoll_core.wire.addresses import Destination, destination
+from atoll_core.wire.security.credentials import Credentials, credentials_of
+
+TOKEN: Final = "ATOLL_WEB_TOKEN"
+"""The variable that gives the token; else one is made up."""
+
+_STOP_LIMIT_S: Final = 2
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Where the process listens, under which further names it may be addressed, and its certificate for that."""
+
+    host: str
+    port: int
+    names: Sequence[str] = ()
+    credentials: Credentials | None = None
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only programs of this machine reach it."""
+        if self.host == "localhost":
+            return True
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False
+
+    def url(self, port: int, token: str) -> str:
+        """Return the address for a browser."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        if host in ("0.0.0.0", "[::]"):
+            host = socket.gethostname()
+        return f"{'https' if self.credentials else 'http'}://{host}:{port}/?token={token}"
+
+
+def access_of(listener: Listener, at: Destination, token: str, users: Path | None) -> Access:
+    """Return who may ask what.
+
+    Raises:
+        UsageError: the file of users cannot be used, or what listens beyond this machine has no certificate.
+    """
+    if not listener.is_local and listener.credentials is None:
+        raise UsageError(
+            f"--listen {listener.host} can be reached from other machines, which needs TLS; give --tls-ca, --tls-cert "
+            "and --tls-key, or listen on 127.0.0.1 behind a proxy"
+        )
+    own = Gateway(at)
+    gateways = {digest_of(token): own} | (_gateways(users, at) if users is not None else {})
+    hosts = {*LOCAL_HOSTS, listener.host.lower(), *(name.lower() for name in listener.names)}
+    if not listener.is_local:
+        hosts |= {socket.gethostname().lower(), socket.getfqdn().lower()}
+    viewer = own if listener.is_local and users is None else None
+    return Access(gateways, viewer, sorted(hosts))
+
+
+def _gateways(file: Path, at: Destination) -> dict[str, Gateway]:
+    """Return the gateways of users by the SHA-256 of their tokens, from a file such as
+    ``[ann]`` / ``token_sha256 = "…"`` / ``tls_cert = "ann.pem"`` / ``tls_key = "ann.key"`` / ``tls_ca = "ca.pem"``."""
+    try:
+        table: dict[str, Any] = tomllib.loads(file.read_text("utf-8"))
+    except OSError as error:
+        raise UsageError(f"--users {file} cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"--users {file} is not valid TOML: {error}") from error
+    gateways: dict[str, Gateway] = {}
+    for name, entry in table.items():
+        expected = {"token_sha256", "tls_ca", "tls_cert", "tls_key"}
+        if not isinstance(entry, dict) or set(entry) != expected:
+            raise UsageError(f"--users {file}: {name} needs {', '.join(sorted(expected))}, and nothing else")
+        paths = {key: str(file.parent / entry[key]) for key in ("tls_ca", "tls_cert", "tls_key")}
+        credentials = credentials_of(paths, {}, "connect")
+        gateways[str(entry["token_sha256"]).lower()] = Gateway(destination(str(at.address), credentials))
+    return gateways
+
+
+def serve(listener: Listener, access: Access, token: str, say: Callable[[str], object]) -> None:
+    """Answer until SIGTERM or Ctrl-C.
+
+    Raises:
+        UsageError: nobody can listen there.
+    """
+    family = socket.AF_INET6 if ":" in listener.host else socket.AF_INET
+    opened = socket.socket(family)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        opened.bind((listener.host, listener.port))
+    except OSError as error:
+        opened.close()
+        raise UsageError(f"--listen {listener.host}:{listener.port} is not possible: {error.strerror}") from error
+    own = listener.credentials
+    config = uvicorn.Config(
+        build_application(access), log_level="warning", access_log=False, server_header=False, date_header=False,
+        timeout_graceful_shutdown=_STOP_LIMIT_S, timeout_keep_alive=30, h11_max_incomplete_event_size=64 * 1024,
+        ws="none", limit_concurrency=2_000, proxy_headers=True, forwarded_allow_ips="127.0.0.1",
+        ssl_certfile=str(own.certificate) if own else None, ssl_keyfile=str(own.key) if own else None,
+    )  # fmt: skip
+    say(listener.url(opened.getsockname()[1], token))
+    uvicorn.Server(config).run(sockets=[opened])
+
+
+def token_of(environment: Mapping[str, str] = os.environ) -> str:
+    """Return the token that the environment gives, or one that is made up; raises UsageError for one that is short."""
+    token = environment.get(TOKEN)
+    if token is None:
+        return secrets.token_urlsafe(24)
+    if len(token) < 16 or not token.isascii() or not token.isprintable() or " " in token:
+        raise UsageError(f"{TOKEN} must have at least 16 printable characters without blanks")
+    return token
