@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import TypeAdapter
+from pydantic import BaseModel
 from starlette.routing import Route
 
 from atoll.web.api import BODIES, Api
@@ -18,10 +18,10 @@ from atoll_core.wire.messages.clients import QueueDepth
 from atoll_core.wire.messages.limits import MAX_PAGE_JOBS
 from atoll_core.wire.messages.views import CoordinatorView, EventView, IslandView, JobView, WorkerView
 
-_TEXT: Final = {"type": "string"}
-_FLAG: Final = {"type": "boolean"}
-_ID: Final = {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,64}$"}
-_OBJECT: Final = {"type": "object"}
+_TEXT: Final[dict[str, Any]] = {"type": "string"}
+_FLAG: Final[dict[str, Any]] = {"type": "boolean"}
+_ID: Final[dict[str, Any]] = {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,64}$"}
+_OBJECT: Final[dict[str, Any]] = {"type": "object"}
 
 _OPTIONS: Final = "options of the command line by name, as a JSON object: texts, true, or lists of texts"
 _FILE: Final[Mapping[str, tuple[Mapping[str, Any], str]]] = {
@@ -63,47 +63,40 @@ QUERIES: Final[Mapping[str, Mapping[str, tuple[Mapping[str, Any], str]]]] = {
 
 _STATUS: Final[Mapping[str, int]] = {"submit": 201, "retry": 201, "delete": 204}
 
-_JOB: Final = {"$ref": "#/components/schemas/JobView"}
-_JSON: Final[Mapping[str, Any]] = {
-    **dict.fromkeys(("job", "submit", "cancel", "pause", "resume", "retry", "set_priority", "set_sharing"), _JOB),
-    "jobs": {
-        "type": "object",
-        "required": ["jobs", "next"],
-        "properties": {"jobs": {"type": "array", "items": _JOB}, "next": {"type": ["integer", "null"]}},
-    },
-    "logs": {
-        "type": "object",
-        "required": ["events"],
-        "properties": {"events": {"type": "array", "items": {"$ref": "#/components/schemas/EventView"}}},
-    },
-    **dict.fromkeys(
-        ("workers", "set_service"),
-        {
-            "type": "object",
-            "required": ["workers"],
-            "properties": {"workers": {"type": "array", "items": {"$ref": "#/components/schemas/WorkerView"}}},
-        },
-    ),
-    "islands": {
-        "type": "object",
-        "required": ["islands"],
-        "properties": {"islands": {"type": "array", "items": {"$ref": "#/components/schemas/IslandView"}}},
-    },
+
+def _of(model: type[BaseModel]) -> dict[str, Any]:
+    return {"$ref": f"#/components/schemas/{model.__name__}"}
+
+
+def _list(name: str, model: type[BaseModel], **further: Any) -> dict[str, Any]:
+    """Return the schema of an object that holds a list."""
+    properties = {name: {"type": "array", "items": _of(model)}, **further}
+    return {"type": "object", "required": [*properties], "properties": properties}
+
+
+_ANSWERS: Final[Mapping[str, Any]] = {
+    "jobs": _list("jobs", JobView, next={"type": ["integer", "null"]}),
+    "logs": _list("events", EventView),
+    "islands": _list("islands", IslandView),
+    "workers": _list("workers", WorkerView),
+    "set_service": _list("workers", WorkerView),
 }
 """Schemas of answers by handler; others are objects."""
+
+_VIEWS: Final = ("job", "submit", "cancel", "pause", "resume", "retry", "set_priority", "set_sharing")
 
 _MEDIA: Final[Mapping[str, str]] = {
     "events": "text/event-stream", "report": "text/html", "export": "text/plain", "metrics": "text/plain",
 }  # fmt: skip
 
-MODELS: Final = (JobView, EventView, WorkerView, IslandView, CoordinatorView, QueueDepth)
+MODELS: Final[tuple[type[BaseModel], ...]] = (JobView, EventView, WorkerView, IslandView, CoordinatorView, QueueDepth)
 
 
 def describe() -> dict[str, Any]:
     """Return the description."""
     schemas: dict[str, Any] = {}
     for model in (*MODELS, *BODIES.values()):
-        schema = TypeAdapter(model).json_schema(ref_template="#/components/schemas/{model}", mode="serialization")
+        schema = model.model_json_schema(ref_template="#/components/schemas/{model}", mode="serialization")
         schemas |= schema.pop("$defs", {})
         schemas[model.__name__] = schema
     schemas["Problem"] = {
@@ -137,7 +130,7 @@ def describe() -> dict[str, Any]:
 def _operation(route: Route) -> dict[str, Any]:
     name = route.endpoint.__name__
     names = [part[1:-1] for part in route.path.split("/") if part.startswith("{")]
-    parameters = [
+    parameters: list[dict[str, Any]] = [
         {"name": part, "in": "path", "required": True, "schema": _ID if part != "format" else _TEXT} for part in names
     ]
     parameters += [
@@ -145,16 +138,15 @@ def _operation(route: Route) -> dict[str, Any]:
         for part, (schema, text) in QUERIES.get(name, {}).items()
     ]
     if name == "events":
-        last = {"name": "Last-Event-ID", "in": "header", "schema": {"type": "integer", "minimum": 0}}
-        parameters.append(last)
+        parameters.append({"name": "Last-Event-ID", "in": "header", "schema": {"type": "integer", "minimum": 0}})
     operation: dict[str, Any] = {"operationId": name, "summary": (route.endpoint.__doc__ or "").strip()}
     if parameters:
         operation["parameters"] = parameters
     if name in BODIES:
-        schema = {"$ref": f"#/components/schemas/{BODIES[name].__name__}"}
-        operation["requestBody"] = {"required": True, "content": {"application/json": {"schema": schema}}}
+        content = {"application/json": {"schema": _of(BODIES[name])}}
+        operation["requestBody"] = {"required": True, "content": content}
     elif QUERIES.get(name, {}).get("filename"):
-        kinds = {"application/octet-stream": {}, "text/csv": {}, TABLE: {}}
+        kinds: dict[str, Any] = {"application/octet-stream": {}, "text/csv": {}, TABLE: {}}
         operation["requestBody"] = {"required": True, "content": kinds}
     return operation | {"responses": _responses(name, names)}
 
@@ -165,7 +157,9 @@ def _responses(name: str, path: list[str]) -> dict[str, Any]:
     media = _MEDIA.get(name, "application/json")
     done: dict[str, Any] = {"description": "done"}
     if status != 204:
-        schema = _JSON.get(name, _OBJECT) if media == "application/json" else _TEXT
+        schema = (
+            _ANSWERS.get(name, _of(JobView) if name in _VIEWS else _OBJECT) if media == "application/json" else _TEXT
+        )
         done["content"] = {media: {"schema": schema}}
     answers = {str(status): done}
     if name == "report":
